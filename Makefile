@@ -1,0 +1,64 @@
+# make demo        set up, run the main job on the demo scene, print the table
+# make test        lint, types, tests
+# make test-long   the slow tests too
+# make format      bring the code into the project's form
+# make kernels     compile the kernels for every platform
+# make clean       remove the environment and everything that was built (runs stay)
+#
+# PYTHON       the Python (3.11 or later) that makes the environment
+# TORCH_INDEX  a package index to take torch from; without it tools/install_torch.py finds a build
+#              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
+TORCH_INDEX ?=
+export TORCH_INDEX
+
+VENV := .venv
+BIN := $(VENV)/bin
+RUN_DIR ?= runs/demo
+
+.PHONY: demo test test-long format kernels native-kernels clean
+.DELETE_ON_ERROR:
+
+demo: $(VENV)/installed native-kernels
+	$(BIN)/python -m roigs_engine run demo/scene --rois demo/scene/rois.json \
+	    --preset draft --run-dir $(RUN_DIR)
+
+test: $(VENV)/installed-dev native-kernels
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+test-long: $(VENV)/installed-dev native-kernels
+	$(BIN)/python -m pytest -m slow
+
+format: $(VENV)/installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# Compiles only what is older than its sources.
+native-kernels: $(VENV)/installed
+	@$(BIN)/python -m roigs_engine.kernels.build > $(VENV)/kernels
+
+kernels: $(VENV)/installed-dev
+	@for target in $$($(BIN)/python -c \
+	    'from roigs_engine.kernels.build import PLATFORMS; print(*PLATFORMS)'); do \
+	    $(BIN)/python -m roigs_engine.kernels.build --target $$target || exit 1; \
+	done
+
+$(VENV)/installed: pyproject.toml setup.py tools/install_torch.py
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or later is needed; set PYTHON.")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python tools/install_torch.py
+	$(BIN)/python -m pip install --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/installed
+	$(BIN)/python -m pip install --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info roigs_engine/kernels/lib
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find roigs_engine roigs_addon tests tools demo benchmarks -name __pycache__ -prune -exec rm -rf {} +

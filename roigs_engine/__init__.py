@@ -1,0 +1,94 @@
+"""ROI-GS: boxed objects trained sharper inside 3D Gaussian Splatting scenes.
+
+The public names below are imported when they are first used, so that `import roigs_engine`, the
+camera selection and everything before training work where torch is not installed:
+
+    from roigs_engine import load_colmap, load_rois, select_cameras, SelectionConfig
+
+    scene = load_colmap("garden", max_side=640)
+    (vase,) = load_rois("garden/rois.json")
+    print(select_cameras(scene, vase, SelectionConfig()).names)
+
+Functions that have the name of their own file are imported from there, because a package cannot
+hold a module and a function of one name: `roigs_engine.rasterize.rasterize`,
+`roigs_engine.evaluate.evaluate`, `roigs_engine.compose.replace`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from .checkpoint import load_checkpoint, save_checkpoint
+    from .colmap import load_colmap
+    from .config import RunConfig, TrainConfig, preset
+    from .errors import EngineError
+    from .gaussians import Gaussians
+    from .pipeline import Run
+    from .rasterize import RenderOutput
+    from .render import load_camera_path, render_view
+    from .roi import OrientedBox, load_rois
+    from .scene import Camera, PosedImage, SfmScene
+    from .selection import CameraSelection, SelectionConfig, select_cameras, visible_images
+    from .split import choose_test_views
+    from .trainer import StageData, Trainer
+
+_HOMES = {
+    "checkpoint": ("load_checkpoint", "save_checkpoint"),
+    "colmap": ("load_colmap",),
+    "config": ("RunConfig", "TrainConfig", "preset"),
+    "errors": ("EngineError",),
+    "gaussians": ("Gaussians",),
+    "pipeline": ("Run",),
+    "rasterize": ("RenderOutput",),
+    "render": ("load_camera_path", "render_view"),
+    "roi": ("OrientedBox", "load_rois"),
+    "scene": ("Camera", "PosedImage", "SfmScene"),
+    "selection": ("CameraSelection", "SelectionConfig", "select_cameras", "visible_images"),
+    "split": ("choose_test_views",),
+    "trainer": ("StageData", "Trainer"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [  # noqa: RUF022 - grouped as a reader meets them
+    "Camera",
+    "PosedImage",
+    "SfmScene",
+    "load_colmap",
+    "OrientedBox",
+    "load_rois",
+    "CameraSelection",
+    "SelectionConfig",
+    "select_cameras",
+    "visible_images",
+    "choose_test_views",
+    "Gaussians",
+    "RenderOutput",
+    "load_camera_path",
+    "render_view",
+    "RunConfig",
+    "TrainConfig",
+    "preset",
+    "StageData",
+    "Trainer",
+    "load_checkpoint",
+    "save_checkpoint",
+    "Run",
+    "EngineError",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported from its home now."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f".{_HOME_OF[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

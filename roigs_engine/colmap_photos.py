@@ -1,0 +1,146 @@
+"""A model's photos: which of them can be used, with which pose, camera and file."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from .colmap_files import NO_IDS, Model, ModelCamera, ModelImage
+from .errors import RunFolderError, SceneError
+from .events import Emit, StageStarted
+from .images import PhotoError, photo_size
+from .photo_files import PhotoFolder
+from .scene import Float64, PosedImage
+from .undistort import Plan, as_pinhole, plan_undistortion, temporary_folder, undistort
+
+MISSING = "missing on disk"
+UNPOSED = "without a pose"
+WRONG_SIZE = "wrong size"
+UNREADABLE = "unreadable"
+NO_CAMERA = "without a camera"
+DUPLICATE = "twice in the model"
+FAR = 1e15  # world units; larger coordinates are damage, and their squares overflow float32
+Shrink = Callable[[int, int], tuple[int, int]]
+
+
+def photo_name(image: ModelImage) -> str:
+    """The photo's name in the scene: with `/` between folders whatever system wrote the model."""
+    return image.name.replace("\\", "/")
+
+
+def _pose(image: ModelImage) -> Float64 | None:
+    """(4, 4) world to camera, None when the stored numbers are no pose."""
+    numbers = np.concatenate([image.quaternion, image.translation])
+    if not (np.abs(numbers) < FAR).all():
+        return None
+    norm = float(np.linalg.norm(image.quaternion))
+    if norm < 1e-12:
+        return None
+    w, x, y, z = image.quaternion / norm
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = image.translation
+    return pose
+
+
+def _same_shape(camera: ModelCamera, size: tuple[int, int]) -> bool:
+    """Whether a photo of that size is a resampled copy, rounded by a pixel at most."""
+    slack = 1 / camera.width + 1 / camera.height
+    return abs(size[0] / camera.width - size[1] / camera.height) <= slack + 1e-9
+
+
+class PhotoLoader:
+    """Sorts a model's photos into usable ones, plans for distorted ones, and skipped names."""
+
+    def __init__(self, model: Model, photos: PhotoFolder, shrink: Shrink) -> None:
+        self.skipped: defaultdict[str, list[str]] = defaultdict(list)
+        self._posed: dict[int, PosedImage] = {}
+        self._plans: dict[int, Plan] = {}
+        names: set[str] = set()
+        for image in sorted(model.images, key=lambda image: image.image_id):
+            reason = (
+                DUPLICATE if photo_name(image) in names or image.image_id in self._posed else ""
+            )
+            reason = reason or self._add(image, model.cameras.get(image.camera_id), photos, shrink)
+            names.add(photo_name(image))
+            if reason:
+                self.skipped[reason].append(photo_name(image))
+
+    def _add(
+        self, image: ModelImage, camera: ModelCamera | None, photos: PhotoFolder, shrink: Shrink
+    ) -> str:
+        """Take the photo in, or say why not."""
+        pose, path = _pose(image), photos.find(image.name)
+        if pose is None:
+            return UNPOSED
+        if camera is None:
+            return NO_CAMERA
+        if path is None:
+            return MISSING
+        try:
+            size = photo_size(path)
+        except SceneError:
+            return UNREADABLE
+        if not _same_shape(camera, size):
+            return WRONG_SIZE
+        pinhole = as_pinhole(camera)
+        if pinhole is None:
+            try:
+                plan = plan_undistortion(path, camera, size, shrink)
+            except SceneError:
+                return f"{camera.model} cannot be undistorted"
+            self._plans[image.image_id] = plan
+            target = plan.target
+        else:
+            target = pinhole.resized(*shrink(*size))
+        self._posed[image.image_id] = PosedImage(
+            name=photo_name(image),
+            path=path,
+            camera=target,
+            world_to_camera=pose,
+            point_indices=NO_IDS,
+        )
+        return ""
+
+    def undistorted(self, cache: Path | None, emit: Emit) -> dict[int, PosedImage]:
+        """Image id -> photo, the distorted ones' undistorted copies made or found in the cache."""
+        if not self._plans:
+            return self._posed
+        folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
+        todo = sum(not (folder / plan.file_name()).is_file() for plan in self._plans.values())
+        if todo:
+            emit(StageStarted(stage="undistort", total=todo))
+        pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="undistort")
+        try:
+            jobs = {key: pool.submit(undistort, plan, folder) for key, plan in self._plans.items()}
+            for key, job in jobs.items():
+                image = self._posed[key]
+                try:
+                    self._posed[key] = replace(image, path=job.result())
+                except PhotoError:
+                    self.skipped[UNREADABLE].append(image.name)
+                    del self._posed[key]
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return self._posed
+
+
+def _made(folder: Path) -> Path:
+    """The folder, created before photos are decoded for it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(
+            f"Cannot write to {folder} ({error.strerror}).", "Choose another folder."
+        ) from error
+    return folder

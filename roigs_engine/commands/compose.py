@@ -1,0 +1,48 @@
+"""`compose`: put objects' Gaussians in the place of a scene's."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..errors import RoiError
+from .console import Console
+from .options import add_roi_options, boxes
+
+HELP = "replace a scene's Gaussians in the boxes by objects'"
+EXAMPLES = """\
+  python -m roigs_engine compose scene.ply --rois rois.json --object vase=vase.ply --out all.ply"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("scene_ply", type=Path, help="PLY of the whole scene")
+    add_roi_options(parser)
+    parser.add_argument(
+        "--object",
+        action="append",
+        required=True,
+        metavar="ROI=FILE.ply",
+        help="PLY whose Gaussians fill that box; repeatable",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="PLY to write")
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Read, replace, write."""
+    from ..compose import replace
+    from ..gaussians import Gaussians
+
+    by_name = {roi.name: roi for roi in boxes(args)}
+    objects = []
+    for text in args.object:
+        name, _, path = text.partition("=")
+        if name not in by_name:
+            raise RoiError(
+                f"--object {text} names no ROI.", f"Write ROI=FILE; ROIs: {', '.join(by_name)}."
+            )
+        objects.append((by_name[name], Gaussians.load_ply(Path(path))))
+    composed = replace(Gaussians.load_ply(args.scene_ply), objects)
+    composed.save_ply(args.out)
+    console.print(f"{len(composed):,} Gaussians in {args.out}")
+    return {"result": str(args.out)}

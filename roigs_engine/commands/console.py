@@ -1,0 +1,106 @@
+"""How a command talks: a progress bar for people, JSON lines for programs; and how it is stopped."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+from tqdm import tqdm
+
+from ..events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
+
+
+class Console:
+    """Takes events and shows them; knows whether somebody asked to stop.
+
+    Args:
+        json_lines: write one JSON line per event on standard output, and take «stop» or the end of
+            standard input as a request to stop; otherwise a progress bar on standard error.
+    """
+
+    def __init__(self, *, json_lines: bool) -> None:
+        self._json_lines = json_lines
+        self._stop = threading.Event()
+        self._bar: tqdm[None] | None = None
+        self._log: TextIO | None = None
+
+    def watch(self) -> None:
+        """Begin to listen for requests to stop: Ctrl-C once, or standard input (JSON lines)."""
+        signal.signal(signal.SIGINT, self._interrupted)
+        if self._json_lines:
+            threading.Thread(target=self._read_input, daemon=True).start()
+
+    def should_stop(self) -> bool:
+        """Whether a stop was asked for."""
+        return self._stop.is_set()
+
+    def log_to(self, folder: Path) -> None:
+        """Also append every event as a JSON line to `folder`/events.jsonl."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = open(folder / "events.jsonl", "a", encoding="utf-8")  # noqa: SIM115
+
+    def emit(self, event: Event) -> None:
+        """Show one event."""
+        if self._log is not None:
+            print(to_json(event), file=self._log, flush=True)
+        if self._json_lines:
+            print(to_json(event), flush=True)
+        else:
+            self._show(event)
+
+    def print(self, text: str) -> None:
+        """Text that is the command's answer: standard output, but never among JSON lines."""
+        self.close_bar()
+        print(text, file=sys.stderr if self._json_lines else sys.stdout, flush=True)
+
+    def close_bar(self) -> None:
+        """End the progress bar, if one is up."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def _show(self, event: Event) -> None:
+        match event:
+            case Progress():
+                self._advance(event)
+            case StageStarted(stage=stage, total=total):
+                self.close_bar()
+                if total:
+                    self._bar = tqdm(total=total, desc=stage, file=sys.stderr, dynamic_ncols=True)
+            case Message(text=text, level=level):
+                self._line(f"warning: {text}" if level == "warning" else text)
+            case Failed(message=message, hint=hint):
+                self.close_bar()
+                print(f"error: {message} {hint}".rstrip(), file=sys.stderr, flush=True)
+            case Done(stopped=True):
+                self._line("Stopped; the same command goes on from here.")
+            case Done() | Preview():
+                self.close_bar()
+
+    def _advance(self, event: Progress) -> None:
+        if self._bar is None:
+            return
+        self._bar.set_postfix_str(
+            f"loss {event.loss:.4f}, {event.psnr:.2f} dB, {event.gaussians:,} Gaussians",
+            refresh=False,
+        )
+        self._bar.update(event.step - self._bar.n)
+
+    def _line(self, text: str) -> None:
+        tqdm.write(text, file=sys.stderr)
+
+    def _interrupted(self, number: int, frame: FrameType | None) -> None:
+        if self._stop.is_set():
+            raise KeyboardInterrupt
+        self._stop.set()
+        self._line("Stopping after this step; Ctrl-C again to leave at once.")
+
+    def _read_input(self) -> None:
+        for line in sys.stdin:
+            if line.strip() == "stop":
+                break
+        self._stop.set()

@@ -1,0 +1,73 @@
+"""`evaluate`: the table for any PLYs, on photos they have not seen."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..errors import ConfigError
+from ..files import read_json
+from .console import Console
+from .options import add_roi_options, add_scene_options, boxes, load_scene
+
+HELP = "compare PLYs on test photos, in each box and on the whole image"
+EXAMPLES = """\
+  python -m roigs_engine evaluate garden --rois garden/rois.json --out out \\
+      --model "Full Scene=runs/garden/full-scene/model.ply" --model Ours=runs/garden/result.ply \\
+      --split runs/garden/split.json"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    add_scene_options(parser)
+    add_roi_options(parser)
+    parser.add_argument(
+        "--model",
+        action="append",
+        required=True,
+        metavar="NAME=FILE.ply",
+        help="a row of the table; the first one is what gains are measured from; repeatable",
+    )
+    tests = parser.add_mutually_exclusive_group()
+    tests.add_argument("--split", type=Path, metavar="FILE", help="split.json of a run")
+    tests.add_argument(
+        "--test-every", type=int, default=8, metavar="N", help="every n-th ROI-visible photo"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Render the test photos with every model and compare."""
+    from ..crops import write_crops
+    from ..evaluate import EvaluatedModel, evaluate
+    from ..gaussians import Gaussians
+    from ..report import format_markdown, write_report
+    from ..split import choose_test_views
+
+    rois, scene = boxes(args), load_scene(args, console)
+    test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
+    unknown = sorted(set(test) - {image.name for image in scene.images})
+    if unknown:
+        raise ConfigError(f"The split names «{unknown[0]}», which the scene does not have.")
+    models = []
+    for text in args.model:
+        name, separator, path = text.partition("=")
+        if not separator:
+            raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
+        loaded = Gaussians.load_ply(Path(path))
+        models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
+    evaluation = evaluate(
+        models, scene, test, rois, emit=console.emit, baseline=models[0].name
+    )
+    write_report(evaluation, args.out)
+    write_crops(evaluation, models, scene, rois, args.out)
+    console.print(format_markdown(evaluation))
+    return {"report": str(args.out / "report.md"), "pictures": str(args.out / "crops")}
+
+
+def _split(path: Path) -> list[str]:
+    record = read_json(path)
+    names = record.get("test") if isinstance(record, dict) else None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ConfigError(f"{path} holds no list «test» of photo names.")
+    return names

@@ -1,0 +1,30 @@
+"""`inspect`: what a COLMAP model holds, and what its boxes see."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from ..inspect import format_inspection, inspect_scene
+from .console import Console
+from .options import add_roi_options, add_scene_options, boxes, load_scene
+
+HELP = "say what a COLMAP model holds and what sees each box"
+EXAMPLES = """\
+  python -m roigs_engine inspect garden
+  python -m roigs_engine inspect garden --rois garden/rois.json --json"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    add_scene_options(parser)
+    add_roi_options(parser)
+    parser.add_argument("--json", action="store_true", help="answer in JSON")
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Load, look, answer."""
+    rois = boxes(args, required=False)
+    report = inspect_scene(load_scene(args, console), rois)
+    console.print(json.dumps(report, indent=1) if args.json else format_inspection(report))
+    return {}

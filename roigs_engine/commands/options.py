@@ -1,0 +1,143 @@
+"""Options that several commands share, and what they are turned into."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from ..config import INITS, ORDERS, PRESETS, STRATEGIES, RunConfig, preset
+from ..errors import ConfigError, RoiError
+from ..roi import OrientedBox, load_rois, parse_roi
+from ..scene import SfmScene
+from ..selection import METHODS
+from .console import Console
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """The scene and how large its photos are used."""
+    parser.add_argument(
+        "scene",
+        type=Path,
+        help="folder with a COLMAP model (sparse/0, sparse, or the model itself), or a request"
+        " file (JSON) whose keys are the long names of these options",
+    )
+    group = parser.add_argument_group("scene")
+    group.add_argument("--images", type=Path, help="folder of the photos (default: found)")
+    size = group.add_mutually_exclusive_group()
+    size.add_argument("--downscale", type=float, metavar="N", help="use photos N times smaller")
+    size.add_argument("--max-side", type=int, metavar="PX", help="longest side of the photos used")
+    group.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
+
+
+def add_roi_options(parser: argparse.ArgumentParser) -> None:
+    """The boxes."""
+    group = parser.add_argument_group("regions of interest")
+    group.add_argument("--rois", type=Path, metavar="FILE", help="rois.json with the boxes")
+    group.add_argument(
+        "--roi",
+        action="append",
+        default=[],
+        metavar="NAME=x0,y0,z0,x1,y1,z1",
+        help="one box by its corners in the COLMAP frame; repeatable",
+    )
+    group.add_argument(
+        "--only", action="append", default=[], metavar="NAME", help="use only the box of this name"
+    )
+
+
+def add_selection_options(parser: argparse.ArgumentParser) -> None:
+    """How photos are selected."""
+    group = parser.add_argument_group("selection")
+    group.add_argument("--method", choices=METHODS, help="how photos are selected")
+    group.add_argument("--count", type=int, metavar="K", help="photos to select per box")
+    group.add_argument("--seed", type=int, help="seed of everything random (default 0)")
+    group.add_argument(
+        "--test-every", type=int, metavar="N", help="keep every n-th ROI-visible photo for tests"
+    )
+
+
+def add_training_options(parser: argparse.ArgumentParser) -> None:
+    """Preset and what may differ from it."""
+    group = parser.add_argument_group("training")
+    group.add_argument(
+        "--preset", choices=sorted(PRESETS), default="draft", help="settings (default: draft)"
+    )
+    group.add_argument("--strategy", choices=STRATEGIES, help="one joint stage, or one per box")
+    group.add_argument(
+        "--steps-factor", type=float, metavar="F", help="multiply the steps of both stages"
+    )
+    group.add_argument(
+        "--kept-share", type=float, metavar="S", help="share of selected photos Scene-GS sees"
+    )
+    group.add_argument("--roi-init", choices=INITS, help="what the ROI stage starts from")
+    group.add_argument("--roi-order", choices=ORDERS, help="order of the selected photos")
+    group.add_argument("--sh-degree", type=int, choices=range(4), help="spherical harmonics")
+
+
+def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = None) -> SfmScene:
+    """The scene of `add_scene_options`; undistorted photos go to `cache`."""
+    from ..colmap import load_colmap
+    from ..kernels.library import set_threads
+
+    set_threads(args.threads)
+    scene = load_colmap(
+        args.scene,
+        images=args.images,
+        cache=cache,
+        downscale=args.downscale,
+        max_side=args.max_side,
+        emit=console.emit,
+    )
+    return scene
+
+
+def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBox]:
+    """The boxes of `add_roi_options`.
+
+    Raises:
+        RoiError: there is none, two share a name, or `--only` names none of them.
+    """
+    rois = load_rois(args.rois) if args.rois else []
+    rois += [parse_roi(text) for text in args.roi]
+    names = [roi.name for roi in rois]
+    for name in names:
+        if names.count(name) > 1:
+            raise RoiError(f"Two ROIs are named «{name}».", "Give each its own name.")
+    for name in args.only:
+        if name not in names:
+            raise RoiError(f"There is no ROI «{name}».", f"There are: {', '.join(names)}.")
+    if args.only:
+        rois = [roi for roi in rois if roi.name in args.only]
+    if required and not rois:
+        raise RoiError("No ROI is given.", "Add --rois FILE or --roi NAME=x0,y0,z0,x1,y1,z1.")
+    return rois
+
+
+def run_config(args: argparse.Namespace) -> RunConfig:
+    """The preset with the given options in it."""
+    config = preset(args.preset)
+    if args.strategy and args.strategy != config.strategy:
+        config = replace(config.in_strategy(args.strategy), preset=config.preset)
+    if args.steps_factor is not None:
+        config = config.scaled(args.steps_factor)
+    given = {
+        name: getattr(args, name)
+        for name in ("kept_share", "roi_init", "roi_order", "test_every", "seed")
+        if getattr(args, name) is not None
+    }
+    selection = {
+        name: getattr(args, name)
+        for name in ("method", "count", "seed")
+        if getattr(args, name) is not None
+    }
+    if args.test_every is not None and args.test_every < 2:
+        raise ConfigError(f"--test-every is {args.test_every}.", "Use 2 or more.")
+    config = replace(config, **given, selection=replace(config.selection, **selection))
+    if args.sh_degree is not None:
+        config = replace(
+            config,
+            scene=replace(config.scene, sh_degree=args.sh_degree),
+            roi=replace(config.roi, sh_degree=args.sh_degree),
+        )
+    return config

@@ -1,0 +1,51 @@
+"""`render`: pictures of a PLY from a model's cameras or along a camera path."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..errors import ConfigError
+from .console import Console
+
+HELP = "draw a PLY from COLMAP cameras or along a camera path"
+EXAMPLES = """\
+  python -m roigs_engine render result.ply --scene garden --name IMG_0004.jpg --out frames
+  python -m roigs_engine render result.ply --path cameras.json --out frames"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("ply", type=Path, help="the Gaussians to draw")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", type=Path, help="COLMAP model whose cameras are used")
+    source.add_argument("--path", type=Path, metavar="FILE", help="camera path (docs/files.md)")
+    parser.add_argument("--images", type=Path, help="folder of the photos (default: found)")
+    parser.add_argument("--name", action="append", default=[], help="only these photos; repeatable")
+    parser.add_argument("--downscale", type=float, metavar="N", help="draw N times smaller")
+    parser.add_argument("--max-side", type=int, metavar="PX", help="longest side")
+    parser.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of PNGs")
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Draw every camera to a PNG."""
+    from ..gaussians import Gaussians
+    from ..kernels.library import set_threads
+    from ..render import load_camera_path, render_sequence
+    from .options import load_scene
+
+    gaussians = Gaussians.load_ply(args.ply)
+    if args.path:
+        set_threads(args.threads)
+        cameras = load_camera_path(args.path)
+    else:
+        scene = load_scene(args, console)
+        cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
+        unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
+        if unknown:
+            raise ConfigError(f"The model has no photo «{unknown[0]}».")
+    if args.name:
+        cameras = [camera for camera in cameras if camera[0] in args.name]
+    render_sequence(gaussians, cameras, args.out, console.emit)
+    return {"pictures": str(args.out)}

@@ -1,0 +1,46 @@
+"""`select`: the photos that show each box best, in order; needs no torch."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from ..files import write_json
+from ..selection import SelectionConfig, format_selection, select_cameras
+from .console import Console
+from .options import add_roi_options, add_scene_options, add_selection_options, boxes, load_scene
+
+HELP = "choose the photos that show each box best"
+EXAMPLES = """\
+  python -m roigs_engine select garden --rois garden/rois.json
+  python -m roigs_engine select garden --roi "vase=0,0,0,1,1,2" --method gp9 --count 40 --out out"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    add_scene_options(parser)
+    add_roi_options(parser)
+    add_selection_options(parser)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write ROI.json files there")
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Select for every box. Test photos are taken out when `--test-every` is given."""
+    rois = boxes(args)
+    given = {n: getattr(args, n) for n in ("method", "count", "seed")}
+    config = replace(SelectionConfig(), **{n: v for n, v in given.items() if v is not None})
+    scene = load_scene(args, console)
+    if args.test_every is not None:
+        from ..split import choose_test_views
+
+        scene = scene.without(set(choose_test_views(scene, rois, args.test_every)))
+    outputs = {}
+    for roi in rois:
+        selection = select_cameras(scene, roi, config, console.emit)
+        console.print(format_selection(selection))
+        if args.out:
+            path = args.out / f"{roi.name}.json"
+            write_json(path, selection.to_dict())
+            outputs[roi.name] = str(path)
+    return outputs

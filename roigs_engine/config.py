@@ -1,0 +1,255 @@
+"""Settings of a run as frozen values, and the presets that people start from; torch-free.
+
+A value that differs from the paper or from 3DGS says so beside it; docs/results.md names the
+measurement behind it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from .errors import ConfigError
+from .selection import SelectionConfig
+
+STRATEGIES = ("joint", "independent")
+INITS = ("scene", "points", "box")
+ORDERS = ("ordered", "shuffled")
+COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """One training stage: standard 3DGS (Kerbl et al. 2023), steps counted from 0.
+
+    Attributes:
+        steps: optimisation steps, one photo each.
+        sh_degree, sh_start, sh_every: highest degree, degree at the start, steps between raises.
+        ssim_weight: weight of 1 - SSIM beside L1.
+        lr_means, lr_means_final: position rates x scene extent, exponential in between.
+        lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam rates.
+        densify_from, densify_until, densify_every: steps.
+        grad_threshold: mean 2D gradient above which a Gaussian is cloned or split.
+        split_fraction: a Gaussian larger than this share of the size reference is split.
+        densify_in_boxes: only Gaussians whose centre is in a box are cloned or split (paper,
+            sec. II-B), with min(scene extent, box diagonal) as the size reference.
+        box_capacity: most Gaussians in a box per observed value there (pixels x 3 channels over the
+            training photos, divided by the 59 parameters of a Gaussian); 0: no limit.
+        prune_opacity: Gaussians below it are removed at densification steps.
+        prune_size: larger ones (share of the scene extent) are removed after the first reset.
+        reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
+        contribution_every: Gaussians whose alpha x T stayed below 1/255 on every training pixel of
+            a window of at least so many steps are removed; 0: never.
+    """
+
+    steps: int
+    sh_degree: int = 3
+    sh_start: int = 0
+    sh_every: int = 1000
+    ssim_weight: float = 0.2
+    lr_means: float = 1.6e-4
+    lr_means_final: float = 1.6e-6
+    lr_sh0: float = 2.5e-3
+    lr_shN: float = 1.25e-4  # noqa: N815 - the field's name
+    lr_opacities: float = 0.05
+    lr_scales: float = 5e-3
+    lr_quats: float = 1e-3
+    densify_from: int = 500
+    densify_until: int = 15_000
+    densify_every: int = 100
+    grad_threshold: float = 2e-4
+    split_fraction: float = 0.01
+    densify_in_boxes: bool = False
+    box_capacity: float = 0.0
+    prune_opacity: float = 0.005
+    prune_size: float = 0.1
+    reset_every: int = 3000
+    contribution_every: int = 0
+
+    def position_rate(self, step: int) -> float:
+        """Learning rate of positions at a step, before the scene extent."""
+        t = min(step / max(self.steps, 1), 1.0)
+        return math.exp((1 - t) * math.log(self.lr_means) + t * math.log(self.lr_means_final))
+
+    def degree(self, step: int) -> int:
+        """Spherical-harmonics degree in use at a step."""
+        return min(self.sh_degree, self.sh_start + step // max(self.sh_every, 1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """Everything that decides the result of a run, beside its scene and its boxes.
+
+    Attributes:
+        preset: where the values came from.
+        strategy: `joint` (one stage for all boxes, nothing is cut) or `independent` (the paper's
+            Object-GS per box, then composition).
+        selection: how the ROI stage's photos are chosen.
+        kept_share: share of each ROI's selected photos that Scene-GS sees too (paper: 0.5); the
+            k-th photo stays when floor(k share) grows.
+        scene, roi: the two stages.
+        roi_init: what the ROI stage starts from: the whole Scene-GS, the sparse points, or the
+            Scene-GS's Gaussians in the box (the paper's ablations).
+        roi_order: `ordered` follows the selection and cycles (paper); `shuffled` draws epochs.
+        selected_share: joint only; share of steps that draw a selected photo, the rest draws from
+            all training photos.
+        test_every: every n-th ROI-visible photo, by distance, is kept for the tests.
+        seed: of everything random.
+    """
+
+    preset: str
+    strategy: str
+    selection: SelectionConfig
+    kept_share: float
+    scene: TrainConfig
+    roi: TrainConfig
+    roi_init: str = "scene"
+    roi_order: str = "ordered"
+    selected_share: float = 0.5
+    test_every: int = 8
+    seed: int = 0
+    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (
+            ("strategy", self.strategy, STRATEGIES),
+            ("roi_init", self.roi_init, INITS),
+            ("roi_order", self.roi_order, ORDERS),
+        ):
+            if value not in allowed:
+                raise ConfigError(f"{name} is «{value}».", f"Use one of {', '.join(allowed)}.")
+        for name, share in (
+            ("kept_share", self.kept_share),
+            ("selected_share", self.selected_share),
+        ):
+            if not 0 <= share <= 1:
+                raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        if self.strategy == "joint" and self.roi_init == "box":
+            raise ConfigError(
+                "roi_init «box» throws the surroundings away, which `joint` needs.",
+                "Use the strategy `independent` with it.",
+            )
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of both stages: what a baseline is given."""
+        return self.scene.steps + self.roi.steps
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return dataclasses.asdict(self)
+
+    def scaled(self, factor: float) -> RunConfig:
+        """Both stages with their steps multiplied, see `with_steps`."""
+        if not factor > 0:
+            raise ConfigError(f"The step factor is {factor:g}.", "Use a number above 0.")
+        scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
+        return replace(
+            self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi)
+        )
+
+    def baseline(self) -> TrainConfig:
+        """The stage of the Full Scene and Full Object baselines: 3DGS over the steps of both.
+
+        It densifies for the first half, as 3DGS does (15K of 30K).
+        """
+        return replace(
+            self.scene,
+            steps=self.total_steps,
+            densify_until=self.total_steps // 2,
+            lr_means_final=TrainConfig.lr_means_final,
+        )
+
+    def in_strategy(self, strategy: str) -> RunConfig:
+        """The same steps, tests and seed in another strategy: the paper's own or `standard`'s."""
+        label = f"{self.preset}, {strategy}"
+        if strategy == "joint":
+            other = _short(label, self.scene.steps, self.roi.steps)
+        else:
+            other = _paper()
+            other = replace(
+                other,
+                preset=label,
+                selection=replace(other.selection, seed=self.seed),
+                scene=with_steps(other.scene, self.scene.steps),
+                roi=with_steps(other.roi, self.roi.steps),
+            )
+        return replace(other, test_every=self.test_every, seed=self.seed)
+
+
+def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
+    """The stage `steps` long, its share of densifying steps as before.
+
+    The steps from which densification starts and between degrees and resets stay: they count
+    what Adam and the statistics need, not shares of a schedule.
+    """
+    until = round(config.densify_until * steps / config.steps)
+    return replace(config, steps=steps, densify_until=until)
+
+
+def _paper() -> RunConfig:
+    """Section II-B and III-A of the paper, gaps filled as docs/method.md says."""
+    return RunConfig(
+        preset="paper",
+        strategy="independent",
+        selection=SelectionConfig(method="gp9"),
+        kept_share=0.5,
+        scene=TrainConfig(steps=20_000, densify_until=10_000),
+        roi=TrainConfig(
+            steps=30_000,
+            sh_start=3,
+            densify_from=0,
+            densify_until=15_000,
+            densify_in_boxes=True,
+            reset_every=0,
+            contribution_every=1000,
+        ),
+    )
+
+
+def _short(preset: str, scene_steps: int, roi_steps: int) -> RunConfig:
+    """The joint recipe: a short Scene-GS, then one stage that densifies in the boxes only."""
+    total = scene_steps + roi_steps
+    # One exponential decay runs through both stages, as the baselines' does over the same steps.
+    middle = 1.6e-4 * (1.6e-6 / 1.6e-4) ** (scene_steps / total)
+    return RunConfig(
+        preset=preset,
+        strategy="joint",
+        selection=SelectionConfig(method="coverage"),
+        kept_share=1.0,
+        scene=TrainConfig(
+            steps=scene_steps, densify_until=scene_steps, lr_means_final=middle
+        ),
+        roi=TrainConfig(
+            steps=roi_steps,
+            sh_start=2,
+            lr_means=middle,
+            densify_from=0,
+            densify_until=roi_steps // 2,
+            densify_in_boxes=True,
+            grad_threshold=1e-4,
+            box_capacity=1.0,
+            reset_every=0,
+        ),
+        roi_order="shuffled",
+    )
+
+
+PRESETS = {
+    "paper": _paper,
+    "standard": lambda: _short("standard", 6000, 9000),
+    "draft": lambda: _short("draft", 2000, 3000),
+}
+
+
+def preset(name: str) -> RunConfig:
+    """The preset of that name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"There is no preset «{name}».", f"Use one of {', '.join(PRESETS)}.")
+    return PRESETS[name]()

@@ -1,0 +1,1 @@
+"""C++ kernels of the engine: their sources, how they are built, and how they are loaded."""

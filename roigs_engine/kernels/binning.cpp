@@ -1,0 +1,138 @@
+// Binning: every tile's list of splats, front to back.
+//
+// Splats are sorted by depth once (radix sort), then dealt out to the tiles' lists in that order
+// (a counting sort by tile). Both are stable, and both run in parts that keep the order of the
+// result: equal depths stay in the order of the Gaussians at any number of threads.
+#include <cstring>
+#include <limits>
+
+#include "view.h"
+
+namespace roigs {
+namespace {
+
+constexpr int kDigitBits = 11, kDigits = 1 << kDigitBits;  // three digits cover 32 bits
+constexpr int64_t kSmallestPart = 8192;                    // splats worth a thread
+
+struct Part {
+    int64_t begin, end;
+};
+
+int part_count(int64_t items) {
+    return int(std::max<int64_t>(1, std::min<int64_t>(threads(), items / kSmallestPart)));
+}
+
+Part part(int64_t items, int parts, int64_t p) {
+    return {items * p / parts, items * (p + 1) / parts};
+}
+
+// Turns counts per part and bucket into the place where each part's next item of a bucket goes:
+// buckets in order, and within a bucket the parts in order.
+void places_from_counts(int32_t* counts, int parts, int64_t buckets) {
+    int32_t total = 0;
+    for (int64_t b = 0; b < buckets; ++b)
+        for (int p = 0; p < parts; ++p) {
+            int32_t& place = counts[p * buckets + b];
+            const int32_t count = place;
+            place = total;
+            total += count;
+        }
+}
+
+// Depths are positive, so their bit patterns sort as they do.
+void collect_depths(View& view) {
+    uint32_t* keys = view.depth_keys[0].data();
+    int32_t* order = view.depth_order[0].data();
+    int64_t n = 0;
+    for (size_t c = 0; c < view.chunks.size(); ++c)
+        for (int i = 0; i < view.chunks[c].visible; ++i, ++n) {
+            const int32_t splat = int32_t(c * kChunk + i);
+            std::memcpy(&keys[n], &view.splats[splat].depth, sizeof(uint32_t));
+            order[n] = splat;
+        }
+}
+
+// One pass of the radix sort: from buffers `from` to the other ones, by the digit at `shift`.
+void sort_pass(View& view, int from, int shift, int parts) {
+    const uint32_t *keys = view.depth_keys[from].data();
+    const int32_t* order = view.depth_order[from].data();
+    uint32_t* sorted_keys = view.depth_keys[1 - from].data();
+    int32_t* sorted_order = view.depth_order[1 - from].data();
+    int32_t* counts = view.histograms.data();
+    const auto digit = [&](int64_t i) { return (keys[i] >> shift) & (kDigits - 1); };
+    parallel_for(parts, [&](int64_t p) {
+        int32_t* mine = counts + p * kDigits;
+        std::fill(mine, mine + kDigits, 0);
+        const Part r = part(view.visible, parts, p);
+        for (int64_t i = r.begin; i < r.end; ++i) ++mine[digit(i)];
+    });
+    places_from_counts(counts, parts, kDigits);
+    parallel_for(parts, [&](int64_t p) {
+        int32_t* place = counts + p * kDigits;
+        const Part r = part(view.visible, parts, p);
+        for (int64_t i = r.begin; i < r.end; ++i) {
+            const int32_t to = place[digit(i)]++;
+            sorted_keys[to] = keys[i];
+            sorted_order[to] = order[i];
+        }
+    });
+}
+
+// Calls visit(splat, tile, slot) for the splats of one part of the depth order.
+template <class Visit>
+void for_each_tile(const View& view, const int32_t* order, Part r, const Visit& visit) {
+    constexpr int64_t kAhead = 16;  // the splats lie scattered in memory
+    for (int64_t i = r.begin; i < r.end; ++i) {
+        if (i + kAhead < r.end) __builtin_prefetch(&view.tiles_of[order[i + kAhead]]);
+        const int32_t splat = order[i];
+        const Chunk& chunk = view.chunks[splat / kChunk];
+        const TileSpan span = view.tiles_of[splat];
+        for (int32_t j = span.first; j < span.first + span.count; ++j)
+            visit(splat, chunk.tiles[j], int32_t(chunk.first_slot + j));
+    }
+}
+
+void deal_to_tiles(View& view, const int32_t* order, int parts) {
+    const int64_t tiles = view.tiles();
+    int32_t* counts = view.histograms.data();
+    TileEntry* entries = view.entries.data();
+    int64_t* begin = view.tile_begin.data();
+    parallel_for(parts, [&](int64_t p) {
+        int32_t* mine = counts + p * tiles;
+        std::fill(mine, mine + tiles, 0);
+        for_each_tile(view, order, part(view.visible, parts, p),
+                      [&](int32_t, uint32_t tile, int32_t) { ++mine[tile]; });
+    });
+    places_from_counts(counts, parts, tiles);
+    for (int64_t t = 0; t < tiles; ++t) begin[t] = counts[t];
+    begin[tiles] = view.intersections;
+    parallel_for(parts, [&](int64_t p) {
+        int32_t* place = counts + p * tiles;
+        for_each_tile(view, order, part(view.visible, parts, p),
+                      [&](int32_t splat, uint32_t tile, int32_t slot) {
+                          entries[place[tile]++] = {splat, slot};
+                      });
+    });
+}
+
+}  // namespace
+}  // namespace roigs
+
+int64_t roigs_bin(roigs::View* view) {
+    using namespace roigs;
+    if (view->intersections > std::numeric_limits<int32_t>::max()) return kTooManyIntersections;
+    const int parts = part_count(view->visible);
+    bool enough = view->histograms.reserve(parts * std::max<int64_t>(view->tiles(), kDigits)) &&
+                  view->tile_begin.reserve(view->tiles() + 1) &&
+                  view->entries.reserve(view->intersections);
+    for (int i = 0; i < 2; ++i)
+        enough = enough && view->depth_keys[i].reserve(view->visible) &&
+                 view->depth_order[i].reserve(view->visible);
+    if (!enough) return kOutOfMemory;
+    collect_depths(*view);
+    sort_pass(*view, 0, 0, parts);
+    sort_pass(*view, 1, kDigitBits, parts);
+    sort_pass(*view, 0, 2 * kDigitBits, parts);
+    deal_to_tiles(*view, view->depth_order[1].data(), parts);
+    return view->intersections;
+}

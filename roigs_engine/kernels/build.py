@@ -1,0 +1,262 @@
+"""Compiles the C++ kernels: one shared library per instruction set of a platform.
+
+    python -m roigs_engine.kernels.build [--target PLATFORM] [--compiler zig|cxx]
+
+The compiler is the one in the `ziglang` wheel when that is installed (it also cross-compiles), else
+the system's. The module imports nothing but the standard library and nothing of this package:
+setup.py runs it where neither numpy nor torch is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+SOURCE_FOLDER = Path(__file__).resolve().parent
+
+
+class BuildError(RuntimeError):
+    """The kernels cannot be built; the text is for people."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Platform:
+    """An operating system and processor family, and how the bundled compiler calls it."""
+
+    triple: str
+    suffix: str
+    isas: Mapping[str, str]  # name of the instruction set -> processor level of the x86-64 psABI
+
+
+_X64 = {"generic": "x86-64", "avx2": "x86-64-v3", "avx512": "x86-64-v4"}
+_ARM64 = {"neon": ""}
+
+# The glibc version in a triple is the oldest that the library runs on.
+PLATFORMS = {
+    "linux-x64": Platform(triple="x86_64-linux-gnu.2.17", suffix=".so", isas=_X64),
+    "linux-arm64": Platform(triple="aarch64-linux-gnu.2.17", suffix=".so", isas=_ARM64),
+    "windows-x64": Platform(triple="x86_64-windows-gnu", suffix=".dll", isas=_X64),
+    "macos-x64": Platform(triple="x86_64-macos.11.0", suffix=".dylib", isas=_X64),
+    "macos-arm64": Platform(triple="aarch64-macos.11.0", suffix=".dylib", isas=_ARM64),
+}
+
+# Not -ffast-math: NaN and infinity keep their meaning, so that a broken gradient is seen. What is
+# allowed is what vectorisation needs (no errno, no floating-point traps) and fused multiply-add.
+# Sums are reassociated nowhere by the compiler: the sources spell out their vector lanes.
+FLAGS = (
+    "-std=c++17",
+    "-O3",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-ffp-contract=fast",
+    "-fno-exceptions",
+    "-fno-rtti",
+    "-fvisibility=hidden",
+    "-Wall",
+    "-Wextra",
+)
+
+# See runtime.cpp: its `new` and `delete` are for the kernels only, not for others in the process.
+_NO_CXX_LIBRARY = ("-DROIGS_NO_CXX_LIBRARY=1", "-fvisibility-global-new-delete=force-hidden")
+
+
+def native_platform() -> str:
+    """The name of the platform this Python runs on, a key of `PLATFORMS`."""
+    system = {"linux": "linux", "win32": "windows", "darwin": "macos"}.get(sys.platform)
+    machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64", "arm64": "arm64"}.get(
+        platform.machine().lower()
+    )
+    name = f"{system}-{machine}"
+    if name not in PLATFORMS:
+        raise BuildError(f"No kernels for {sys.platform} on {platform.machine()}.")
+    return name
+
+
+def library_path(folder: Path, target: str, isa: str) -> Path:
+    """Where the library of one instruction set lies below an output folder."""
+    return folder / target / f"roigs_{isa}{PLATFORMS[target].suffix}"
+
+
+def source_key() -> str:
+    """A hash of all that decides what the libraries contain: sources, and flags in this file."""
+    digest = hashlib.sha256()
+    for path in _sources("*.cpp", "*.h", "build.py"):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def is_current(folder: Path, target: str) -> bool:
+    """Whether all libraries of a platform are there, made from the sources as they are now."""
+    key = source_key()
+    return all(
+        library_path(folder, target, isa).is_file() and read_key(folder, target, isa) == key
+        for isa in PLATFORMS[target].isas
+    )
+
+
+def read_key(folder: Path, target: str, isa: str) -> str:
+    """The `source_key` that a library was built from; empty when unknown."""
+    try:
+        return _key_file(library_path(folder, target, isa)).read_text(encoding="ascii")
+    except OSError:
+        return ""
+
+
+def build(
+    folder: Path = SOURCE_FOLDER / "lib", *, target: str = "native", compiler: str = "auto"
+) -> list[Path]:
+    """Builds what is missing or older than its sources; returns the paths of all libraries.
+
+    A library appears under its name only when it is whole, so that processes that build at the
+    same time do not disturb each other. Raises `BuildError`.
+    """
+    name = native_platform() if target == "native" else target
+    if name not in PLATFORMS:
+        raise BuildError(f"Unknown target {name!r}: choose from {', '.join(PLATFORMS)}.")
+    paths = [library_path(folder, name, isa) for isa in PLATFORMS[name].isas]
+    if is_current(folder, name):
+        return paths
+    key = source_key()  # before compiling: an edit meanwhile makes the result count as old
+    command, is_zig = _compiler_command(compiler, name)
+    with tempfile.TemporaryDirectory(prefix="roigs-build-") as scratch:
+        built = _compile_all(Path(scratch), name, command, is_zig)
+        for isa, temporary in built.items():
+            _install(temporary, library_path(folder, name, isa), key)
+    return paths
+
+
+def _sources(*patterns: str) -> list[Path]:
+    return sorted(path for pattern in patterns for path in SOURCE_FOLDER.glob(pattern))
+
+
+def _key_file(library: Path) -> Path:
+    return library.with_name(library.name + ".key")
+
+
+def _compiler_command(compiler: str, target: str) -> tuple[list[str], bool]:
+    """The command that compiles for `target`, and whether it is the bundled compiler."""
+    if compiler in ("auto", "zig"):
+        spec = importlib.util.find_spec("ziglang")
+        if spec is not None and spec.submodule_search_locations:
+            # The binary itself: it starts faster than `python -m ziglang`.
+            zig = shutil.which("zig", path=next(iter(spec.submodule_search_locations)))
+            if zig:
+                return [zig, "c++"], True
+        if compiler == "zig":
+            raise BuildError("The package ziglang is not installed: run `pip install ziglang`.")
+    for candidate in (os.environ.get("CXX", ""), "c++", "g++", "clang++"):
+        words = candidate.split()
+        if words and shutil.which(words[0]):
+            if target != native_platform():
+                raise BuildError(f"Building for {target} here needs `pip install ziglang`.")
+            return words, False
+    raise BuildError("No C++ compiler found: run `pip install ziglang`, or set CXX.")
+
+
+def _compile_all(
+    scratch: Path, target: str, command: list[str], is_zig: bool
+) -> dict[str, Path]:
+    """Compiles and links all instruction sets in parallel; returns their temporary paths."""
+    spec = PLATFORMS[target]
+    environment = dict(os.environ)
+    if is_zig:
+        cache = str(_zig_cache())
+        environment.update(ZIG_GLOBAL_CACHE_DIR=cache, ZIG_LOCAL_CACHE_DIR=cache)
+        common = [*command, "-target", spec.triple, *FLAGS, *_NO_CXX_LIBRARY]
+        # One processor model for all links: what zig links in is then built only once.
+        link = [command[0], "cc", "-target", spec.triple, "-nostdlib++", "-s", "-shared"]
+    else:
+        common = [*command, *FLAGS]
+        link = [*command, "-shared"]
+    if not target.startswith("windows"):
+        common.append("-fPIC")
+        link.append("-pthread")
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as workers:
+        objects: dict[str, list[Path]] = {}
+        jobs = []
+        for isa in spec.isas:
+            flags = _isa_flags(isa, spec.isas[isa], is_zig)
+            objects[isa] = []
+            for source in _sources("*.cpp"):
+                output = scratch / f"{source.stem}_{isa}.o"
+                objects[isa].append(output)
+                arguments = [*common, *flags, "-c", str(source), "-o", str(output)]
+                jobs.append(workers.submit(_run, arguments, environment))
+        for job in jobs:
+            job.result()
+        libraries = {isa: scratch / f"{isa}{spec.suffix}" for isa in spec.isas}
+        for isa, library in libraries.items():
+            # One after the other: they share what the first one makes zig build.
+            _run([*link, *map(str, objects[isa]), "-o", str(library)], environment)
+    return libraries
+
+
+def _isa_flags(isa: str, level: str, is_zig: bool) -> list[str]:
+    if not level:
+        return []
+    flags = ["-mcpu=" + level.replace("-", "_") if is_zig else "-march=" + level]
+    if isa == "avx512":
+        # clang and gcc prefer 256-bit vectors even where 512-bit ones exist, because of the clock
+        # of early AVX-512 processors. The kernels are dense arithmetic: full width is faster.
+        flags.append("-mprefer-vector-width=512")
+    return flags
+
+
+def _run(command: list[str], environment: dict[str, str]) -> None:
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise BuildError(f"{' '.join(command)}\n{result.stderr.strip() or result.stdout.strip()}")
+    if result.stderr.strip():
+        print(result.stderr.strip(), file=sys.stderr)
+
+
+def _zig_cache() -> Path:
+    """A folder of this user's for the compiler's cache, outside the project and the home folder."""
+    folder = Path(tempfile.gettempdir()) / f"roigs-zig-cache-{getpass.getuser()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+        return Path(tempfile.mkdtemp(prefix="roigs-zig-cache-"))
+    return folder
+
+
+def _install(built: Path, library: Path, key: str) -> None:
+    library.parent.mkdir(parents=True, exist_ok=True)
+    for content, path in ((built.read_bytes(), library), (key.encode(), _key_file(library))):
+        handle, temporary = tempfile.mkstemp(dir=library.parent, prefix=".new-")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        os.chmod(temporary, 0o755 if path is library else 0o644)
+        os.replace(temporary, path)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
+    parser.add_argument("--target", default="native", choices=["native", *PLATFORMS])
+    parser.add_argument("--compiler", default="auto", choices=["auto", "zig", "cxx"])
+    parser.add_argument("--output", type=Path, default=SOURCE_FOLDER / "lib", metavar="FOLDER")
+    options = parser.parse_args(arguments)
+    try:
+        paths = build(options.output, target=options.target, compiler=options.compiler)
+    except BuildError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    for path in paths:
+        print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

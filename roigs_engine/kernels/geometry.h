@@ -1,0 +1,142 @@
+// The projection of a batch of Gaussians, one per lane (EWA splatting, Zwicker et al. 2001; 3DGS,
+// section 4). Forward and backward both start from it: computing it again is cheaper than the
+// memory to keep it in.
+#pragma once
+
+#include "roigs.h"
+#include "simd_rows.h"
+#include "view.h"
+
+namespace roigs {
+
+struct Geometry {
+    Floats t[3];             // centre in the camera frame
+    Floats inverse_z;        // 1 / t[2]
+    Floats x, y;             // projected centre, px
+    Floats slope[2];         // x / z and y / z where the projection is linearised
+    Mask slope_is_free[2];   // that point is the centre itself, not clamped to the view
+    Floats quat[4];          // unit quaternion wxyz
+    Floats inverse_norm;     // 1 / |stored quaternion|
+    Floats R[3][3];          // rotation of the Gaussian's axes
+    Floats scale[3];         // standard deviations along them
+    Floats T[2][3];          // J W: Jacobian of the projection times world-to-camera rotation
+    Floats U[2][3];          // J W R S; the 2D covariance is U U^T + blur (3DGS, eq. 5 and 6)
+    Floats xx, xy, yy;       // that covariance, px^2
+    Floats determinant;      // xx yy - xy^2
+    Floats opacity;
+};
+
+ROIGS_INLINE Floats dot3(const Floats* a, const Floats* b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+ROIGS_INLINE Floats exp(Floats x) { return exp2(1.44269504f * x); }
+
+// Quaternion to rotation matrix.
+ROIGS_INLINE void rotate(const float* quats, const int32_t* ids, Geometry& g) {
+    for (int k = 0; k < 4; ++k) g.quat[k] = gather(quats, 4, k, ids);
+    Floats norm2 = dot3(g.quat, g.quat) + g.quat[3] * g.quat[3];
+    g.inverse_norm = 1.0f / sqrt(norm2);
+    for (int k = 0; k < 4; ++k) g.quat[k] *= g.inverse_norm;
+    const Floats w = g.quat[0], x = g.quat[1], y = g.quat[2], z = g.quat[3];
+    g.R[0][0] = 1.0f - 2.0f * (y * y + z * z);
+    g.R[0][1] = 2.0f * (x * y - w * z);
+    g.R[0][2] = 2.0f * (x * z + w * y);
+    g.R[1][0] = 2.0f * (x * y + w * z);
+    g.R[1][1] = 1.0f - 2.0f * (x * x + z * z);
+    g.R[1][2] = 2.0f * (y * z - w * x);
+    g.R[2][0] = 2.0f * (x * z - w * y);
+    g.R[2][1] = 2.0f * (y * z + w * x);
+    g.R[2][2] = 1.0f - 2.0f * (x * x + y * y);
+}
+
+// T = J W. Far outside the view the linearisation explodes; as in 3DGS, it is taken at the
+// nearest point of the view widened by kFrustumMargin of its half angle. The view's two sides
+// are not symmetric when the principal point is off the image's centre.
+ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
+    const float size[2] = {float(camera.width), float(camera.height)};
+    const float focal[2] = {camera.fx, camera.fy}, centre[2] = {camera.cx, camera.cy};
+    for (int axis = 0; axis < 2; ++axis) {
+        const float margin = kFrustumMargin * 0.5f * size[axis] / focal[axis];
+        const Floats low = splat(-centre[axis] / focal[axis] - margin);
+        const Floats high = splat((size[axis] - centre[axis]) / focal[axis] + margin);
+        const Floats slope = g.t[axis] * g.inverse_z;
+        g.slope[axis] = clamp(slope, low, high);
+        g.slope_is_free[axis] = both(greater(slope, low), less(slope, high));
+        // J's row: focal / z on its axis, -focal slope / z on z
+        const Floats f = focal[axis] * g.inverse_z;
+        for (int k = 0; k < 3; ++k)
+            g.T[axis][k] = f * (camera.world_to_camera[axis][k] -
+                                g.slope[axis] * camera.world_to_camera[2][k]);
+    }
+}
+
+// Projects the Gaussians in rows `ids`. Returns the lanes in front of the near plane; the others
+// hold finite nonsense or not.
+ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, const int32_t* ids,
+                          Geometry& g) {
+    Floats mean[3];
+    for (int k = 0; k < 3; ++k) mean[k] = gather(gaussians.means, 3, k, ids);
+    for (int r = 0; r < 3; ++r) {
+        const float* row = camera.world_to_camera[r];
+        g.t[r] = row[0] * mean[0] + row[1] * mean[1] + row[2] * mean[2] + row[3];
+    }
+    const Mask in_front = greater(g.t[2], splat(kNear));
+    g.inverse_z = 1.0f / g.t[2];
+    g.x = camera.fx * g.t[0] * g.inverse_z + camera.cx;
+    g.y = camera.fy * g.t[1] * g.inverse_z + camera.cy;
+
+    rotate(gaussians.quats, ids, g);
+    for (int k = 0; k < 3; ++k) {
+        g.scale[k] = gather(gaussians.scales, 3, k, ids);
+        if (gaussians.raw) g.scale[k] = exp(g.scale[k]);
+    }
+    g.opacity = gather(gaussians.opacities, 1, 0, ids);
+    if (gaussians.raw) g.opacity = 1.0f / (1.0f + exp(-g.opacity));
+
+    linearise(camera, g);
+    for (int axis = 0; axis < 2; ++axis)
+        for (int k = 0; k < 3; ++k) {
+            const Floats column[3] = {g.R[0][k], g.R[1][k], g.R[2][k]};
+            g.U[axis][k] = dot3(g.T[axis], column) * g.scale[k];
+        }
+
+    // det(U U^T + blur I) = |U0 x U1|^2 + blur (|U0|^2 + |U1|^2) + blur^2 (Cauchy-Binet). For
+    // needles xx yy - xy^2 would cancel to nothing, or to something negative.
+    const Floats x2 = dot3(g.U[0], g.U[0]), y2 = dot3(g.U[1], g.U[1]);
+    const Floats cross[3] = {g.U[0][1] * g.U[1][2] - g.U[0][2] * g.U[1][1],
+                             g.U[0][2] * g.U[1][0] - g.U[0][0] * g.U[1][2],
+                             g.U[0][0] * g.U[1][1] - g.U[0][1] * g.U[1][0]};
+    g.determinant = dot3(cross, cross) + kBlur * (x2 + y2) + kBlur * kBlur;
+    g.xx = x2 + kBlur;
+    g.xy = dot3(g.U[0], g.U[1]);
+    g.yy = y2 + kBlur;
+    return in_front;
+}
+
+// L of Splat: Sigma'^-1 = L L^T / kExponentScale.
+struct Whitening {
+    Floats l11, l21, l22;
+};
+
+ROIGS_INLINE Whitening whitening(const Geometry& g) {
+    const Floats l11 = sqrt(kExponentScale * g.yy / g.determinant);
+    return {l11, -l11 * g.xy / g.yy, sqrt(kExponentScale / g.yy)};
+}
+
+// Unit vectors from the camera to the Gaussians' centres, the argument of their colours. Returns
+// 1 / distance.
+ROIGS_INLINE Floats view_direction(const Gaussians& gaussians, const Camera& camera,
+                                   const int32_t* ids, Floats (&direction)[3]) {
+    for (int k = 0; k < 3; ++k)
+        direction[k] = gather(gaussians.means, 3, k, ids) - camera.position[k];
+    const Floats inverse = 1.0f / sqrt(dot3(direction, direction));
+    for (int k = 0; k < 3; ++k) direction[k] *= inverse;
+    return inverse;
+}
+
+inline int used_coefficients(const Gaussians& gaussians) {
+    return (gaussians.sh_degree + 1) * (gaussians.sh_degree + 1);
+}
+
+}  // namespace roigs

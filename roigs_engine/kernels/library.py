@@ -1,0 +1,169 @@
+"""Finds, if need be builds, and loads the compiled kernels that suit this processor.
+
+The libraries have a plain C interface and are loaded by ctypes, so that one file per platform and
+instruction set serves every version of Python. Neither numpy nor torch is imported here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roigs_engine.errors import KernelError
+from roigs_engine.kernels import build
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+ISA_VARIABLE = "ROIGS_ISA"
+PACKAGE_FOLDER = build.SOURCE_FOLDER / "lib"
+_BUILD_COMMAND = f"{Path(sys.executable).name} -m roigs_engine.kernels.build"
+_RANKING = ("generic", "avx2", "avx512")  # each processor runs all that stand left of its best
+
+
+@functools.cache
+def load() -> ctypes.CDLL:
+    """The kernels' library for this processor, with the thread count set to all usable cores.
+
+    The environment variable ROIGS_ISA chooses another instruction set than the best one (to
+    measure it, or around a fault). Raises `KernelError`: no library and no compiler to make one,
+    or a ROIGS_ISA that is not there or cannot run here.
+    """
+    folder = _folder_with_libraries()
+    library = ctypes.CDLL(str(build.library_path(folder, _platform(), _choose_isa(folder))))
+    _set_threads(library, None)
+    return library
+
+
+def isa() -> str:
+    """The instruction set of the library that `load` gives: avx512, avx2, generic or neon."""
+    load()
+    return _choose_isa(_folder_with_libraries())
+
+
+def set_threads(count: int | None) -> None:
+    """Sets how many threads the kernels use; None means all cores this process may use."""
+    _set_threads(load(), count)
+
+
+def threads() -> int:
+    """How many threads the kernels use."""
+    return int(load().roigs_threads())
+
+
+def pointer(tensor: Tensor | None) -> ctypes.c_void_p | None:
+    """The address of a CPU tensor's first element, as a C function takes it; None stays None.
+
+    The caller answers for shape, type and strides, and keeps the tensor alive during the call.
+    """
+    if tensor is None:
+        return None
+    assert tensor.device.type == "cpu", "kernels take tensors in main memory"
+    return ctypes.c_void_p(tensor.data_ptr())
+
+
+def available(folder: Path) -> list[str]:
+    """Instruction sets whose library lies in an output folder of the build, slowest first."""
+    target = _platform()
+    isas = build.PLATFORMS[target].isas
+    return [name for name in isas if build.library_path(folder, target, name).is_file()]
+
+
+def usable_cores() -> int:
+    """Cores this process may run on; less than the machine has when it is pinned."""
+    if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _platform() -> str:
+    try:
+        return build.native_platform()
+    except build.BuildError as error:
+        raise KernelError(str(error), "Use a computer with an x64 or arm64 processor.") from error
+
+
+@functools.cache
+def _folder_with_libraries() -> Path:
+    """The folder to load from; builds the libraries once where there are none."""
+    cache = _user_cache_folder()
+    for folder in (PACKAGE_FOLDER, cache):
+        if available(folder):
+            _warn_if_old(folder)
+            return folder
+    folder = PACKAGE_FOLDER if _is_writable(PACKAGE_FOLDER) else cache
+    try:
+        build.build(folder)
+    except (build.BuildError, OSError) as error:
+        raise KernelError(
+            f"The compiled kernels are not there and could not be built: {error}",
+            f"Run `pip install ziglang`, then `{_BUILD_COMMAND}`.",
+        ) from error
+    return folder
+
+
+def _choose_isa(folder: Path) -> str:
+    """The instruction set to load from `folder`: ROIGS_ISA, or the best that is there."""
+    there = available(folder)
+    if "generic" in there:
+        path = build.library_path(folder, _platform(), "generic")
+        best = _best_isa(path)
+        runnable = _RANKING[: _RANKING.index(best) + 1]
+    else:
+        best, runnable = there[-1], tuple(there)
+    wanted = os.environ.get(ISA_VARIABLE, "")
+    if not wanted:
+        return [name for name in there if name in runnable][-1]
+    if wanted not in there:
+        raise KernelError(
+            f"{ISA_VARIABLE} is {wanted!r}, but there are only: {', '.join(there)}.",
+            f"Choose one of these, or unset {ISA_VARIABLE}.",
+        )
+    if wanted not in runnable:
+        raise KernelError(
+            f"{ISA_VARIABLE} is {wanted!r}, but this processor runs {best} at most.",
+            f"Unset {ISA_VARIABLE}.",
+        )
+    return wanted
+
+
+def _best_isa(generic_library: Path) -> str:
+    library = ctypes.CDLL(str(generic_library))
+    library.roigs_best_isa.restype = ctypes.c_char_p
+    return str(library.roigs_best_isa().decode("ascii"))
+
+
+def _set_threads(library: ctypes.CDLL, count: int | None) -> None:
+    library.roigs_set_threads(ctypes.c_int(usable_cores() if count is None else max(1, count)))
+
+
+def _warn_if_old(folder: Path) -> None:
+    """Points a developer who has edited a kernel to the command that compiles it."""
+    target = _platform()
+    key = build.source_key()
+    if any(build.read_key(folder, target, name) != key for name in available(folder)):
+        warnings.warn(
+            f"the compiled kernels are older than their sources: run `{_BUILD_COMMAND}`",
+            stacklevel=3,
+        )
+
+
+def _is_writable(folder: Path) -> bool:
+    existing = next(parent for parent in (folder, *folder.parents) if parent.exists())
+    return os.access(existing, os.W_OK)
+
+
+def _user_cache_folder() -> Path:
+    """Where kernels go when the package's folder is read-only; one folder per source version."""
+    if sys.platform == "win32":
+        root = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        root = Path.home() / "Library" / "Caches"
+    else:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return root / "roigs" / "kernels" / build.source_key()

@@ -1,0 +1,228 @@
+// Forward projection: from Gaussians in the world to splats on the image and the tiles they touch.
+#include <atomic>
+#include <limits>
+
+#include "geometry.h"
+#include "sh.h"
+
+namespace roigs {
+namespace {
+
+// The pixel centres of the tiles being worked on lie in this rectangle.
+struct PixelBounds {
+    float left, top, right, bottom;
+    explicit PixelBounds(const Camera& c)
+        : left(c.tile_x0 * kTile + 0.5f),
+          top(c.tile_y0 * kTile + 0.5f),
+          right(std::min(c.tile_x1 * kTile, c.width) - 0.5f),
+          bottom(std::min(c.tile_y1 * kTile, c.height) - 0.5f) {}
+};
+
+// Writes the splats of the lanes that can touch a pixel to `out`; returns their number. Colours
+// are left open.
+int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const int32_t* ids,
+                Splat* out) {
+    const Floats log2_opacity = log2(g.opacity);
+    const Floats headroom = log2_opacity - (kLog2AlphaMin - kCullSlack);  // u^2 + v^2 stays below
+    usable = both(usable, greater(log2_opacity, splat(kLog2AlphaMin)));
+    // u^2 + v^2 = kExponentScale d^T Sigma'^-1 d, and d_x^2 <= Sigma'_xx d^T Sigma'^-1 d
+    const Floats reach2 = max(headroom, Floats{}) / kExponentScale;
+    const Floats reach_x = sqrt(reach2 * g.xx), reach_y = sqrt(reach2 * g.yy);
+    usable = both(usable, both(greater(g.x + reach_x, splat(bounds.left)),
+                               less(g.x - reach_x, splat(bounds.right))));
+    usable = both(usable, both(greater(g.y + reach_y, splat(bounds.top)),
+                               less(g.y - reach_y, splat(bounds.bottom))));
+
+    const Whitening w = whitening(g);
+    Floats columns[16] = {g.x,
+                          g.y,
+                          w.l11,
+                          w.l21,
+                          w.l22,
+                          log2_opacity,
+                          g.xy / g.xx,
+                          g.xy / g.yy,
+                          {},
+                          {},
+                          {},
+                          g.t[2],
+                          reach_x,
+                          reach_y,
+                          g.opacity,
+                          {}};
+    for (const Floats& column : columns) usable = both(usable, is_finite(column));
+    usable = both(usable, is_finite(g.determinant));
+    uint32_t lanes = bits(usable);
+    if (!lanes) return 0;
+
+    alignas(64) float rows[kLanes][16];
+    for (int first = 0; first < 16; first += kLanes) {
+        Floats tile[kLanes];
+        for (int i = 0; i < kLanes; ++i) tile[i] = columns[first + i];
+        transpose(tile);
+        for (int i = 0; i < kLanes; ++i) store(&rows[i][first], tile[i]);
+    }
+    int count = 0;
+    for (; lanes; lanes &= lanes - 1) {
+        const int lane = __builtin_ctz(lanes);
+        std::memcpy(&out[count], rows[lane], sizeof(Splat));
+        out[count++].id = ids[lane];
+    }
+    return count;
+}
+
+// Fills `ids` with kLanes consecutive rows; beyond the last row it is repeated.
+Mask consecutive(int64_t first, int64_t end, int32_t* ids) {
+    for (int i = 0; i < kLanes; ++i) ids[i] = int32_t(std::min(first + i, end - 1));
+    return first_lanes(int(std::min<int64_t>(end - first, kLanes)));
+}
+
+// Colours max(SH(direction) + 1/2, 0). A colour that is not finite is left as it is.
+void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* splats, int count) {
+    const int used = used_coefficients(gaussians), stride = 3 * gaussians.sh_coefficients;
+    for (int first = 0; first < count; first += kLanes) {
+        const int lanes = std::min(kLanes, count - first);
+        int32_t ids[kLanes];
+        for (int i = 0; i < kLanes; ++i) ids[i] = splats[first + std::min(i, lanes - 1)].id;
+        Floats direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
+        view_direction(gaussians, camera, ids, direction);
+        sh_basis(direction, basis);
+        load_columns(gaussians.sh, stride, 3 * used, ids, sh);
+        Floats colour[3] = {splat(0.5f), splat(0.5f), splat(0.5f)};
+        for (int k = 0; k < used; ++k)
+            for (int c = 0; c < 3; ++c) colour[c] += basis[k] * sh[3 * k + c];
+        for (int c = 0; c < 3; ++c)
+            colour[c] = select(is_finite(colour[c]), max(colour[c], Floats{}), colour[c]);
+        for (int i = 0; i < lanes; ++i) {
+            splats[first + i].red = colour[0][i];
+            splats[first + i].green = colour[1][i];
+            splats[first + i].blue = colour[2][i];
+        }
+    }
+}
+
+bool finite(float x) {
+    uint32_t pattern;
+    std::memcpy(&pattern, &x, sizeof x);
+    return (pattern & 0x7fffffff) < 0x7f800000;
+}
+
+// Range of tiles, in one direction, whose pixel centres meet [low, high]; clipped to [begin, end).
+struct TileRange {
+    int first, last;
+    TileRange(float low, float high, int begin, int end) {
+        // clipped as floats: what is far outside does not fit an int
+        first = int(std::ceil(std::max((low - (kTile - 0.5f)) * (1.0f / kTile), float(begin))));
+        last = int(std::floor(std::min((high - 0.5f) * (1.0f / kTile), float(end - 1))));
+    }
+};
+
+// Writes the tiles in which the ellipse alpha >= 1/255 meets the hull of the pixel centres, row
+// by row, exactly: a row of tiles cuts a horizontal slab out of the (convex) ellipse, and what
+// lies between the slab's leftmost and rightmost point is touched. Returns the end of the list.
+uint32_t* list_tiles(const Splat& s, const Camera& camera, const PixelBounds& bounds,
+                     uint32_t* out) {
+    const int columns = camera.tile_x1 - camera.tile_x0;
+    const float headroom = s.log2_opacity - (kLog2AlphaMin - kCullSlack);
+    const float inverse_l11 = 1.0f / s.l11;
+    const float extreme_y = s.slope_y * s.reach_x;  // the ellipse's rightmost point has this dy
+    // Signed distance of the ellipse's side from the centre at the dy in the slab that is nearest
+    // to the extreme point's.
+    const auto side = [&](float sign, float low, float high) {
+        const float dy = std::min(std::max(sign * extreme_y, low), high), v = s.l22 * dy;
+        return s.slope_x * dy + sign * inverse_l11 * std::sqrt(std::max(headroom - v * v, 0.0f));
+    };
+    const TileRange rows(s.y - s.reach_y, s.y + s.reach_y, camera.tile_y0, camera.tile_y1);
+    for (int row = rows.first; row <= rows.last; ++row) {
+        const float top = row * kTile + 0.5f, low = top - s.y;
+        const float high = std::min(top + (kTile - 1), bounds.bottom) - s.y;
+        const float left = s.x + side(-1, low, high), right = s.x + side(1, low, high);
+        if (left > bounds.right) continue;  // the last tile may stick out of the image
+        const TileRange range(left, right, camera.tile_x0, camera.tile_x1);
+        const int before = (row - camera.tile_y0) * columns - camera.tile_x0;
+        for (int column = range.first; column <= range.last; ++column)
+            *out++ = uint32_t(before + column);
+    }
+    return out;
+}
+
+constexpr int64_t kMostTilesInChunk = std::numeric_limits<int32_t>::max();
+
+// At most this many tiles can come out of list_tiles.
+int64_t most_tiles(const Splat& s, const Camera& camera) {
+    const TileRange x(s.x - s.reach_x - 1, s.x + s.reach_x + 1, camera.tile_x0, camera.tile_x1);
+    const TileRange y(s.y - s.reach_y - 1, s.y + s.reach_y + 1, camera.tile_y0, camera.tile_y1);
+    return int64_t(std::max(x.last - x.first + 1, 0)) * std::max(y.last - y.first + 1, 0);
+}
+
+// Lists the tiles of a chunk's splats and drops the splats that touch none or have no finite
+// colour. Returns false when there is not enough memory.
+bool keep_touching(const Camera& camera, const PixelBounds& bounds, Splat* splats,
+                   TileSpan* tiles_of, int count, Chunk& chunk) {
+    int32_t kept = 0, used = 0;
+    chunk.visible = chunk.tile_count = 0;
+    for (int i = 0; i < count; ++i) {
+        const Splat& s = splats[i];
+        if (!finite(s.red) || !finite(s.green) || !finite(s.blue)) continue;
+        const int64_t wanted = used + most_tiles(s, camera);
+        if (wanted > kMostTilesInChunk || !chunk.tiles.extend(wanted, used)) return false;
+        uint32_t* begin = chunk.tiles.data() + used;
+        const int32_t touched = int32_t(list_tiles(s, camera, bounds, begin) - begin);
+        if (!touched) continue;
+        tiles_of[kept] = {used, touched};
+        used += touched;
+        splats[kept++] = s;
+    }
+    chunk.visible = kept;
+    chunk.tile_count = used;
+    return true;
+}
+
+bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, uint8_t* visible) {
+    const int64_t begin = c * kChunk, end = std::min(begin + kChunk, gaussians.count);
+    const PixelBounds bounds(view.camera);
+    Splat* splats = &view.splats[begin];
+    int count = 0;
+    for (int64_t i = begin; i < end; i += kLanes) {
+        int32_t ids[kLanes];
+        const Mask exists = consecutive(i, end, ids);
+        Geometry g;
+        const Mask in_front = project(gaussians, view.camera, ids, g);
+        if (!any(in_front)) continue;
+        count += pack_splats(g, both(exists, in_front), bounds, ids, splats + count);
+    }
+    colour_splats(gaussians, view.camera, splats, count);
+    Chunk& chunk = view.chunks[c];
+    if (!keep_touching(view.camera, bounds, splats, &view.tiles_of[begin], count, chunk))
+        return false;
+    for (int i = 0; i < chunk.visible; ++i) visible[splats[i].id] = 1;
+    return true;
+}
+
+}  // namespace
+}  // namespace roigs
+
+roigs::View* roigs_view_create() { return new roigs::View; }
+
+void roigs_view_destroy(roigs::View* view) { delete view; }
+
+int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gaussians,
+                      const roigs::Camera* camera, uint8_t* visible) {
+    using namespace roigs;
+    view->camera = *camera;
+    view->visible = view->intersections = 0;
+    const int64_t n = view->tiles() ? gaussians->count : 0, chunk_count = chunks(n, kChunk);
+    view->chunks.resize(chunk_count);
+    if (!view->splats.reserve(n) || !view->tiles_of.reserve(n)) return kOutOfMemory;
+    std::atomic<bool> failed{false};
+    parallel_for(chunk_count, [&](int64_t c) {
+        if (!project_chunk(*view, *gaussians, c, visible)) failed = true;
+    });
+    if (failed) return kOutOfMemory;
+    for (Chunk& chunk : view->chunks) {
+        chunk.first_slot = view->intersections;
+        view->intersections += chunk.tile_count;
+        view->visible += chunk.visible;
+    }
+    return view->visible;
+}

@@ -1,0 +1,195 @@
+// Gradient of the projection: from the moments that the raster pass left in the slots to the
+// Gaussians' parameters. Batches of visible Gaussians, one per lane.
+#include "geometry.h"
+#include "sh.h"
+
+namespace roigs {
+namespace {
+
+// kLanes splats of one chunk; beyond `count`, the last one is repeated.
+struct SplatBatch {
+    int count;
+    int32_t splat[kLanes], id[kLanes];
+    Mask exists;
+
+    SplatBatch(const View& view, int32_t first, int32_t end)
+        : count(std::min(kLanes, end - first)), exists(first_lanes(count)) {
+        for (int i = 0; i < kLanes; ++i) {
+            splat[i] = first + std::min(i, count - 1);
+            id[i] = view.splats[splat[i]].id;
+        }
+    }
+};
+
+// Sums each splat's slots, in the order of its tiles.
+void sum_slots(const View& view, const SplatBatch& batch, Floats (&moments)[16]) {
+    alignas(64) float rows[kLanes][16];
+    for (int i = 0; i < kLanes; ++i) {
+        Floats sum[16 / kLanes] = {};
+        const SlotGradient* slot = &view.slot_gradients[view.slot(batch.splat[i])];
+        for (int t = 0; t < view.tiles_of[batch.splat[i]].count; ++t)
+            for (int k = 0; k * kLanes < kMoments; ++k) sum[k] += load(slot[t].sum + k * kLanes);
+        for (int k = 0; k * kLanes < 16; ++k) store(&rows[i][k * kLanes], sum[k]);
+    }
+    int32_t in_order[kLanes];
+    for (int i = 0; i < kLanes; ++i) in_order[i] = i;
+    load_columns(&rows[0][0], 16, 16, in_order, moments);
+}
+
+struct Gradient2d {
+    Floats x, y;          // dL / d(projected centre)
+    Floats xx, xy, yy;    // dL / d(Sigma'), a symmetric matrix
+};
+
+// With Sigma'^-1 = L L^T / h (h = kExponentScale) and (u, v) = L^T d,
+//     dL / d(centre) = sum s Sigma'^-1 d = L (sum s (u, v)) / h
+//     dL / d(Sigma') = 1/2 sum s (Sigma'^-1 d)(Sigma'^-1 d)^T = L (sum s (u, v)(u, v)^T) L^T / 2 h^2.
+Gradient2d unwhiten(const Geometry& g, const Floats (&m)[16]) {
+    const Whitening w = whitening(g);
+    constexpr float kFirst = 1 / kExponentScale, kSecond = 0.5f * kFirst * kFirst;
+    Gradient2d out;
+    out.x = kFirst * (w.l11 * m[kSU]);
+    out.y = kFirst * (w.l21 * m[kSU] + w.l22 * m[kSV]);
+    const Floats a = w.l11 * m[kSUU];                     // first column of M L^T, ..
+    const Floats b = w.l21 * m[kSUU] + w.l22 * m[kSUV];   // .. second
+    const Floats c = w.l21 * m[kSUV] + w.l22 * m[kSVV];
+    out.xx = kSecond * (w.l11 * a);
+    out.xy = kSecond * (w.l11 * b);
+    out.yy = kSecond * (w.l21 * b + w.l22 * c);
+    return out;
+}
+
+// dL / dR to dL / d(stored quaternion).
+void quaternion_gradient(const Geometry& g, const Floats (&dR)[3][3], Floats (&out)[4]) {
+    const Floats w = g.quat[0], x = g.quat[1], y = g.quat[2], z = g.quat[3];
+    const Floats yz = dR[2][1] - dR[1][2], zx = dR[0][2] - dR[2][0], xy = dR[1][0] - dR[0][1];
+    const Floats sum_yz = dR[2][1] + dR[1][2], sum_zx = dR[0][2] + dR[2][0],
+                 sum_xy = dR[1][0] + dR[0][1];
+    out[0] = 2.0f * (x * yz + y * zx + z * xy);
+    out[1] = 2.0f * (w * yz + y * sum_xy + z * sum_zx - 2.0f * x * (dR[1][1] + dR[2][2]));
+    out[2] = 2.0f * (w * zx + x * sum_xy + z * sum_yz - 2.0f * y * (dR[0][0] + dR[2][2]));
+    out[3] = 2.0f * (w * xy + x * sum_zx + y * sum_yz - 2.0f * z * (dR[0][0] + dR[1][1]));
+    // through the normalisation: the part along the quaternion changes nothing
+    const Floats along = dot3(out, g.quat) + out[3] * g.quat[3];
+    for (int k = 0; k < 4; ++k) out[k] = (out[k] - along * g.quat[k]) * g.inverse_norm;
+}
+
+// Through Sigma' = U U^T + blur and U = T R S: gradients of scale and rotation, and dL / dT.
+void covariance_gradient(const Geometry& g, const Gradient2d& d, Floats (&scale)[3],
+                         Floats (&quat)[4], Floats (&dT)[2][3]) {
+    Floats dR[3][3];
+    for (int r = 0; r < 3; ++r) dT[0][r] = dT[1][r] = Floats{};
+    for (int k = 0; k < 3; ++k) {
+        const Floats dU0 = 2.0f * (d.xx * g.U[0][k] + d.xy * g.U[1][k]);
+        const Floats dU1 = 2.0f * (d.xy * g.U[0][k] + d.yy * g.U[1][k]);
+        scale[k] = Floats{};
+        for (int r = 0; r < 3; ++r) {
+            const Floats M = g.R[r][k] * g.scale[k];
+            dT[0][r] += dU0 * M;
+            dT[1][r] += dU1 * M;
+            const Floats dM = g.T[0][r] * dU0 + g.T[1][r] * dU1;
+            scale[k] += dM * g.R[r][k];
+            dR[r][k] = dM * g.scale[k];
+        }
+    }
+    quaternion_gradient(g, dR, quat);
+}
+
+// Through the pinhole projection of the centre and through T = J W (see linearise), both of which
+// depend on the camera-frame centre t; then to the world frame.
+void centre_gradient(const Camera& camera, const Geometry& g, const Gradient2d& d,
+                     const Floats (&dT)[2][3], Floats (&mean)[3]) {
+    const float focal[2] = {camera.fx, camera.fy};
+    const Floats centre[2] = {d.x, d.y};
+    const auto& W = camera.world_to_camera;
+    Floats dt[3] = {};
+    for (int a = 0; a < 2; ++a) {
+        const Floats f = focal[a] * g.inverse_z;
+        Floats df = {}, dslope = {};
+        for (int k = 0; k < 3; ++k) {
+            df += dT[a][k] * (W[a][k] - g.slope[a] * W[2][k]);
+            dslope -= dT[a][k] * W[2][k];
+        }
+        dslope = keep(g.slope_is_free[a], f * dslope);
+        dt[a] = f * centre[a] + dslope * g.inverse_z;
+        dt[2] -= g.inverse_z * (f * (df + centre[a] * g.t[a]) + dslope * g.slope[a]);
+    }
+    for (int k = 0; k < 3; ++k) mean[k] = W[0][k] * dt[0] + W[1][k] * dt[1] + W[2][k] * dt[2];
+}
+
+// Gradient of the colours: adds to the SH rows, and to `mean` through the viewing direction.
+void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBatch& batch,
+                     const Floats (&moments)[16], float* sh_gradient, Floats (&mean)[3]) {
+    const int used = used_coefficients(gaussians), stride = 3 * gaussians.sh_coefficients;
+    Floats colour[3], drawn[3];
+    for (int i = 0; i < kLanes; ++i) {
+        const Splat& s = view.splats[batch.splat[i]];
+        drawn[0][i] = s.red, drawn[1][i] = s.green, drawn[2][i] = s.blue;
+    }
+    for (int c = 0; c < 3; ++c)  // colours clamped to 0 pass no gradient
+        colour[c] = keep(greater(drawn[c], Floats{}), moments[kRed + c]);
+
+    Floats direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
+    const Floats inverse_distance = view_direction(gaussians, view.camera, batch.id, direction);
+    if (used > 1) {
+        load_columns(gaussians.sh, stride, 3 * used, batch.id, sh);
+        Floats weight[kMaxCoefficients] = {};
+        for (int k = 0; k < used; ++k) weight[k] = dot3(colour, sh + 3 * k);
+        Floats d[3];
+        sh_direction_gradient(direction, weight, d);
+        const Floats along = dot3(d, direction);  // changes nothing: directions are unit vectors
+        for (int k = 0; k < 3; ++k) mean[k] += (d[k] - along * direction[k]) * inverse_distance;
+    }
+    if (!sh_gradient) return;
+    sh_basis(direction, basis);
+    for (int k = 0; k < used; ++k)
+        for (int c = 0; c < 3; ++c) sh[3 * k + c] = basis[k] * colour[c];
+    add_columns(sh_gradient, stride, 3 * used, batch.id, batch.count, sh);
+}
+
+template <int kColumns>
+void add_rows(float* matrix, const SplatBatch& batch, const Floats (&columns)[kColumns]) {
+    if (!matrix) return;
+    for (int k = 0; k < kColumns; ++k)
+        scatter_add(matrix, kColumns, k, batch.id, batch.count, columns[k]);
+}
+
+void batch_gradient(const View& view, const Gaussians& gaussians, const Gradients& out,
+                    const SplatBatch& batch, float* grad2d) {
+    Floats moments[16];
+    sum_slots(view, batch, moments);
+    Geometry g;
+    project(gaussians, view.camera, batch.id, g);
+    const Gradient2d d = unwhiten(g, moments);
+    Floats scale[3], quat[4], dT[2][3], mean[3];
+    covariance_gradient(g, d, scale, quat, dT);
+    centre_gradient(view.camera, g, d, dT, mean);
+    colour_gradient(view, gaussians, batch, moments, out.sh, mean);
+
+    // kS = opacity dL / d(opacity)
+    Floats opacity[1] = {gaussians.raw ? moments[kS] * (1.0f - g.opacity)
+                                       : moments[kS] / g.opacity};
+    if (gaussians.raw)
+        for (int k = 0; k < 3; ++k) scale[k] *= g.scale[k];
+    add_rows(out.means, batch, mean);
+    add_rows(out.quats, batch, quat);
+    add_rows(out.scales, batch, scale);
+    add_rows(out.opacities, batch, opacity);
+
+    const Floats x = 0.5f * view.camera.width * d.x, y = 0.5f * view.camera.height * d.y;
+    const Floats norm = sqrt(x * x + y * y);
+    for (int i = 0; i < batch.count; ++i) grad2d[batch.id[i]] = norm[i];
+}
+
+}  // namespace
+}  // namespace roigs
+
+void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians,
+                            const roigs::Gradients* gradients, float* grad2d) {
+    using namespace roigs;
+    parallel_for(int64_t(view->chunks.size()), [&](int64_t c) {
+        const int32_t begin = int32_t(c * kChunk), end = begin + view->chunks[c].visible;
+        for (int32_t first = begin; first < end; first += kLanes)
+            batch_gradient(*view, *gaussians, *gradients, SplatBatch(*view, first, end), grad2d);
+    });
+}

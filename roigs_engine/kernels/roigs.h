@@ -1,0 +1,80 @@
+// The rasterizer's C interface, called from rasterize/cpu.py through ctypes.
+//
+// Order of calls for one camera, on one View:
+//
+//     roigs_project, roigs_bin, roigs_render, [roigs_render_backward, roigs_project_backward]
+//
+// A View keeps what the stages hand on to each other, and its memory from one frame to the next:
+// fresh memory costs a page fault for every 4 KiB, which is more than some stages take. Calls on
+// one View must not overlap; different Views are independent.
+//
+// Arrays are C-contiguous float32. N Gaussians; images are planar, (3, height, width).
+#pragma once
+
+#include <cstdint>
+
+#include "parallel.h"
+
+namespace roigs {
+
+struct Gaussians {
+    const float* means;        // (N, 3)
+    const float* quats;        // (N, 4) wxyz, any length
+    const float* scales;       // (N, 3)
+    const float* opacities;    // (N,)
+    const float* sh;           // (N, sh_coefficients, 3)
+    int64_t count;             // N, below 2^31
+    int32_t sh_coefficients;   // stored per colour: 1, 4, 9 or 16
+    int32_t sh_degree;         // evaluated: 0 to 3
+    int32_t raw;               // scales are logarithms, opacities are logits
+};
+
+// Buffers that gradients are added to, shaped as the parameters. A null one is skipped.
+struct Gradients {
+    float* means;
+    float* quats;
+    float* scales;
+    float* opacities;
+    float* sh;
+};
+
+struct Camera {
+    float world_to_camera[3][4];
+    float position[3];  // world frame
+    float fx, fy, cx, cy;
+    float background[3];
+    int32_t width, height;
+    int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
+};
+
+// Results below zero are failures.
+enum Failure : int64_t { kOutOfMemory = -1, kTooManyIntersections = -2 };
+
+struct View;
+
+}  // namespace roigs
+
+ROIGS_API roigs::View* roigs_view_create();
+ROIGS_API void roigs_view_destroy(roigs::View* view);
+
+// Projects all Gaussians, evaluates their colours, and lists the tiles they touch. `visible` (N,)
+// holds zeros; it is set to 1 for the Gaussians that touch a tile. Returns their number.
+ROIGS_API int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gaussians,
+                                const roigs::Camera* camera, uint8_t* visible);
+
+// Sorts by depth and makes the tiles' lists. Returns the number of (Gaussian, tile) pairs.
+ROIGS_API int64_t roigs_bin(roigs::View* view);
+
+// Blends. `image` (3, H, W) and `alpha` (H, W) are written; `depth` (H, W) too unless null;
+// `max_weight` (N,), unless null, is raised where this view has a larger weight.
+ROIGS_API int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth,
+                               float* max_weight);
+
+// Gradient of the blending. `image` is what roigs_render wrote, `image_gradient` dL / d(image).
+ROIGS_API int64_t roigs_render_backward(roigs::View* view, const float* image,
+                                        const float* image_gradient);
+
+// Gradient of the projection: adds dL / d(parameter) to the rows of the visible Gaussians, and
+// writes their |dL / d(mean2d)| in units of half the image size to `grad2d` (N,).
+ROIGS_API void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians,
+                                      const roigs::Gradients* gradients, float* grad2d);

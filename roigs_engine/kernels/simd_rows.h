@@ -1,0 +1,168 @@
+// Moving data between rows in memory (one row per lane) and vectors (one vector per column).
+#pragma once
+
+#include "simd.h"
+
+namespace roigs {
+
+#if defined(__AVX512F__)
+
+// Lane j of vector i becomes lane i of vector j. Interleaves 1, 2, then 4 and 8 floats at a time.
+ROIGS_INLINE void transpose(Floats (&v)[16]) {
+    Floats a[16], b[16];
+    for (int i = 0; i < 16; i += 2) {
+        a[i] = _mm512_unpacklo_ps(v[i], v[i + 1]);
+        a[i + 1] = _mm512_unpackhi_ps(v[i], v[i + 1]);
+    }
+    for (int i = 0; i < 16; i += 4)
+        for (int k = 0; k < 2; ++k) {
+            const __m512d low = _mm512_castps_pd(a[i + k]), high = _mm512_castps_pd(a[i + k + 2]);
+            b[i + 2 * k] = _mm512_castpd_ps(_mm512_unpacklo_pd(low, high));
+            b[i + 2 * k + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(low, high));
+        }
+    for (int j = 0; j < 4; ++j) {  // b[j], b[4+j], ..: 128-bit lane q holds column 4q + j
+        const Floats even01 = _mm512_shuffle_f32x4(b[j], b[4 + j], 0x88);
+        const Floats odd01 = _mm512_shuffle_f32x4(b[j], b[4 + j], 0xdd);
+        const Floats even23 = _mm512_shuffle_f32x4(b[8 + j], b[12 + j], 0x88);
+        const Floats odd23 = _mm512_shuffle_f32x4(b[8 + j], b[12 + j], 0xdd);
+        v[j] = _mm512_shuffle_f32x4(even01, even23, 0x88);
+        v[4 + j] = _mm512_shuffle_f32x4(odd01, odd23, 0x88);
+        v[8 + j] = _mm512_shuffle_f32x4(even01, even23, 0xdd);
+        v[12 + j] = _mm512_shuffle_f32x4(odd01, odd23, 0xdd);
+    }
+}
+
+// Writes the sums over all lanes of v[0], v[1], .. to out[0], out[1], ..: halves the vectors' width
+// four times, two vectors into one each time. Writes 16 floats.
+template <int kCount>
+ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
+    static_assert(kCount <= 16, "one output lane for each vector");
+    const auto at = [&](int i) { return i < kCount ? v[i] : Floats{}; };
+    Floats a[8], b[4], c[2];
+    for (int i = 0; i < 8; ++i)
+        a[i] = (Floats)_mm512_shuffle_f32x4(at(i), at(i + 8), 0x44) +
+               (Floats)_mm512_shuffle_f32x4(at(i), at(i + 8), 0xee);
+    for (int i = 0; i < 4; ++i)
+        b[i] = (Floats)_mm512_shuffle_f32x4(a[i], a[i + 4], 0x88) +
+               (Floats)_mm512_shuffle_f32x4(a[i], a[i + 4], 0xdd);
+    for (int i = 0; i < 2; ++i)
+        c[i] = (Floats)_mm512_unpacklo_ps(b[i], b[i + 2]) +
+               (Floats)_mm512_unpackhi_ps(b[i], b[i + 2]);
+    const Floats sums =
+        (Floats)_mm512_unpacklo_ps(c[0], c[1]) + (Floats)_mm512_unpackhi_ps(c[0], c[1]);
+    // 128-bit lanes now hold sums 0-3, 8-11, 4-7, 12-15
+    _mm512_storeu_ps(out, _mm512_shuffle_f32x4(sums, sums, 0xd8));
+}
+
+ROIGS_INLINE Floats load_some(const float* p, int count) {
+    return _mm512_maskz_loadu_ps(first_lanes(count), p);
+}
+ROIGS_INLINE void add_some(float* p, Floats x, int count) {
+    const Mask m = first_lanes(count);
+    _mm512_mask_storeu_ps(p, m, _mm512_maskz_loadu_ps(m, p) + (__m512)x);
+}
+
+#else
+
+#if defined(__AVX2__)
+
+ROIGS_INLINE void transpose(Floats (&v)[8]) {
+    Floats a[8], b[8];
+    for (int i = 0; i < 8; i += 2) {
+        a[i] = _mm256_unpacklo_ps(v[i], v[i + 1]);
+        a[i + 1] = _mm256_unpackhi_ps(v[i], v[i + 1]);
+    }
+    for (int i = 0; i < 8; i += 4)
+        for (int k = 0; k < 2; ++k) {
+            b[i + 2 * k] = _mm256_shuffle_ps(a[i + k], a[i + k + 2], 0x44);
+            b[i + 2 * k + 1] = _mm256_shuffle_ps(a[i + k], a[i + k + 2], 0xee);
+        }
+    for (int j = 0; j < 4; ++j) {
+        v[j] = _mm256_permute2f128_ps(b[j], b[4 + j], 0x20);
+        v[4 + j] = _mm256_permute2f128_ps(b[j], b[4 + j], 0x31);
+    }
+}
+
+#else
+
+ROIGS_INLINE void transpose(Floats (&v)[4]) {
+    const Floats a = {v[0][0], v[1][0], v[2][0], v[3][0]};
+    const Floats b = {v[0][1], v[1][1], v[2][1], v[3][1]};
+    const Floats c = {v[0][2], v[1][2], v[2][2], v[3][2]};
+    const Floats d = {v[0][3], v[1][3], v[2][3], v[3][3]};
+    v[0] = a, v[1] = b, v[2] = c, v[3] = d;
+}
+
+#endif
+
+// Writes the sums over all lanes of v[0], v[1], .. to out[0], out[1], ..
+template <int kCount>
+ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
+    for (int first = 0; first < kCount; first += kLanes) {
+        Floats tile[kLanes], sums = {};
+        for (int i = 0; i < kLanes; ++i) tile[i] = first + i < kCount ? v[first + i] : Floats{};
+        transpose(tile);
+        for (int i = 0; i < kLanes; ++i) sums += tile[i];
+        for (int i = 0; i < kLanes && first + i < kCount; ++i) out[first + i] = sums[i];
+    }
+}
+
+ROIGS_INLINE Floats load_some(const float* p, int count) {
+    Floats x = {};
+    std::memcpy(&x, p, sizeof(float) * count);
+    return x;
+}
+ROIGS_INLINE void add_some(float* p, Floats x, int count) {
+    for (int i = 0; i < count; ++i) p[i] += x[i];
+}
+
+#endif
+
+// Column `column` of a row-major matrix with `stride` floats a row, at one row per lane.
+ROIGS_INLINE Floats gather(const float* matrix, int stride, int column, const int32_t* rows) {
+    Floats x;
+    for (int i = 0; i < kLanes; ++i) x[i] = matrix[(int64_t)rows[i] * stride + column];
+    return x;
+}
+
+// Adds to the same place; `count` lanes only, rows must differ.
+ROIGS_INLINE void scatter_add(float* matrix, int stride, int column, const int32_t* rows, int count,
+                              Floats x) {
+    for (int i = 0; i < count; ++i) matrix[(int64_t)rows[i] * stride + column] += x[i];
+}
+
+// The first `columns` columns at one row per lane, each as a vector. Reads nothing beyond a row's
+// `columns` floats. `out` has room for `columns` rounded up to whole vectors.
+ROIGS_INLINE void load_columns(const float* matrix, int stride, int columns, const int32_t* rows,
+                               Floats* out) {
+    for (int first = 0; first < columns; first += kLanes) {
+        Floats tile[kLanes];
+        const int left = columns - first;
+        for (int i = 0; i < kLanes; ++i) {
+            const float* p = matrix + (int64_t)rows[i] * stride + first;
+            tile[i] = left >= kLanes ? load(p) : load_some(p, left);
+        }
+        transpose(tile);
+        for (int i = 0; i < kLanes; ++i) out[first + i] = tile[i];
+    }
+}
+
+// Adds column vectors to the first `columns` columns of `count` rows, one row per lane.
+ROIGS_INLINE void add_columns(float* matrix, int stride, int columns, const int32_t* rows,
+                              int count, const Floats* in) {
+    for (int first = 0; first < columns; first += kLanes) {
+        Floats tile[kLanes];
+        const int left = columns - first;
+        for (int i = 0; i < kLanes; ++i) tile[i] = i < left ? in[first + i] : Floats{};
+        transpose(tile);
+        for (int i = 0; i < count; ++i) {
+            float* p = matrix + (int64_t)rows[i] * stride + first;
+            if (left >= kLanes)
+                store(p, load(p) + tile[i]);
+            else
+                add_some(p, tile[i], left);
+        }
+    }
+}
+
+}  // namespace roigs

@@ -1,0 +1,175 @@
+// A 16x16 tile as the raster kernels see it: blocks of kLanes pixels, one vector each.
+//
+// Splats are taken in batches of 64 from the tile's list. For every splat of a batch, the blocks
+// that its ellipse touches are found first, for many blocks at once; only these are visited.
+#pragma once
+
+#include "simd.h"
+#include "view.h"
+
+namespace roigs {
+
+constexpr int kBlockColumns = kTile / kBlockWidth, kBlockRows = kTile / kBlockHeight;
+constexpr int kBlocks = kBlockColumns * kBlockRows;
+constexpr int kBatch = 64;  // splats at once: a bit each in a 64-bit word
+static_assert(kBlocks <= 64 && kBlocks % kLanes == 0, "a bit per block; whole vectors of blocks");
+
+constexpr uint64_t kAllBlocks = ~uint64_t(0) >> (64 - kBlocks);
+
+// Pixel centres relative to the tile's corner.
+struct TileLayout {
+    alignas(64) float x[kBlocks][kLanes] = {}, y[kBlocks][kLanes] = {};  // of block b, lane i
+    alignas(64) float block_x[kBlocks] = {}, block_y[kBlocks] = {};      // of block b's first pixel
+
+    constexpr TileLayout() {
+        for (int b = 0; b < kBlocks; ++b) {
+            block_x[b] = (b % kBlockColumns) * kBlockWidth + 0.5f;
+            block_y[b] = (b / kBlockColumns) * kBlockHeight + 0.5f;
+            for (int i = 0; i < kLanes; ++i) {
+                x[b][i] = block_x[b] + i % kBlockWidth;
+                y[b][i] = block_y[b] + i / kBlockWidth;
+            }
+        }
+    }
+};
+inline constexpr TileLayout kLayout{};
+
+// Where a tile lies in the image.
+struct TilePlace {
+    int x, y, width, height;  // its corner; the image's size
+
+    TilePlace(const View& view, int64_t tile)
+        : x((view.camera.tile_x0 + int(tile % view.tile_columns())) * kTile),
+          y((view.camera.tile_y0 + int(tile / view.tile_columns())) * kTile),
+          width(view.camera.width),
+          height(view.camera.height) {}
+
+    int block_x(int b) const { return x + (b % kBlockColumns) * kBlockWidth; }
+    int block_y(int b) const { return y + (b / kBlockColumns) * kBlockHeight; }
+    bool block_is_whole(int b) const {
+        return block_x(b) + kBlockWidth <= width && block_y(b) + kBlockHeight <= height;
+    }
+    bool block_is_outside(int b) const { return block_x(b) >= width || block_y(b) >= height; }
+
+    // The block's part of a (height, width) plane; lanes outside the image hold 0.
+    Floats load_block(const float* plane, int b) const {
+        alignas(64) float lanes[kLanes] = {};
+        for_rows(b, [&](int64_t pixel, int lane, size_t bytes) {
+            std::memcpy(lanes + lane, plane + pixel, bytes);
+        });
+        return load(lanes);
+    }
+    void store_block(float* plane, int b, Floats value) const {
+        alignas(64) float lanes[kLanes];
+        store(lanes, value);
+        for_rows(b, [&](int64_t pixel, int lane, size_t bytes) {
+            std::memcpy(plane + pixel, lanes + lane, bytes);
+        });
+    }
+    // 1 where the lane is a pixel of the image, else 0. As a starting transmittance, 0 keeps
+    // lanes off the image from weighing in anywhere and from holding up a block's end.
+    Floats start_transmittance(int b) const {
+        if (block_is_whole(b)) return splat(1.0f);
+        const Floats right = float(width - x) - load(kLayout.x[b]);
+        const Floats below = float(height - y) - load(kLayout.y[b]);
+        return keep(both(greater(right, Floats{}), greater(below, Floats{})), splat(1.0f));
+    }
+
+private:
+    template <class F>
+    void for_rows(int b, const F& copy) const {
+        const int64_t first = int64_t(block_y(b)) * width + block_x(b);
+        if (block_is_whole(b)) {  // the sizes are constants here, the copies single moves
+            for (int r = 0; r < kBlockHeight; ++r)
+                copy(first + int64_t(r) * width, r * kBlockWidth, sizeof(float) * kBlockWidth);
+            return;
+        }
+        const int columns = std::min(width - block_x(b), kBlockWidth);
+        const int rows = std::min(height - block_y(b), kBlockHeight);
+        for (int r = 0; r < rows && columns > 0; ++r)
+            copy(first + int64_t(r) * width, r * kBlockWidth, sizeof(float) * columns);
+    }
+};
+
+// What blending needs of a splat. The whitened offset of the pixel at (x, y) from the tile's
+// corner is (l11 x + l21 y + u0, l22 y + v0).
+struct LocalSplat {
+    float l11, l21, u0, l22, v0, log2_opacity;
+    float red, green, blue, depth;
+    int32_t slot;
+
+    LocalSplat() = default;
+    LocalSplat(const Splat& s, int32_t slot_, float centre_x, float centre_y)
+        : l11(s.l11),
+          l21(s.l21),
+          u0(-(s.l11 * centre_x + s.l21 * centre_y)),
+          l22(s.l22),
+          v0(-s.l22 * centre_y),
+          log2_opacity(s.log2_opacity),
+          red(s.red),
+          green(s.green),
+          blue(s.blue),
+          depth(s.depth),
+          slot(slot_) {}
+};
+
+// The blocks in which alpha can reach 1/255, a bit each. Exact for the hull of a block's pixel
+// centres: the exponent is concave, so over a rectangle it is largest on an edge that faces the
+// centre, and there at the unconstrained maximum along that edge (slope_x, slope_y), clamped.
+ROIGS_INLINE uint64_t touched_blocks(const Splat& s, float centre_x, float centre_y) {
+    const Floats least = splat(kLog2AlphaMin - kCullSlack - s.log2_opacity), zero = {};
+    const auto exponent = [&](Floats x, Floats y) {
+        const Floats u = s.l11 * x + s.l21 * y, v = s.l22 * y;
+        return -(u * u) - v * v;
+    };
+    uint64_t touched = 0;
+    for (int first = 0; first < kBlocks; first += kLanes) {
+        const Floats left = load(&kLayout.block_x[first]) - centre_x;
+        const Floats top = load(&kLayout.block_y[first]) - centre_y;
+        const Floats right = left + float(kBlockWidth - 1), bottom = top + float(kBlockHeight - 1);
+        const Floats near_x = clamp(zero, left, right), near_y = clamp(zero, top, bottom);
+        const Floats on_x = exponent(near_x, clamp(near_x * s.slope_y, top, bottom));
+        const Floats on_y = exponent(clamp(near_y * s.slope_x, left, right), near_y);
+        touched |= uint64_t(bits(greater(max(on_x, on_y), least))) << first;
+    }
+    return touched;
+}
+
+struct Batch {
+    LocalSplat splats[kBatch];
+    uint64_t blocks[kBatch];  // touched blocks per splat
+    int count = 0;
+};
+
+// Takes up to kBatch entries and keeps those that touch a live block; calls skip(slot) for the
+// others. Returns the number of entries taken.
+template <class Skip>
+ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t left,
+                            const TilePlace& place, uint64_t live, Batch& batch,
+                            const Skip& skip) {
+    constexpr int kAhead = 12;  // the splats lie scattered in memory
+    const int taken = int(std::min<int64_t>(left, kBatch));
+    batch.count = 0;
+    for (int i = 0; i < taken; ++i) {
+        __builtin_prefetch(&view.splats[entries[std::min<int64_t>(i + kAhead, left - 1)].splat]);
+        const Splat& s = view.splats[entries[i].splat];
+        const float x = s.x - float(place.x), y = s.y - float(place.y);
+        const uint64_t blocks = touched_blocks(s, x, y) & live;
+        if (!blocks) {
+            skip(entries[i].slot);
+            continue;
+        }
+        batch.splats[batch.count] = LocalSplat(s, entries[i].slot, x, y);
+        batch.blocks[batch.count++] = blocks;
+    }
+    return taken;
+}
+
+// log2(alpha) of a splat at pixels (x, y) from the tile's corner, and their whitened offset (u, v).
+ROIGS_INLINE Floats exponent_at(const LocalSplat& s, Floats x, Floats y, Floats& u, Floats& v) {
+    u = s.l11 * x + (s.l21 * y + s.u0);
+    v = s.l22 * y + s.v0;
+    return (s.log2_opacity - u * u) - v * v;
+}
+
+}  // namespace roigs

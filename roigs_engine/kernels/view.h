@@ -1,0 +1,158 @@
+// What the stages of one rendering hand on to each other. See roigs.h for their order.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <utility>
+#include <vector>
+
+#include "roigs.h"
+
+namespace roigs {
+
+constexpr int kTile = 16;                        // side of a tile, px
+constexpr float kNear = 0.01f;                   // nearest camera depth, scene units
+constexpr float kBlur = 0.3f;                    // added to the 2D covariance's diagonal, px^2
+constexpr float kAlphaMax = 0.999f;              // opacity cap per pixel
+constexpr float kFrustumMargin = 0.3f;           // see linearisation point, geometry.h
+constexpr float kLog2AlphaMin = -7.9943534369f;  // log2(1 / 255), the smallest alpha drawn
+constexpr float kExponentScale = 0.7213475204f;  // log2(e) / 2: exp(-x / 2) = 2^(-x this)
+
+// Culling takes Gaussians and pixel blocks whose log2(alpha) falls short of the limit by less
+// than this, so that rounding never drops what the blending, which decides, would draw.
+constexpr float kCullSlack = 1e-3f;
+
+// Work on a pixel block ends when every pixel's transmittance is below this. What is dropped
+// changes gradients by a relative 2e-5 or so, and 8-bit output not at all.
+constexpr float kTransmittanceEnd = 1e-6f;
+
+constexpr int kChunk = 1024;  // Gaussians per task
+
+// Reused memory for plain values: it grows and is never cleared. What is in it is lost when it
+// grows, but for `extend`. False: there is not enough memory; then it is empty.
+template <class T>
+class Scratch {
+public:
+    Scratch() = default;
+    Scratch(Scratch&& other) noexcept { swap(other); }
+    Scratch& operator=(Scratch&& other) noexcept {
+        swap(other);
+        return *this;
+    }
+    ~Scratch() { std::free(block_); }
+
+    [[nodiscard]] bool reserve(int64_t count) { return extend(count, 0); }
+
+    // Room for `count` elements; the first `used` are kept.
+    [[nodiscard]] bool extend(int64_t count, int64_t used) {
+        if (count <= capacity_) return true;
+        if (!used) Scratch().swap(*this);  // never both in memory where one will do
+        Scratch larger;
+        const int64_t wanted = count + count / 4;  // room for the next, slightly larger frame
+        larger.block_ = std::malloc(sizeof(T) * wanted + kAlignment);
+        if (larger.block_) {
+            const auto address = reinterpret_cast<uintptr_t>(larger.block_);
+            larger.data_ = reinterpret_cast<T*>((address / kAlignment + 1) * kAlignment);
+            larger.capacity_ = wanted;
+            std::copy_n(data_, used, larger.data_);
+        }
+        swap(larger);
+        return block_ != nullptr;
+    }
+    T& operator[](int64_t i) const { return data_[i]; }
+    T* data() const { return data_; }
+
+private:
+    static constexpr uintptr_t kAlignment = 64;  // a cache line, and the widest vector
+
+    void swap(Scratch& other) {
+        std::swap(block_, other.block_);
+        std::swap(data_, other.data_);
+        std::swap(capacity_, other.capacity_);
+    }
+    void* block_ = nullptr;
+    T* data_ = nullptr;
+    int64_t capacity_ = 0;
+};
+
+// A projected Gaussian: one cache line.
+//
+// The exponent is kept in whitened form. With d the pixel's offset from the centre, Sigma' the 2D
+// covariance, and Sigma'^-1 = L L^T / kExponentScale (L lower triangular),
+//
+//     (u, v) = L^T d = (l11 dx + l21 dy, l22 dy)
+//     alpha  = opacity exp(-1/2 d^T Sigma'^-1 d) = 2^(log2_opacity - u^2 - v^2).
+//
+// It costs fewer operations than the quadratic form, is never positive by rounding, and gives
+// the gradients without inverting anything (projection_backward.cpp).
+struct alignas(64) Splat {
+    float x, y;            // centre, px
+    float l11, l21, l22;
+    float log2_opacity;
+    float slope_y;         // dy / dx of the line where, for given dx, alpha is largest
+    float slope_x;         // dx / dy of the line where, for given dy, alpha is largest
+    float red, green, blue;
+    float depth;
+    float reach_x, reach_y;  // half size of the box that alpha >= 1/255 lies in, px
+    float opacity;
+    int32_t id;            // row of the Gaussian
+};
+static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
+
+// An entry of a tile's list. `slot` numbers the (Gaussian, tile) pairs so that those of one
+// Gaussian are neighbours: what the tiles find out about it is stored there and summed later.
+// No two threads ever add to one place, and sums do not depend on the number of threads.
+struct TileEntry {
+    int32_t splat;
+    int32_t slot;
+};
+
+// dL / d(whatever) of a (Gaussian, tile) pair, see raster_backward.cpp.
+enum Moment { kS, kSU, kSV, kSUU, kSUV, kSVV, kRed, kGreen, kBlue, kMoments };
+struct alignas(64) SlotGradient {
+    float sum[16];  // the first kMoments are used; whole cache lines are written faster
+};
+
+// Chunk c owns the Gaussians, and the places in View::splats and View::tiles_of, from c * kChunk
+// on. It packs its visible Gaussians at the front, so what is touched grows with these alone.
+struct Chunk {
+    int32_t visible = 0;      // number of splats
+    int32_t tile_count = 0;   // number of (Gaussian, tile) pairs
+    int64_t first_slot = 0;   // slot of the first pair
+    Scratch<uint32_t> tiles;  // tiles touched, splat by splat
+};
+
+struct TileSpan {
+    int32_t first;  // index into Chunk::tiles
+    int32_t count;
+};
+
+struct View {
+    Camera camera;
+    std::vector<Chunk> chunks;
+    Scratch<Splat> splats;
+    Scratch<TileSpan> tiles_of;  // per splat
+
+    int64_t visible = 0;        // splats in all chunks
+    int64_t intersections = 0;  // (Gaussian, tile) pairs
+    Scratch<int64_t> tile_begin;  // (tiles + 1,) where a tile's entries begin
+    Scratch<TileEntry> entries;   // (intersections,), per tile, front to back
+
+    Scratch<uint32_t> depth_keys[2];  // (visible,), ping and pong of the radix sort
+    Scratch<int32_t> depth_order[2];
+    Scratch<int32_t> histograms;
+
+    Scratch<SlotGradient> slot_gradients;  // (intersections,)
+    Scratch<float> slot_weights;           // (intersections,)
+
+    int tile_columns() const { return camera.tile_x1 - camera.tile_x0; }
+    int tile_rows() const { return camera.tile_y1 - camera.tile_y0; }
+    int64_t tiles() const { return int64_t(tile_columns()) * tile_rows(); }
+    int64_t slot(int32_t splat) const {
+        return chunks[splat / kChunk].first_slot + tiles_of[splat].first;
+    }
+};
+
+}  // namespace roigs

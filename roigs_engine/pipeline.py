@@ -1,0 +1,345 @@
+"""A whole run: scene + boxes + config -> selections, stages, one model, in one run folder.
+
+The run folder:
+
+    request.json            settings of the run; another request is refused
+    split.json              the test photos, which nothing but the evaluation sees
+    selection/ROI.json      ordered photos of each box
+    scene/ joint/ object-ROI/ full-scene/ full-object-ROI/    stages (see `stages.py`)
+    independent/            the other strategy's run, when it is compared with
+    result.ply rois/ROI.ply the run's result, whole and per box
+    report.md report.json crops/    the evaluation
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from . import sampling
+from .compose import cut, replace as replace_in_boxes
+from .config import STRATEGIES, RunConfig, TrainConfig
+from .errors import RunFolderError, SceneError
+from .evaluate import EvaluatedModel
+from .events import Emit, ignore
+from .files import read_json, write_json
+from .gaussians import Gaussians
+from .images import PhotoCache
+from .roi import OrientedBox
+from .sampling import PhotoAt
+from .scene import PosedImage, SfmScene
+from .selection import CameraSelection, select_cameras, visible_images
+from .split import choose_test_views
+from .stages import Stage, StageResult, fingerprint
+from .trainer import StageData
+
+# Floats that make up one Gaussian: 3 position, 4 rotation, 3 scale, 1 opacity, 48 colour.
+PARAMETERS = 59
+BASELINE = "Full Scene"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedModels:
+    """What the strategies of a run made.
+
+    Attributes:
+        models: rows for the evaluation, in the order of the table.
+        result: the configured strategy's whole model.
+    """
+
+    models: list[EvaluatedModel]
+    result: Gaussians
+
+
+class Run:
+    """One run folder and what is to be done in it."""
+
+    def __init__(
+        self,
+        folder: Path,
+        scene: SfmScene,
+        rois: Sequence[OrientedBox],
+        config: RunConfig,
+        *,
+        emit: Emit = ignore,
+        should_stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Claim `folder` for this request.
+
+        Raises:
+            RunFolderError: the folder holds a run with other settings.
+            SceneError: no photo sees a box, or too few photos are there to test on.
+        """
+        self.folder, self.scene, self.rois, self.config = folder, scene, list(rois), config
+        self._emit, self._should_stop = emit, should_stop
+        if len(scene.points) == 0:
+            raise SceneError("The model holds no 3D points.", "Triangulate it in COLMAP first.")
+        self._claim()
+        self.test = choose_test_views(scene, self.rois, config.test_every)
+        write_json(folder / "split.json", {"test": list(self.test)})
+        self.train_scene = scene.without(set(self.test))
+        self.extent = self.train_scene.extent()
+        self._photos: dict[tuple[str, ...], PhotoCache] = {}
+        self._selections: dict[str, CameraSelection] = {}
+
+    # --- selection ---
+
+    def selection(self, roi: OrientedBox) -> CameraSelection:
+        """The box's photos, best first; computed once and kept in the run folder."""
+        if roi.name not in self._selections:
+            chosen = select_cameras(self.train_scene, roi, self.config.selection, self._emit)
+            write_json(self.folder / "selection" / f"{roi.name}.json", chosen.to_dict())
+            self._selections[roi.name] = chosen
+        return self._selections[roi.name]
+
+    def _orders(self) -> list[tuple[str, ...]]:
+        return [self.selection(roi).names for roi in self.rois]
+
+    # --- stages ---
+
+    def scene_stage(self) -> StageResult:
+        """Scene-GS (paper, sec. II-B): all photos but those reserved for the boxes."""
+        held = sampling.reserved(self._orders(), self.config.kept_share)
+        names = [i.name for i in self.train_scene.images if i.name not in held]
+        if not names:
+            raise SceneError(
+                "Every photo is reserved for a box: none is left to train the scene on.",
+                "Set --kept-share above 0, or select fewer photos (--count).",
+            )
+        return self._train("scene", names, self.config.scene)
+
+    def full_scene(self) -> StageResult:
+        """Baseline: standard 3DGS on all training photos, as many steps as both stages."""
+        names = [i.name for i in self.train_scene.images]
+        return self._train("full-scene", names, self.config.baseline())
+
+    def full_object(self, roi: OrientedBox) -> StageResult:
+        """Baseline: standard 3DGS on every photo that sees the box."""
+        names = list(visible_images(self.train_scene, roi))
+        return self._train(f"full-object-{roi.name}", names, self.config.baseline())
+
+    def object_stage(self, roi: OrientedBox) -> StageResult:
+        """Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
+        names = list(self.selection(roi).names)
+        return self._train(f"object-{roi.name}", names, self.config.roi, rois=[roi])
+
+    def joint_stage(self) -> StageResult:
+        """One stage for all boxes: all photos and the selected ones, densified in the boxes."""
+        selected = set(sampling.interleaved(self._orders()))
+        names = [i.name for i in self.train_scene.images]
+        return self._train("joint", names, self.config.roi, rois=self.rois, selected=selected)
+
+    def _train(
+        self,
+        name: str,
+        photos: list[str],
+        config: TrainConfig,
+        *,
+        rois: Sequence[OrientedBox] = (),
+        selected: set[str] | None = None,
+    ) -> StageResult:
+        """Run one stage; with `rois` it is a ROI stage and begins as `roi_init` says."""
+        by_name = {image.name: image for image in self.train_scene.images}
+        images = [by_name[photo] for photo in photos]
+        photo_at, order = self._order(images, bool(rois), selected)
+        data = StageData(
+            images=images,
+            photos=self._cache(images),
+            photo_at=photo_at,
+            extent=self.extent,
+            rois=rois,
+            capacities=_capacities(images, rois, config.box_capacity),
+            seed=self.config.seed,
+        )
+        start, start_name = self._start(rois)
+        stage = Stage(
+            name=name,
+            folder=self.folder / name,
+            data=data,
+            config=config,
+            start=start,
+            fingerprint=fingerprint(data, config, start_name, order),
+        )
+        return stage.run(self._emit, self._should_stop)
+
+    def _order(
+        self, images: Sequence[PosedImage], roi_stage: bool, selected: set[str] | None
+    ) -> tuple[PhotoAt, Any]:
+        """The photo of each step, and a description of that order."""
+        config, every = self.config, range(len(images))
+        if selected is not None:
+            chosen = [k for k in every if images[k].name in selected]
+            photo_at = sampling.mixed(
+                sampling.shuffled(every, config.seed),
+                sampling.shuffled(chosen, config.seed + 1),
+                config.selected_share,
+            )
+            return photo_at, ["mixed", config.selected_share, len(chosen), config.seed]
+        if roi_stage and config.roi_order == "ordered":
+            return sampling.ordered(every), ["ordered"]
+        return sampling.shuffled(every, config.seed), ["shuffled", config.seed]
+
+    def _start(self, rois: Sequence[OrientedBox]) -> tuple[Callable[[], Gaussians], str]:
+        """What a stage begins with, and a name for it."""
+        if not rois or self.config.roi_init == "points":
+            scene = self.train_scene
+            return lambda: Gaussians.from_points(scene.points, scene.colors), "points"
+        base = self.scene_stage()
+        if self.config.roi_init == "box":
+            (roi,) = rois
+            return lambda: cut(base.gaussians, roi, [roi]), f"box:{base.fingerprint}"
+        return lambda: base.gaussians, base.fingerprint
+
+    def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
+        """One cache for each list of photos, the last only: stages do not run side by side."""
+        key = tuple(image.name for image in images)
+        if key not in self._photos:
+            for cache in self._photos.values():
+                cache.close()
+            self._photos = {key: PhotoCache(images)}
+        return self._photos[key]
+
+    # --- results ---
+
+    def train(self, compare: Sequence[str] = ()) -> TrainedModels:
+        """Train the strategy and what it is compared with; write the result's PLYs.
+
+        Args:
+            compare: of `config.COMPARISONS`: baselines, and the other strategy in a run of its own
+                in a folder inside this one.
+        """
+        models: list[EvaluatedModel] = []
+        if "full-scene" in compare:
+            models.append(_row(BASELINE, self.full_scene()))
+        if "full-object" in compare:
+            for roi in self.rois:
+                models.append(_row(f"Full Object {roi.name}", self.full_object(roi), (roi.name,)))
+        for strategy in STRATEGIES:
+            if strategy in compare and strategy != self.config.strategy:
+                models += self._other(strategy).train().models
+        models += self._joint() if self.config.strategy == "joint" else self._independent()
+        self._write_result(models[-1].gaussians)
+        return TrainedModels(models=models, result=models[-1].gaussians)
+
+    def _joint(self) -> list[EvaluatedModel]:
+        """Rows of the joint strategy, its result last."""
+        scene, joint = self.scene_stage(), self.joint_stage()
+        return [
+            _row("Scene-GS (joint)", scene),
+            _sum("Joint", joint.gaussians, [scene, joint]),
+        ]
+
+    def _independent(self) -> list[EvaluatedModel]:
+        """Rows of the paper's strategy, its composition last."""
+        scene = self.scene_stage()
+        objects = [(roi, self.object_stage(roi)) for roi in self.rois]
+        composed = replace_in_boxes(scene.gaussians, [(r, s.gaussians) for r, s in objects])
+        return [
+            _row("Scene-GS", scene),
+            *(_row(f"Object-GS {roi.name}", stage, (roi.name,)) for roi, stage in objects),
+            _sum("Composition", composed, [scene, *(stage for _, stage in objects)]),
+        ]
+
+    def _other(self, strategy: str) -> Run:
+        """The same steps in the other strategy, as its preset has it, in a folder of its own."""
+        return Run(
+            self.folder / strategy,
+            self.scene,
+            self.rois,
+            self.config.in_strategy(strategy),
+            emit=self._emit,
+            should_stop=self._should_stop,
+        )
+
+    def _write_result(self, result: Gaussians) -> None:
+        result.save_ply(self.folder / "result.ply")
+        for roi in self.rois:
+            cut(result, roi, self.rois).save_ply(self.folder / "rois" / f"{roi.name}.ply")
+
+    # --- the folder ---
+
+    def _claim(self) -> None:
+        """Write the request, or check that it is the one this folder was made for."""
+        request = {
+            "config": self.config.to_dict(),
+            "rois": [roi.to_dict() for roi in self.rois],
+            "photos": len(self.scene.images),
+            "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in self.scene.images}),
+        }
+        path = self.folder / "request.json"
+        if not path.exists():
+            write_json(path, request)
+            return
+        before = read_json(path)
+        # JSON has no tuples: compare what would be read back.
+        difference = _difference(before, _plain(request))
+        if difference:
+            raise RunFolderError(
+                f"{self.folder} holds another run ({difference}).",
+                "Choose another --run-dir, or delete that folder.",
+            )
+
+
+def _plain(value: Any) -> Any:
+    """The value as it comes back from JSON."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def _difference(before: Any, now: Any, path: str = "") -> str:
+    """The first place where two JSON values differ, in words; empty when they agree."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in [*before, *(k for k in now if k not in before)]:
+            found = _difference(before.get(key), now.get(key), f"{path}.{key}" if path else key)
+            if found:
+                return found
+        return ""
+    return "" if before == now else f"{path} was {before}, now {now}"
+
+
+def _capacities(
+    images: Sequence[PosedImage], rois: Sequence[OrientedBox], capacity: float
+) -> list[int] | None:
+    """Most Gaussians a box may hold: not more parameters than `capacity` x observed values."""
+    if not rois or capacity <= 0:
+        return None
+    limits = []
+    for roi in rois:
+        small = [replace(i, camera=_thumbnail(i)) for i in images]
+        pixels = sum(
+            roi.projected_area(s.camera, s.world_to_camera) * i.camera.width * i.camera.height
+            for s, i in zip(small, images, strict=True)
+        )
+        limits.append(int(capacity * 3 * pixels / PARAMETERS))
+    return limits
+
+
+def _thumbnail(image: PosedImage) -> Any:
+    """The photo's camera at a size that is good enough to measure areas."""
+    camera = image.camera
+    scale = min(1.0, 256 / max(camera.width, camera.height))
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def _row(name: str, stage: StageResult, rois: tuple[str, ...] | None = None) -> EvaluatedModel:
+    return EvaluatedModel(
+        name=name,
+        gaussians=stage.gaussians,
+        seconds=stage.seconds,
+        rois=rois,
+        stages={stage.name: stage.seconds},
+    )
+
+
+def _sum(name: str, gaussians: Gaussians, stages: Sequence[StageResult]) -> EvaluatedModel:
+    """A row whose training time is that of several stages."""
+    return EvaluatedModel(
+        name=name,
+        gaussians=gaussians,
+        seconds=sum(stage.seconds for stage in stages),
+        rois=None,
+        stages={stage.name: stage.seconds for stage in stages},
+    )

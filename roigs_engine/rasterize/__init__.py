@@ -1,0 +1,106 @@
+"""Rendering of 3D Gaussians, and the gradient of it (3D Gaussian Splatting, Kerbl et al. 2023).
+
+`rasterize` is the one entry. Behind it stand backends that compute the same function:
+
+    reference   plain torch, float32 or float64, any device: to read, and to test the others by
+    cpu         the compiled kernels: float32 tensors on the CPU
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from roigs_engine.errors import EngineError
+from roigs_engine.rasterize.common import (
+    RenderOutput,
+    RenderRequest,
+    background_colour,
+    check_inputs,
+    tile_rectangle,
+    used_sh_degree,
+)
+
+__all__ = ["RenderOutput", "rasterize"]
+
+BACKENDS = ("auto", "cpu", "reference")
+
+
+def rasterize(
+    means: Tensor,  # (N, 3) centres, world frame
+    quats: Tensor,  # (N, 4) rotations wxyz, normalised inside
+    scales: Tensor,  # (N, 3) standard deviations along the Gaussian's own axes, or their logs
+    opacities: Tensor,  # (N,) in (0, 1), or logits
+    sh: Tensor,  # (N, K, 3) spherical harmonics, K = 1, 4, 9 or 16
+    viewmats: Tensor,  # (C, 4, 4) world_to_camera, OpenCV axes
+    Ks: Tensor,  # (C, 3, 3) pinhole intrinsics in pixels
+    width: int,
+    height: int,
+    *,
+    sh_degree: int | None = None,
+    raw: bool = False,
+    background: Tensor | None = None,  # (3,)
+    with_depth: bool = False,
+    with_max_weight: bool = False,
+    region: tuple[int, int, int, int] | None = None,
+    backend: str = "auto",
+) -> RenderOutput:
+    """Renders N Gaussians for C cameras; `image` is differentiable in the first five arguments.
+
+    Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
+    coloured by its spherical harmonics max(SH(direction) + 0.5, 0), and blended front to back in
+    the order of its centre's camera depth (3DGS, eq. 3). Pixel centres lie at +0.5. The constants
+    of the model (near plane, blur, opacity bounds) are in `rasterize.common`.
+
+    A Gaussian with a value that is not finite is culled; its gradient is zero.
+
+    Args:
+        sh_degree: bands above it are ignored and get no gradient; None: all bands in `sh`.
+        raw: `scales` are natural logarithms and `opacities` logits, the form that is stored and
+            trained; gradients are with respect to these.
+        background: colour behind everything; None: black.
+        with_depth: also return the mean depth.
+        with_max_weight: also return each Gaussian's largest blending weight.
+        region: x0, y0, x1, y1 in pixels, end exclusive. Only the 16x16 tiles that touch it are
+            worked on, forward and backward; other pixels hold the background.
+        backend: "reference", "cpu", or "auto" (cpu for float32 tensors on the CPU).
+
+    Gradients. When an input is a leaf whose `.grad` is already allocated, the cpu backend adds to
+    that buffer itself and touches the rows of visible Gaussians only, so that the cost of a
+    training step does not grow with the Gaussians that the camera does not see. Otherwise inputs
+    get dense gradients as from any torch function. Cameras and background get none.
+
+    Raises:
+        EngineError: arguments that do not fit together, or too many Gaussians per tile to store.
+    """
+    parameters = (means, quats, scales, opacities, sh)
+    check_inputs(parameters, viewmats, Ks, width, height)
+    request = RenderRequest(
+        means=means,
+        quats=quats,
+        scales=scales,
+        opacities=opacities,
+        sh=sh,
+        viewmats=viewmats,
+        Ks=Ks,
+        width=int(width),
+        height=int(height),
+        sh_degree=used_sh_degree(sh.shape[1], sh_degree),
+        raw=raw,
+        background=background_colour(background, means),
+        with_depth=with_depth,
+        with_max_weight=with_max_weight,
+        tiles=tile_rectangle(width, height, region),
+    )
+    if backend == "auto":
+        native = all(p.dtype == torch.float32 and p.device.type == "cpu" for p in parameters)
+        backend = "cpu" if native else "reference"
+    if backend == "reference":
+        from roigs_engine.rasterize import reference
+
+        return reference.render(request)
+    if backend == "cpu":
+        from roigs_engine.rasterize import cpu
+
+        return cpu.render(request)
+    raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")

@@ -1,0 +1,284 @@
+"""The rasterizer on compiled kernels, as one differentiable torch function.
+
+Projection, colours, sorting and blending are one function to autograd: what the stages hand on to
+each other stays in a `View` on the C++ side, whose memory is used again from step to step. See
+kernels/roigs.h for the interface and the order of calls.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from roigs_engine.errors import KernelError
+from roigs_engine.kernels import library
+from roigs_engine.kernels.library import pointer
+from roigs_engine.rasterize.common import RenderOutput, RenderRequest
+
+_OUT_OF_MEMORY, _TOO_MANY_INTERSECTIONS = -1, -2  # roigs.h: Failure
+
+
+class _Gaussians(ctypes.Structure):
+    """roigs.h: struct Gaussians."""
+
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("means", "quats", "scales", "opacities", "sh")),
+        ("count", ctypes.c_int64),
+        ("sh_coefficients", ctypes.c_int32),
+        ("sh_degree", ctypes.c_int32),
+        ("raw", ctypes.c_int32),
+    ]
+
+
+class _Gradients(ctypes.Structure):
+    """roigs.h: struct Gradients."""
+
+    _fields_ = [(n, ctypes.c_void_p) for n in ("means", "quats", "scales", "opacities", "sh")]
+
+
+class _Camera(ctypes.Structure):
+    """roigs.h: struct Camera."""
+
+    _fields_ = [
+        ("world_to_camera", ctypes.c_float * 12),
+        ("position", ctypes.c_float * 3),
+        ("focal_and_centre", ctypes.c_float * 4),
+        ("background", ctypes.c_float * 3),
+        ("size", ctypes.c_int32 * 2),
+        ("tiles", ctypes.c_int32 * 4),
+    ]
+
+
+@functools.cache
+def _kernels() -> ctypes.CDLL:
+    kernels = library.load()
+    address, image = ctypes.c_void_p, ctypes.c_void_p
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "roigs_view_create": (address, []),
+        "roigs_view_destroy": (None, [address]),
+        "roigs_project": (ctypes.c_int64, [address, address, address, address]),
+        "roigs_bin": (ctypes.c_int64, [address]),
+        "roigs_render": (ctypes.c_int64, [address, image, image, image, address]),
+        "roigs_render_backward": (ctypes.c_int64, [address, image, image]),
+        "roigs_project_backward": (None, [address, address, address, address]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(kernels, name)
+        function.restype, function.argtypes = result, arguments
+    return kernels
+
+
+class View:
+    """Memory of one rendering on the C++ side. A list of idle ones saves allocating it anew."""
+
+    _idle: list[View] = []
+
+    def __init__(self) -> None:
+        self._address = _kernels().roigs_view_create()
+
+    def __del__(self) -> None:
+        _kernels().roigs_view_destroy(self._address)
+
+    @classmethod
+    def take(cls) -> View:
+        """The view given back last, whose memory the caches may still hold; or a new one."""
+        try:
+            return cls._idle.pop()
+        except IndexError:
+            return cls()
+
+    def give_back(self) -> None:
+        """Offers the view to the next `take`; its contents are lost."""
+        self._idle.append(self)
+
+    def call(self, name: str, *arguments: Any) -> int:
+        """Calls a kernel on this view; raises KernelError for its failures."""
+        result = getattr(_kernels(), name)(self._address, *arguments)
+        if result == _OUT_OF_MEMORY:
+            raise KernelError("There is not enough memory to render this view.", _SMALLER)
+        if result == _TOO_MANY_INTERSECTIONS:
+            raise KernelError("More than 2^31 Gaussians and tiles meet in this view.", _SMALLER)
+        return int(result or 0)
+
+
+_SMALLER = "Render a smaller image, or Gaussians that are fewer or smaller."
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Cameras:
+    """A request's cameras and options in the kernels' form."""
+
+    structures: list[_Camera]
+    width: int
+    height: int
+    sh_degree: int
+    raw: bool
+    with_depth: bool
+    with_max_weight: bool
+
+
+def render(request: RenderRequest) -> RenderOutput:
+    """Renders all cameras of a request; see `rasterize`. Raises KernelError."""
+    for name, tensor in zip(_Gradients._fields_, request.parameters, strict=True):
+        if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
+            raise KernelError(
+                f"rasterize: {name[0]} is {tensor.dtype} on {tensor.device}.",
+                "The cpu backend takes float32 tensors on the CPU.",
+            )
+    if request.means.shape[0] >= 2**31:
+        raise KernelError(f"rasterize: {request.means.shape[0]} Gaussians are too many.")
+    cameras = _Cameras(
+        structures=_camera_structures(request),
+        width=request.width,
+        height=request.height,
+        sh_degree=request.sh_degree,
+        raw=request.raw,
+        with_depth=request.with_depth,
+        with_max_weight=request.with_max_weight,
+    )
+    image, alpha, visible, grad2d, depth, max_weight = _Rasterize.apply(
+        cameras, *request.parameters
+    )
+    return RenderOutput(
+        image=image.permute(0, 2, 3, 1),  # planar inside: what the kernels and the loss work on
+        alpha=alpha,
+        visible=visible,
+        grad2d=grad2d,
+        depth=depth,
+        max_weight=max_weight,
+    )
+
+
+def _camera_structures(request: RenderRequest) -> list[_Camera]:
+    # in float64: the position is a difference of numbers that may be large
+    views = request.viewmats.detach().to("cpu", torch.float64)
+    positions = -(views[:, :3, :3].transpose(1, 2) @ views[:, :3, 3:])[:, :, 0]
+    background = request.background.tolist()
+    structures = []
+    for view, position, K in zip(
+        views.tolist(), positions.tolist(), request.Ks.tolist(), strict=True
+    ):
+        camera = _Camera()
+        camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
+        camera.position[:] = position
+        camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
+        camera.background[:] = background
+        camera.size[:] = [request.width, request.height]
+        camera.tiles[:] = request.tiles
+        structures.append(camera)
+    return structures
+
+
+def _gaussians(cameras: _Cameras, parameters: list[Tensor]) -> _Gaussians:
+    means, sh = parameters[0], parameters[4]
+    return _Gaussians(
+        *(pointer(p) for p in parameters),
+        means.shape[0],
+        sh.shape[1],
+        cameras.sh_degree,
+        cameras.raw,
+    )
+
+
+class _Rasterize(torch.autograd.Function):
+    """(cameras, five parameters) -> planar image (C, 3, H, W), and what has no gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, cameras: _Cameras, *parameters: Tensor) -> tuple[Tensor | None, ...]:
+        views, count = len(cameras.structures), parameters[0].shape[0]
+        size = (cameras.height, cameras.width)
+        image, alpha = torch.empty(views, 3, *size), torch.empty(views, *size)
+        depth = torch.empty(views, *size) if cameras.with_depth else None
+        visible = torch.zeros(views, count, dtype=torch.bool)
+        max_weight = torch.zeros(count) if cameras.with_max_weight else None
+        grad2d = torch.zeros(views, count)
+
+        ctx.cameras, ctx.views, ctx.grad2d = cameras, [], grad2d
+        packed = [p.contiguous() for p in parameters]
+        for c in range(views):
+            view = View.take()
+            _prepare(view, cameras, c, packed, visible[c])
+            view.call(
+                "roigs_render",
+                pointer(image[c]),
+                pointer(alpha[c]),
+                None if depth is None else pointer(depth[c]),
+                pointer(max_weight),
+            )
+            if any(ctx.needs_input_grad):
+                ctx.views.append(view)
+            else:
+                view.give_back()
+        ctx.save_for_backward(image, *parameters)
+        ctx.mark_non_differentiable(
+            *(t for t in (alpha, visible, grad2d, depth, max_weight) if t is not None)
+        )
+        ctx.set_materialize_grads(False)
+        return image, alpha, visible, grad2d, depth, max_weight
+
+    @staticmethod
+    def backward(ctx: Any, *output_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        image_gradient = output_gradients[0]
+        image, *parameters = ctx.saved_tensors
+        if image_gradient is None:
+            return (None,) * (1 + len(parameters))
+        image_gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
+        packed = [p.contiguous() for p in parameters]
+        targets = [
+            _gradient_target(p, needed)
+            for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
+        ]
+        gaussians = _gaussians(ctx.cameras, packed)
+        gradients = _Gradients(*(pointer(buffer) for buffer, _ in targets))
+        ctx.grad2d.zero_()
+        views, ctx.views = ctx.views, []
+        for c, image_gradient_c in enumerate(image_gradient):
+            if views:
+                view = views[c]
+            else:  # a second backward through the same graph: the first has given the views back
+                view = View.take()
+                _prepare(view, ctx.cameras, c, packed, torch.zeros(len(packed[0]), dtype=torch.bool))
+            view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
+            view.call(
+                "roigs_project_backward",
+                ctypes.byref(gaussians),
+                ctypes.byref(gradients),
+                pointer(ctx.grad2d[c]),
+            )
+            view.give_back()
+        return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+
+
+def _prepare(
+    view: View, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
+) -> None:
+    """Projects and bins for camera `c`."""
+    gaussians = _gaussians(cameras, parameters)
+    view.call(
+        "roigs_project",
+        ctypes.byref(gaussians),
+        ctypes.byref(cameras.structures[c]),
+        pointer(visible),
+    )
+    view.call("roigs_bin")
+
+
+def _gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
+    """The buffer to add a parameter's gradient to, and whether it is new.
+
+    A dense gradient costs as much for a Gaussian out of view as for one in view: filling it with
+    zeros, adding it to `.grad`, and all of that to be undone by the optimizer. With tens of
+    Gaussians stored for each one seen, this would be most of a training step. So where a leaf has
+    its `.grad` already, rows are added there and autograd is told that there is no gradient.
+    """
+    if not needed:
+        return None, False
+    grad = parameter.grad if parameter.is_leaf else None
+    if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
+        return grad, False
+    return torch.zeros(parameter.shape), True

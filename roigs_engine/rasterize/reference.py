@@ -1,0 +1,255 @@
+"""The rasterizer in plain torch: slow, differentiable, written to be read.
+
+Every pixel meets every Gaussian, without tiles, without early stop, in the dtype of `means`. The
+compiled backends are tested against it in float64. Sections and equations: 3DGS (Kerbl et al.
+2023), EWA splatting (Zwicker et al. 2001).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from roigs_engine.rasterize.common import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    BLUR,
+    FRUSTUM_MARGIN,
+    NEAR,
+    TILE,
+    RenderOutput,
+    RenderRequest,
+)
+
+PIXELS_AT_ONCE = 1 << 14
+"""Pixels blended in one go; bounds the size of the (pixels, Gaussians) intermediates."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Splats:
+    """The V Gaussians one camera can see, front to back."""
+
+    index: Tensor  # (V,) row of the input
+    mean2d: Tensor  # (V, 2) px
+    covariance: Tensor  # (V, 3) xx, xy, yy in px^2, blur added
+    opacity: Tensor  # (V,)
+    colour: Tensor  # (V, 3)
+    depth: Tensor  # (V,)
+
+
+def render(request: RenderRequest) -> RenderOutput:
+    """Renders all cameras of a request; see `rasterize`."""
+    means = request.means
+    cameras, n = request.viewmats.shape[0], means.shape[0]
+    image, alpha, depth = [], [], []
+    visible = torch.zeros(cameras, n, dtype=torch.bool, device=means.device)
+    grad2d = torch.zeros(cameras, n, dtype=torch.float32, device=means.device)
+    max_weight = means.new_zeros(n)
+    for c in range(cameras):
+        splats = project(request, c)
+        visible[c, splats.index] = True
+        watch_mean2d(splats, grad2d[c], request.width, request.height)
+        colours, opacity, depths, weights = blend(request, splats)
+        image.append(colours)
+        alpha.append(opacity)
+        depth.append(depths)
+        max_weight[splats.index] = torch.maximum(max_weight[splats.index], weights)
+    return RenderOutput(
+        image=torch.stack(image),
+        alpha=torch.stack(alpha),
+        visible=visible,
+        grad2d=grad2d,
+        depth=torch.stack(depth) if request.with_depth else None,
+        max_weight=max_weight if request.with_max_weight else None,
+    )
+
+
+def project(request: RenderRequest, camera: int) -> Splats:
+    """Projects all Gaussians and keeps those that reach a tile, ordered by depth."""
+    with torch.no_grad():
+        everything = torch.arange(request.means.shape[0], device=request.means.device)
+        fields = project_all(request, camera, everything)
+        usable = (fields[4] > NEAR) & (fields[2] > ALPHA_MIN)
+        for field in fields:
+            usable &= torch.isfinite(field if field.ndim == 1 else field.sum(dim=1))
+        index = usable.nonzero()[:, 0]
+        mean2d, covariance, opacity = (f[index] for f in fields[:3])
+        size = (request.width, request.height)
+        index = index[reaches_a_tile(mean2d, covariance, opacity, request.tiles, size)]
+        index = index[torch.sort(fields[4][index], stable=True).indices]
+    # Projected again from the kept rows alone: a culled row's NaN or overflow, multiplied by a
+    # zero gradient, would still poison the backward pass.
+    mean2d, covariance, opacity, colour, depth = project_all(request, camera, index)
+    return Splats(
+        index=index,
+        mean2d=mean2d,
+        covariance=covariance,
+        opacity=opacity,
+        colour=colour,
+        depth=depth.detach(),
+    )
+
+
+def project_all(request: RenderRequest, camera: int, index: Tensor) -> tuple[Tensor, ...]:
+    """mean2d (V, 2), covariance (V, 3), opacity (V,), colour (V, 3), depth (V,) of some rows."""
+    means, quats, scales, opacities, sh = (p[index] for p in request.parameters)
+    if request.raw:
+        scales, opacities = scales.exp(), opacities.sigmoid()
+    view, K = request.viewmats[camera].to(means), request.Ks[camera].to(means)
+    rotation, translation = view[:3, :3], view[:3, 3]
+    t = means @ rotation.T + translation  # (V, 3) camera frame
+    mean2d = (t[:, :2] / t[:, 2:]) * K.diagonal()[:2] + K[:2, 2]
+    M = rotation_matrices(quats) * scales[:, None, :]  # (V, 3, 3); Sigma = M M^T, 3DGS eq. 6
+    U = jacobian(t, K, request.width, request.height) @ rotation @ M  # (V, 2, 3)
+    covariance = torch.stack(
+        [
+            (U[:, 0] * U[:, 0]).sum(-1) + BLUR,
+            (U[:, 0] * U[:, 1]).sum(-1),
+            (U[:, 1] * U[:, 1]).sum(-1) + BLUR,
+        ],
+        dim=-1,
+    )  # Sigma' = J W Sigma W^T J^T, 3DGS eq. 5
+    eye = -rotation.T @ translation
+    direction = torch.nn.functional.normalize(means - eye, dim=-1, eps=0.0)
+    used = (request.sh_degree + 1) ** 2
+    colour = torch.einsum("vk,vkc->vc", sh_basis(direction)[:, :used], sh[:, :used])
+    return mean2d, covariance, opacities, (colour + 0.5).clamp(min=0.0), t[:, 2]
+
+
+def jacobian(t: Tensor, K: Tensor, width: int, height: int) -> Tensor:
+    """(V, 2, 3) Jacobian of the pinhole projection at camera-frame points t (V, 3).
+
+    Far outside the view the linearisation explodes; as in 3DGS, it is taken at the nearest point
+    of the view widened by FRUSTUM_MARGIN (on each side of the principal point, as in gsplat).
+    """
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    z = t[:, 2]
+    margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * width / fx, FRUSTUM_MARGIN * 0.5 * height / fy
+    x = z * (t[:, 0] / z).clamp(-(cx / fx + margin_x), (width - cx) / fx + margin_x)
+    y = z * (t[:, 1] / z).clamp(-(cy / fy + margin_y), (height - cy) / fy + margin_y)
+    zero = torch.zeros_like(z)
+    rows = [fx / z, zero, -fx * x / z**2, zero, fy / z, -fy * y / z**2]
+    return torch.stack(rows, dim=-1).reshape(-1, 2, 3)
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """(V, 3, 3) rotations of quaternions (V, 4), wxyz of any length."""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
+
+
+def sh_basis(direction: Tensor) -> Tensor:
+    """(V, 16) real spherical harmonics up to degree 3 at unit vectors (V, 3), signs as in 3DGS."""
+    x, y, z = direction.unbind(-1)
+    xx, yy, zz = x * x, y * y, z * z
+    terms = [
+        torch.full_like(x, 0.28209479177387814),
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * zz - xx - yy),
+        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.4570457994644658 * x * (4 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3 * yy),
+    ]
+    return torch.stack(terms, dim=-1)
+
+
+def exponent(covariance: Tensor, d: Tensor) -> Tensor:
+    """1/2 d^T Sigma'^-1 d for covariances (V, 3) and offsets d (..., V, 2)."""
+    xx, xy, yy = covariance.unbind(-1)
+    dx, dy = d.unbind(-1)
+    return 0.5 * (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
+
+
+def reaches_a_tile(
+    mean2d: Tensor,  # (V, 2)
+    covariance: Tensor,  # (V, 3)
+    opacity: Tensor,  # (V,)
+    tiles: tuple[int, int, int, int],
+    size: tuple[int, int],  # width, height
+) -> Tensor:
+    """(V,) bool: alpha reaches ALPHA_MIN somewhere among the pixel centres' hull of a tile."""
+    x, y = torch.meshgrid(
+        torch.arange(tiles[0], tiles[2]), torch.arange(tiles[1], tiles[3]), indexing="xy"
+    )
+    first = torch.stack([x, y], -1).reshape(-1, 1, 2).to(mean2d) * TILE + 0.5  # (tiles, 1, 2)
+    last = torch.minimum(first + (TILE - 1), mean2d.new_tensor(size) - 0.5)
+    low, high = first - mean2d, last - mean2d  # (tiles, V, 2)
+    # The form is convex: its minimum over the rectangle lies on an edge that faces the centre,
+    # at the unconstrained minimum along that edge, clamped to it.
+    near = torch.zeros_like(low).clamp(low, high)
+    xx, xy, yy = covariance.unbind(-1)
+    on_x = torch.stack([near[..., 0], (near[..., 0] * xy / xx)], -1).clamp(low, high)
+    on_y = torch.stack([(near[..., 1] * xy / yy), near[..., 1]], -1).clamp(low, high)
+    least = torch.minimum(exponent(covariance, on_x), exponent(covariance, on_y))
+    return (least < torch.log(opacity / ALPHA_MIN)).any(dim=0)
+
+
+def blend(request: RenderRequest, splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Blends front to back (3DGS eq. 3).
+
+    Returns image (H, W, 3), alpha (H, W), depth (H, W), and each splat's largest weight (V,).
+    """
+    width, height = request.width, request.height
+    x0, y0, x1, y1 = (TILE * t for t in request.tiles)
+    x1, y1 = min(x1, width), min(y1, height)
+    image = request.background.expand(height, width, 3).clone()
+    alpha, depth = image.new_zeros(height, width), image.new_zeros(height, width)
+    largest = image.new_zeros(len(splats.index))
+    rows = max(1, PIXELS_AT_ONCE // max(1, x1 - x0))
+    for top in range(y0, y1, rows):
+        bottom = min(top + rows, y1)
+        weights, left = blending_weights(splats, x0, top, x1, bottom, image)
+        shape = (bottom - top, x1 - x0)
+        colours = weights @ splats.colour + left[:, None] * request.background
+        image[top:bottom, x0:x1] = colours.reshape(*shape, 3)
+        with torch.no_grad():
+            total = 1 - left
+            mean_depth = weights @ splats.depth / torch.where(total > 0, total, 1.0)
+            alpha[top:bottom, x0:x1] = total.reshape(shape)
+            depth[top:bottom, x0:x1] = mean_depth.reshape(shape)
+            if len(splats.index):
+                largest = torch.maximum(largest, weights.amax(dim=0))
+    return image, alpha, depth, largest
+
+
+def blending_weights(
+    splats: Splats, x0: int, y0: int, x1: int, y1: int, like: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Weights alpha_i prod_{j<i} (1 - alpha_j) (P, V) of a rectangle's pixels; what is left (P,)."""
+    x, y = torch.meshgrid(torch.arange(x0, x1), torch.arange(y0, y1), indexing="xy")
+    pixels = torch.stack([x, y], -1).reshape(-1, 1, 2).to(like) + 0.5
+    power = exponent(splats.covariance, pixels - splats.mean2d)
+    a = splats.opacity * torch.exp(-power)
+    a = torch.where(a >= ALPHA_MIN, a.clamp(max=ALPHA_MAX), 0.0)
+    behind = torch.cumprod(1 - a, dim=1)
+    before = torch.cat([behind.new_ones(len(behind), 1), behind], dim=1)
+    return a * before[:, :-1], before[:, -1]
+
+
+def watch_mean2d(splats: Splats, grad2d: Tensor, width: int, height: int) -> None:
+    """Has `backward` write the scaled norm of dL / d(mean2d) into a row of `grad2d` (N,)."""
+    if not splats.mean2d.requires_grad:
+        return
+
+    def write(gradient: Tensor) -> None:
+        half_size = gradient.new_tensor([0.5 * width, 0.5 * height])
+        grad2d[splats.index] = (gradient * half_size).norm(dim=-1).float()
+
+    splats.mean2d.register_hook(write)

@@ -1,0 +1,236 @@
+"""Regions of interest: oriented boxes in the COLMAP frame, their silhouettes, their files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from .errors import RoiError
+from .scene import Camera, Float64
+
+# A vertex of the clipped box lies at least this share of the box's size in front of the camera.
+NEAR_SHARE = 1e-3
+# The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
+EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OrientedBox:
+    """A box: |world_to_box . p| <= half_extents, per axis.
+
+    Attributes:
+        name: unique within a run; used in file names.
+        world_to_box: (4, 4) rigid transform; the box's centre maps to the origin.
+        half_extents: (3,) half side lengths, world units, > 0.
+    """
+
+    name: str
+    world_to_box: Float64
+    half_extents: Float64
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.world_to_box).all() and np.isfinite(self.half_extents).all()):
+            raise RoiError(f"ROI «{self.name}» holds a number that is not finite.")
+        if not (self.half_extents > 0).all():
+            sides = " x ".join(f"{2 * side:g}" for side in self.half_extents)
+            raise RoiError(
+                f"ROI «{self.name}» is empty: its sides are {sides}.",
+                "Make every side longer than zero (min < max).",
+            )
+
+    @classmethod
+    def axis_aligned(cls, name: str, low: Any, high: Any) -> OrientedBox:
+        """The box between the corners `low` and `high`, both (3,), in world units."""
+        low_, high_ = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+        transform = np.eye(4)
+        transform[:3, 3] = -(low_ + high_) / 2
+        return cls(name=name, world_to_box=transform, half_extents=(high_ - low_) / 2)
+
+    @property
+    def centre(self) -> Float64:
+        """(3,) centre in the world."""
+        rotation, translation = self.world_to_box[:3, :3], self.world_to_box[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the box's space diagonal, world units."""
+        return float(2 * np.linalg.norm(self.half_extents))
+
+    def to_box(self, points: Float64) -> Float64:
+        """(N, 3) world positions -> (N, 3) in units of the half extents (inside: all |x| <= 1)."""
+        local = points @ self.world_to_box[:3, :3].T + self.world_to_box[:3, 3]
+        return local / self.half_extents
+
+    def contains(self, points: Float64) -> NDArray[np.bool_]:
+        """(N, 3) world positions -> (N,) whether each lies inside or on the box."""
+        return (np.abs(self.to_box(points)) <= 1).all(axis=1)
+
+    def corners(self) -> Float64:
+        """(8, 3) world positions; corner k has the sign bits of k."""
+        bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
+        local = (2 * bits - 1) * self.half_extents
+        return (local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3]
+
+    def silhouette_polygon(self, camera: Camera, world_to_camera: Float64) -> Float64 | None:
+        """The projected box as a convex polygon, (M, 2) pixels, or None when it is not seen.
+
+        The box's edges are clipped at a near plane first: projecting the corners of a box that is
+        partly behind the camera would turn it inside out. A camera inside the box (see
+        `camera_inside`) has no silhouette polygon; the whole image is its silhouette.
+        """
+        corners = self.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+        near = NEAR_SHARE * self.diagonal
+        front = corners[:, 2] >= near
+        vertices = [corners[front]]
+        for a, b in EDGES:
+            if front[a] != front[b]:
+                t = (near - corners[a, 2]) / (corners[b, 2] - corners[a, 2])
+                vertices.append((corners[a] + t * (corners[b] - corners[a]))[None])
+        visible = np.concatenate(vertices)
+        if len(visible) < 3:
+            return None
+        focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
+        pixels = visible[:, :2] / visible[:, 2:] * focal + centre
+        return pixels[ConvexHull(pixels).vertices]
+
+    def camera_inside(self, world_to_camera: Float64) -> bool:
+        """Whether the camera's centre lies inside the box."""
+        centre = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
+        return bool(self.contains(centre[None])[0])
+
+    def silhouette(self, camera: Camera, world_to_camera: Float64) -> NDArray[np.bool_]:
+        """(H, W) pixels whose centre lies in the projected box (method: the paper's mask, sec. III-B).
+
+        The whole image when the camera is inside the box; nothing when the box is out of view.
+        """
+        shape = (camera.height, camera.width)
+        if self.camera_inside(world_to_camera):
+            return np.ones(shape, dtype=bool)
+        polygon = self.silhouette_polygon(camera, world_to_camera)
+        if polygon is None:
+            return np.zeros(shape, dtype=bool)
+        return _fill_convex(polygon, *shape)
+
+    def projected_area(self, camera: Camera, world_to_camera: Float64) -> float:
+        """Share of the image that the silhouette covers, 0 to 1."""
+        return float(self.silhouette(camera, world_to_camera).mean())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The form that `roi_from_dict` reads."""
+        return {
+            "name": self.name,
+            "world_to_box": self.world_to_box.tolist(),
+            "half_extents": self.half_extents.tolist(),
+        }
+
+
+def _fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:
+    """(H, W) pixels whose centre lies in a convex polygon (M, 2), counter-clockwise or not."""
+    mask = np.zeros((height, width), dtype=bool)
+    x0, y0 = np.clip(np.floor(polygon.min(axis=0)), 0, (width, height)).astype(int)
+    x1, y1 = np.clip(np.ceil(polygon.max(axis=0)), 0, (width, height)).astype(int)
+    if x0 >= x1 or y0 >= y1:
+        return mask
+    x, y = np.arange(x0, x1) + 0.5, (np.arange(y0, y1) + 0.5)[:, None]
+    following = np.roll(polygon, -1, axis=0)
+    sides = [
+        (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+        for a, b in zip(polygon, following, strict=True)
+    ]
+    signed_area = np.sum(polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1])
+    inside = np.logical_and.reduce([side * np.sign(signed_area) >= 0 for side in sides])
+    mask[y0:y1, x0:x1] = inside
+    return mask
+
+
+def roi_from_dict(record: Any) -> OrientedBox:
+    """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
+
+    Raises:
+        RoiError: a key is missing or a value has the wrong shape.
+    """
+    if not isinstance(record, dict) or not isinstance(record.get("name"), str):
+        raise RoiError("A ROI must be an object with a «name» and «min»/«max» corners.")
+    name = record["name"]
+    if not name.strip() or any(c in '/\\:*?"<>|\0' for c in name) or name in (".", ".."):
+        raise RoiError(
+            f"ROI name «{name}» cannot be used in file names.",
+            "Use letters, digits, spaces, - and _.",
+        )
+    try:
+        if "min" in record:
+            low = np.asarray(record["min"], dtype=float).reshape(3)
+            high = np.asarray(record["max"], dtype=float).reshape(3)
+            return OrientedBox.axis_aligned(name, low, high)
+        transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
+        half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
+    except (KeyError, ValueError, TypeError) as error:
+        raise RoiError(
+            f"ROI «{name}» is malformed ({error}).",
+            "Give «min» and «max» with three numbers each, or «world_to_box» and «half_extents».",
+        ) from error
+    rotation = transform[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
+        raise RoiError(
+            f"ROI «{name}»: world_to_box is not a rotation and a translation.",
+            "Put the box's size into half_extents.",
+        )
+    return OrientedBox(name=name, world_to_box=transform, half_extents=half_extents)
+
+
+def load_rois(path: Path) -> list[OrientedBox]:
+    """All boxes of a `rois.json`: `{"rois": [...]}` or a bare list.
+
+    Raises:
+        RoiError: the file is unreadable, holds no box, or two boxes share a name.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
+    except ValueError as error:
+        raise RoiError(f"{path} is not JSON ({error}).") from error
+    records = document.get("rois") if isinstance(document, dict) else document
+    if not isinstance(records, list) or not records:
+        raise RoiError(f"{path} holds no ROI.", 'It needs a list «rois» of {"name", "min", "max"}.')
+    rois = [roi_from_dict(record) for record in records]
+    names = [roi.name for roi in rois]
+    for name in names:
+        if names.count(name) > 1:
+            raise RoiError(f"Two ROIs in {path} are named «{name}».", "Give each its own name.")
+    return rois
+
+
+def parse_roi(text: str) -> OrientedBox:
+    """A box from the command line: `NAME=x0,y0,z0,x1,y1,z1`."""
+    name, separator, numbers = text.partition("=")
+    try:
+        values = np.array([float(number) for number in numbers.split(",")])
+        corners = values.reshape(2, 3)
+    except ValueError as error:
+        raise RoiError(f"Cannot read ROI «{text}».", "Write NAME=x0,y0,z0,x1,y1,z1.") from error
+    if not separator:
+        raise RoiError(f"ROI «{text}» has no name.", "Write NAME=x0,y0,z0,x1,y1,z1.")
+    return roi_from_dict({"name": name, "min": corners[0], "max": corners[1]})
+
+
+def nearest_owner(points: Float64, rois: list[OrientedBox]) -> NDArray[np.int64]:
+    """(N, 3) -> (N,) index of the box each position belongs to, -1 for none.
+
+    Overlapping boxes: the box whose centre is nearest in box units owns the point.
+    """
+    owner = np.full(len(points), -1, dtype=np.int64)
+    best = np.full(len(points), np.inf)
+    for index, roi in enumerate(rois):
+        local = roi.to_box(points)
+        distance = np.linalg.norm(local, axis=1)
+        mine = (np.abs(local) <= 1).all(axis=1) & (distance < best)
+        owner[mine], best[mine] = index, distance[mine]
+    return owner

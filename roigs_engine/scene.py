@@ -1,0 +1,128 @@
+"""A captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
+
+Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forward), pixel centres at
++0.5, world = the COLMAP model's frame. Nothing in here reads files; `colmap.py` builds these values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera; lengths in pixels.
+
+    Attributes:
+        width, height: image size.
+        fx, fy: focal lengths.
+        cx, cy: principal point, pixel (i, j) having its centre at (i + 0.5, j + 0.5).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def matrix(self) -> Float64:
+        """The 3x3 intrinsic matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera for the photo resampled to `width` x `height`."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosedImage:
+    """One photo with its pose.
+
+    Attributes:
+        name: the photo's name in the model, unique, with `/` between folders.
+        path: the undistorted photo on disk that `camera` describes (resampled while decoding when
+            its size differs from the camera's).
+        camera: pinhole intrinsics at the resolution used for training.
+        world_to_camera: (4, 4) rigid transform, COLMAP's `cam_from_world`.
+        point_indices: (M,) rows of `SfmScene.points` that this photo observes, unique, ascending.
+    """
+
+    name: str
+    path: Path
+    camera: Camera
+    world_to_camera: Float64
+    point_indices: Int64
+
+    @property
+    def centre(self) -> Float64:
+        """(3,) camera centre in the world."""
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def forward(self) -> Float64:
+        """(3,) unit viewing direction in the world."""
+        return self.world_to_camera[2, :3].copy()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SfmScene:
+    """A COLMAP model: photos in name order and the sparse points they observe.
+
+    Attributes:
+        images: posed photos, sorted by name.
+        points: (P, 3) world positions.
+        colors: (P, 3) uint8 sRGB.
+        skipped: reason -> names of the photos left out («missing on disk», «without a pose»).
+        has_tracks: False when the model stores no 2D-3D observations.
+    """
+
+    images: tuple[PosedImage, ...]
+    points: Float64
+    colors: NDArray[np.uint8]
+    skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    has_tracks: bool = True
+
+    def select(self, names: list[str] | tuple[str, ...] | set[str]) -> SfmScene:
+        """The same scene with only the named photos, in the order of this scene."""
+        wanted = set(names)
+        return replace(self, images=tuple(i for i in self.images if i.name in wanted))
+
+    def without(self, names: list[str] | tuple[str, ...] | set[str]) -> SfmScene:
+        """The same scene with the named photos taken out (test photos, before anything else)."""
+        unwanted = set(names)
+        return replace(self, images=tuple(i for i in self.images if i.name not in unwanted))
+
+    def image(self, name: str) -> PosedImage:
+        """The photo of that name; KeyError when there is none."""
+        for image in self.images:
+            if image.name == name:
+                return image
+        raise KeyError(name)
+
+    def centres(self) -> Float64:
+        """(V, 3) camera centres."""
+        return np.array([image.centre for image in self.images]).reshape(-1, 3)
+
+    def extent(self) -> float:
+        """1.1 x the largest distance of a camera from the cameras' mean (3DGS's scene extent)."""
+        centres = self.centres()
+        if len(centres) == 0:
+            return 0.0
+        return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())

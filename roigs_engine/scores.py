@@ -1,0 +1,118 @@
+"""The numbers of an evaluation as immutable values that go to JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+MIN_SILHOUETTE = 1024  # pixels; a view that shows less of the box is left out for that box
+MIN_OBJECT = 256  # pixels; a view with fewer object pixels is left out of that column
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewScore:
+    """One model on one test view, inside one box's masks; dB and SSIM.
+
+    `object_psnr` is None where the view has fewer than `MIN_OBJECT` object pixels.
+    """
+
+    view: str
+    roi_psnr: float
+    roi_ssim: float
+    object_psnr: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelScore:
+    """One row: means over the box's views (image PSNR: over all test views). None: no number.
+
+    `peak_gain` is the largest gain in ROI PSNR over the baseline on one view, `peak_view`; bytes
+    are those of the model's PLY; `image_views`: test view -> PSNR over the whole image, dB.
+    """
+
+    model: str
+    roi_psnr: float | None
+    object_psnr: float | None
+    roi_ssim: float | None
+    image_psnr: float
+    peak_gain: float | None
+    peak_view: str | None
+    gaussians: int
+    gaussians_in_box: int
+    seconds: float
+    stages: dict[str, float]
+    ply_bytes: int
+    views: tuple[ViewScore, ...]
+    image_views: dict[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredView:
+    """A test view that counts for a box.
+
+    Attributes:
+        view: the photo's name.
+        silhouette_pixels, object_pixels: sizes of the two masks (None: no model gave a depth).
+        camera_inside: the camera is inside the box and the whole image is its silhouette.
+        small: fewer than `MIN_SILHOUETTE` pixels, taken because no view has more.
+    """
+
+    view: str
+    silhouette_pixels: int
+    object_pixels: int
+    camera_inside: bool
+    small: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoiScores:
+    """One box's table; `object_mask_from` names the model whose depth made the object's mask."""
+
+    roi: str
+    views: tuple[MeasuredView, ...]
+    left_out: tuple[str, ...]
+    object_mask_from: str | None
+    rows: tuple[ModelScore, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """All tables, and the row that gains are counted from."""
+
+    test_views: tuple[str, ...]
+    baseline: str
+    rois: tuple[RoiScores, ...]
+
+    def roi(self, name: str) -> RoiScores:
+        """The table of that box; KeyError when there is none."""
+        for scores in self.rois:
+            if scores.roi == name:
+                return scores
+        raise KeyError(name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain lists, dicts, numbers and text, ready for JSON."""
+        record: dict[str, Any] = _plain(dataclasses.asdict(self))
+        return record
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Evaluation:
+        """The inverse of `to_dict`."""
+        rois = []
+        for scores in record["rois"]:
+            rows = tuple(
+                ModelScore(**{**row, "views": tuple(ViewScore(**view) for view in row["views"])})
+                for row in scores["rows"]
+            )
+            views = tuple(MeasuredView(**view) for view in scores["views"])
+            left_out = tuple(scores["left_out"])
+            rois.append(RoiScores(**{**scores, "rows": rows, "views": views, "left_out": left_out}))
+        test_views = tuple(record["test_views"])
+        return cls(**{**record, "rois": tuple(rois), "test_views": test_views})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value

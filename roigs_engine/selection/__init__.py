@@ -1,0 +1,119 @@
+"""Choosing the photos that an object is trained on (the paper's sec. III-A).
+
+`select_cameras` is the one entry. Methods, each in its file: `static` (ranks of static features),
+`gp6` and `gp9` (Gaussian process, the paper's), `greedy` (the same score without a surrogate),
+`coverage` (facility location over points and directions), `fvs` and `random` (baselines).
+
+The same scene, box and settings always give the same photos in the same order: photos are taken in
+name order, ties go by name, and everything random has a seed. Nothing here needs torch.
+"""
+
+from __future__ import annotations
+
+from ..events import Emit, Message, ignore
+from ..roi import OrientedBox
+from ..scene import SfmScene
+from .baselines import order_fvs, order_random
+from .coverage import order_coverage, prefix_coverage
+from .features import StaticFeatures, static_features
+from .greedy import order_greedy
+from .records import METHODS, CameraSelection, Candidates, Picks, SelectionConfig
+from .report import format_selection
+from .score import prefix_scores
+from .static import order_static
+from .visibility import find_candidates, visible_images
+
+__all__ = [
+    "METHODS",
+    "CameraSelection",
+    "SelectionConfig",
+    "format_selection",
+    "select_cameras",
+    "visible_images",
+]
+
+
+def select_cameras(
+    scene: SfmScene, roi: OrientedBox, config: SelectionConfig, emit: Emit = ignore
+) -> CameraSelection:
+    """Choose the photos of a box, best first.
+
+    Args:
+        scene: the model, test photos already taken out (`SfmScene.without`).
+        roi: the box.
+        config: method and settings.
+        emit: gets one warning for each degenerate case met.
+
+    Raises:
+        RoiError: no point lies in the box, or no photo sees one that does.
+    """
+    candidates = find_candidates(scene, roi)
+    features = static_features(candidates)
+    count = config.resolved_count(len(candidates))
+    picks = _order(candidates, features, config, count)
+    if config.method == "coverage":
+        scores = prefix_coverage(candidates, picks.order, config.direction_bins)
+    else:
+        scores = prefix_scores(candidates, picks.order)
+    flags = (
+        *candidates.flags,
+        *features.flags(candidates),
+        *_count_flags(roi, config, len(candidates)),
+        *_picks_flags(picks),
+    )
+    for flag in flags:
+        emit(Message(text=flag, level="warning"))
+    names = candidates.names
+    return CameraSelection(
+        roi=roi.name,
+        method=config.method,
+        names=tuple(names[view] for view in picks.order),
+        scores=scores,
+        candidates=names,
+        flags=flags,
+        features=features.to_dict(candidates),
+    )
+
+
+def _order(
+    candidates: Candidates, features: StaticFeatures, config: SelectionConfig, count: int
+) -> Picks:
+    """Run the configured method."""
+    match config.method:
+        case "static":
+            return order_static(features, count)
+        case "gp6" | "gp9":
+            from .gp import order_gp  # scikit-learn takes a second to import
+
+            return order_gp(candidates, features, config, count, config.method == "gp9")
+        case "greedy":
+            return order_greedy(candidates, count)
+        case "coverage":
+            return order_coverage(candidates, count, config.direction_bins)
+        case "fvs":
+            return order_fvs(candidates, count)
+        case _:
+            return order_random(candidates, count, config.seed)
+
+
+def _count_flags(roi: OrientedBox, config: SelectionConfig, candidates: int) -> tuple[str, ...]:
+    """Sentences about too few candidates."""
+    if candidates == 1:
+        return (f"Only one photo sees ROI «{roi.name}»: an object cannot be rebuilt from it.",)
+    if config.count is not None and candidates < config.count:
+        return (
+            f"Only {candidates} photos see ROI «{roi.name}», {config.count} were asked for:"
+            " all of them are used.",
+        )
+    return ()
+
+
+def _picks_flags(picks: Picks) -> tuple[str, ...]:
+    """The method's own flags, and one where its score saturated."""
+    if picks.filled_from is None:
+        return picks.flags
+    return (
+        *picks.flags,
+        f"After {picks.filled_from} photos no other one improved the score: the remaining"
+        f" {len(picks.order) - picks.filled_from} are the views farthest from those chosen.",
+    )

@@ -1,0 +1,77 @@
+"""`fvs` and `random`: baselines for tables; farthest views also fill up saturated methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..scene import Float64
+from .records import Candidates, Picks
+
+# Weight of log distance beside the unit direction: two photos in one direction, one twice as far,
+# stand as far apart as two photos at one distance and about 10 degrees between them.
+LOG_DISTANCE_WEIGHT = 0.25
+# Distances below this share of the box's diagonal count as this share.
+MIN_DISTANCE_SHARE = 1e-3
+
+
+def view_positions(candidates: Candidates) -> Float64:
+    """(V, 4) where a photo stands as seen from the box: unit direction, weighted log distance."""
+    offset = candidates.centres() - candidates.roi.centre
+    distance = np.linalg.norm(offset, axis=1)
+    distance = np.maximum(distance, MIN_DISTANCE_SHARE * candidates.roi.diagonal)
+    return np.column_stack([offset / distance[:, None], LOG_DISTANCE_WEIGHT * np.log(distance)])
+
+
+def most_keypoints(candidates: Candidates) -> int:
+    """The photo that sees most points of the box; ties by name."""
+    return int(np.argmax(np.bincount(candidates.obs_view, minlength=len(candidates))))
+
+
+def farthest_first(positions: Float64, start: Sequence[int], count: int) -> list[int]:
+    """`start` continued to `count` photos, each the farthest from all before it; ties by name.
+
+    Args:
+        positions: (V, D) one row per candidate.
+        start: at least one candidate, unique.
+        count: how many to return, at most V.
+    """
+    order = list(start[:count])
+    nearest = np.full(len(positions), np.inf)
+    for view in order:
+        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[view], axis=1))
+    taken = np.zeros(len(positions), dtype=bool)
+    taken[order] = True
+    while len(order) < count:
+        view = int(np.argmax(np.where(taken, -1.0, nearest)))
+        order.append(view)
+        taken[view] = True
+        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[view], axis=1))
+    return order
+
+
+def order_fvs(candidates: Candidates, count: int) -> Picks:
+    """Farthest view sampling, from the photo that sees most points of the box."""
+    start = [most_keypoints(candidates)]
+    return Picks(order=tuple(farthest_first(view_positions(candidates), start, count)))
+
+
+def order_random(candidates: Candidates, count: int, seed: int) -> Picks:
+    """A seeded random order."""
+    order = np.random.default_rng(seed).permutation(len(candidates))
+    return Picks(order=tuple(order[:count].tolist()))
+
+
+def fill_up(
+    candidates: Candidates, order: Sequence[int], count: int, flags: tuple[str, ...] = ()
+) -> Picks:
+    """`order` as it is when it holds `count` photos, else continued with farthest views.
+
+    Methods that maximise a score call this where no photo adds anything any more.
+    """
+    if len(order) >= count:
+        return Picks(order=tuple(order[:count]), flags=flags)
+    start = list(order) or [most_keypoints(candidates)]
+    full = farthest_first(view_positions(candidates), start, count)
+    return Picks(order=tuple(full), filled_from=len(order), flags=flags)

@@ -1,0 +1,147 @@
+"""`coverage`: every point from every direction, as sharp as can be (beyond the paper).
+
+Facility location over points x viewing-direction bins, for the photos S:
+
+    F(S) = sum_p w_p sum_b max_{v in S, bin(v, p) = b} vis(v, p) min(1, rho(v, p) / rho*)
+
+with rho = f / z * cos(theta) the pixels that photo v spends on a world unit of the surface at p,
+rho* its 90th percentile over all observations, b one of the bins of directions from p to the
+camera, and w_p such that every voxel (see score.py) weighs the same. F is monotone and submodular:
+lazy greedy equals greedy, is within 1 - 1/e of the best set of its size, and each prefix is the
+greedy answer for that many photos.
+
+theta is the angle between the ray and the surface normal. SfM points have none; it is estimated
+from the neighbouring points where these lie on a surface, and cos(theta) = 1 elsewhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..scene import Float64, Int64
+from .baselines import fill_up
+from .greedy import lazy_greedy
+from .records import Candidates, Picks
+from .score import voxel_indices
+
+RESOLUTION_PERCENTILE = 90.0
+# Neighbours of a point (itself among them) that its normal is fitted to.
+NORMAL_NEIGHBOURS = 16
+# Neighbours lie on a surface when the spread across it is below this share of the smaller spread
+# along it (standard deviations); points along a line have no normal either.
+FLATNESS = 0.5
+# A photo observes the point, whatever the estimated normal says: cos(theta) is at least this.
+MIN_COSINE = 0.2
+
+
+class Coverage:
+    """F(S) of a growing set S of photos, as a share of what all candidates give together."""
+
+    def __init__(self, candidates: Candidates, bins: int) -> None:
+        self._starts = candidates.row_starts()
+        view, point = candidates.obs_view, candidates.obs_point
+        ray = candidates.centres()[view] - candidates.points[point]  # (N, 3) point to camera
+        length = np.linalg.norm(ray, axis=1)
+        ray /= np.maximum(length, np.finfo(float).tiny)[:, None]
+        density = _pixel_density(candidates) * _cosines(candidates, ray)
+        best = np.percentile(density, RESOLUTION_PERCENTILE) if len(density) else 0.0
+        share = np.minimum(1.0, density / best) if best > 0 else np.zeros(len(density))
+        voxel = voxel_indices(candidates.points, candidates.roi)
+        weight = 1.0 / np.bincount(voxel)[voxel]
+        slot = point * bins + nearest_direction(ray, fibonacci_directions(bins))
+        slots, self._slot = np.unique(slot, return_inverse=True)
+        self._worth = weight[point] * share  # (N,)
+        self._held = np.zeros(len(slots))
+        full = np.zeros(len(slots))
+        np.maximum.at(full, self._slot, self._worth)
+        self._full = float(full.sum())
+
+    @property
+    def value(self) -> float:
+        """F(S) / F(all candidates), 0 to 1."""
+        return float(self._held.sum()) / self._full if self._full > 0 else 0.0
+
+    def gain(self, view: int) -> float:
+        """F(S + v) - F(S), in the unit of `value`; exactly non-increasing as S grows."""
+        part = slice(self._starts[view], self._starts[view + 1])
+        added = np.maximum(self._worth[part] - self._held[self._slot[part]], 0.0)
+        return float(added.sum()) / self._full if self._full > 0 else 0.0
+
+    def add(self, view: int) -> None:
+        """Put a photo into S."""
+        part = slice(self._starts[view], self._starts[view + 1])
+        np.maximum.at(self._held, self._slot[part], self._worth[part])
+
+
+def order_coverage(candidates: Candidates, count: int, bins: int) -> Picks:
+    """The photos that raise F most, one at a time; then farthest views."""
+    coverage = Coverage(candidates, bins)
+    order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count)
+    return fill_up(candidates, order, count)
+
+
+def prefix_coverage(candidates: Candidates, order: tuple[int, ...], bins: int) -> tuple[float, ...]:
+    """F / F(all candidates) after each pick of `order`."""
+    coverage = Coverage(candidates, bins)
+    values = []
+    for view in order:
+        coverage.add(view)
+        values.append(coverage.value)
+    return tuple(values)
+
+
+def fibonacci_directions(count: int) -> Float64:
+    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci lattice)."""
+    index = np.arange(count) + 0.5
+    height = 1 - 2 * index / count
+    angle = np.pi * (1 + np.sqrt(5)) * index
+    radius = np.sqrt(1 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+def nearest_direction(rays: Float64, directions: Float64) -> Int64:
+    """(N, 3) unit rays, (B, 3) unit directions -> (N,) index of the direction nearest to each."""
+    return np.asarray(cKDTree(directions).query(rays)[1], dtype=np.int64)
+
+
+def _pixel_density(candidates: Candidates) -> Float64:
+    """(N,) f / z of each observation, pixels per world unit; 0 where z is not positive."""
+    starts = candidates.row_starts()
+    density = np.zeros(len(candidates.obs_view))
+    near = 1e-6 * candidates.roi.diagonal
+    for index, image in enumerate(candidates.images):
+        part = slice(starts[index], starts[index + 1])
+        points = candidates.points[candidates.obs_point[part]]
+        depth = points @ image.world_to_camera[2, :3] + image.world_to_camera[2, 3]
+        focal = np.sqrt(image.camera.fx * image.camera.fy)
+        density[part] = np.where(depth > near, focal / np.maximum(depth, near), 0.0)
+    return density
+
+
+def _cosines(candidates: Candidates, rays: Float64) -> Float64:
+    """(N,) cos(theta) of each observation: 1 where the normal is unknown, >= `MIN_COSINE`."""
+    normals, known = _normals(candidates, rays)
+    point = candidates.obs_point
+    cosine = np.einsum("ni,ni->n", rays, normals[point])
+    return np.where(known[point], np.clip(cosine, MIN_COSINE, 1.0), 1.0)
+
+
+def _normals(candidates: Candidates, rays: Float64) -> tuple[Float64, NDArray[np.bool_]]:
+    """(P, 3) unit normals by principal components, facing the observers; (P,) which are known."""
+    points = candidates.points
+    total = len(points)
+    if total < NORMAL_NEIGHBOURS:
+        return np.zeros((total, 3)), np.zeros(total, dtype=bool)
+    neighbours = points[cKDTree(points).query(points, k=NORMAL_NEIGHBOURS)[1]]  # (P, k, 3)
+    centred = neighbours - neighbours.mean(axis=1, keepdims=True)
+    covariance = np.einsum("pki,pkj->pij", centred, centred) / NORMAL_NEIGHBOURS
+    values, vectors = np.linalg.eigh(covariance)  # ascending
+    normals = vectors[:, :, 0]
+    spread = np.sqrt(np.maximum(values, 0.0))
+    known = (spread[:, 1] > 0) & (spread[:, 0] < FLATNESS * spread[:, 1])
+    observers = np.zeros((total, 3))
+    np.add.at(observers, candidates.obs_point, rays)
+    away = np.einsum("pi,pi->p", normals, observers) < 0
+    return np.where(away[:, None], -normals, normals), known

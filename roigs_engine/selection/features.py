@@ -1,0 +1,83 @@
+"""The static features of a candidate photo (the paper's sec. III-A): distance, area, keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import QhullError
+
+from ..roi import OrientedBox
+from ..scene import Camera, Float64, PosedImage
+from .records import Candidates
+
+# The silhouette's area is measured on an image of at most this many pixels a side.
+AREA_SIDE = 256
+# Photos named in the flag about cameras inside the box.
+INSIDE_NAMED = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StaticFeatures:
+    """Per candidate photo, in the candidates' order.
+
+    Attributes:
+        distance: (V,) from the camera's centre to the box's centre, world units.
+        area: (V,) share of the image that the box's silhouette covers, 0 to 1; 1 for a camera
+            inside the box.
+        keypoints: (V,) points in the box that the photo observes.
+        inside: (V,) whether the camera's centre lies in the box.
+    """
+
+    distance: Float64
+    area: Float64
+    keypoints: Float64
+    inside: NDArray[np.bool_]
+
+    def flags(self, candidates: Candidates) -> tuple[str, ...]:
+        """A sentence when cameras stand inside the box."""
+        names = [n for n, inside in zip(candidates.names, self.inside, strict=True) if inside]
+        if not names:
+            return ()
+        more = f" and {len(names) - INSIDE_NAMED} more" if len(names) > INSIDE_NAMED else ""
+        return (
+            f"{len(names)} cameras stand inside ROI «{candidates.roi.name}»"
+            f" ({', '.join(names[:INSIDE_NAMED])}{more}): the box counts as filling their image.",
+        )
+
+    def to_dict(self, candidates: Candidates) -> dict[str, dict[str, float]]:
+        """Photo name -> feature name -> value."""
+        columns = zip(candidates.names, self.distance, self.area, self.keypoints, strict=True)
+        return {
+            name: {"distance": float(d), "area": float(a), "keypoints": float(k)}
+            for name, d, a, k in columns
+        }
+
+
+def static_features(candidates: Candidates) -> StaticFeatures:
+    """The features of every candidate."""
+    roi, images = candidates.roi, candidates.images
+    return StaticFeatures(
+        distance=np.linalg.norm(candidates.centres() - roi.centre, axis=1),
+        area=np.array([_area(roi, image) for image in images]),
+        keypoints=np.bincount(candidates.obs_view, minlength=len(images)).astype(float),
+        inside=np.array([roi.camera_inside(image.world_to_camera) for image in images]),
+    )
+
+
+def _area(roi: OrientedBox, image: PosedImage) -> float:
+    """Share of the image that the silhouette covers, at reduced resolution."""
+    reduced = _reduced(image.camera)
+    try:
+        return roi.projected_area(reduced, image.world_to_camera)
+    except QhullError:  # the box projects to a line or to a point
+        return 0.0
+
+
+def _reduced(camera: Camera) -> Camera:
+    """The camera with its longer side at most `AREA_SIDE` pixels."""
+    scale = AREA_SIDE / max(camera.width, camera.height)
+    if scale >= 1:
+        return camera
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))

@@ -1,0 +1,184 @@
+"""`gp6`, `gp9`: pick photos by a Gaussian process over viewpoints (the paper's sec. III-A).
+
+After ActiveInitSplat (arXiv 2503.06859): a GP predicts from a photo's viewpoint how much it would
+add to the score f (score.py); the photo with the best acquisition value is taken, its true gain
+measured, the GP fitted again. `gp6` sees position and viewing direction, `gp9` also the three
+static features.
+
+The cost stays bounded: hyper-parameters are optimised at the start and every
+`SelectionConfig.gp_refit_every` picks; in between the GP only takes in the new gain. 150 picks of
+314 photos take seconds on one core.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+from ..scene import Float64
+from .baselines import farthest_first, fill_up, most_keypoints
+from .features import StaticFeatures
+from .records import Candidates, Picks, SelectionConfig
+from .score import DensityOccupancy
+
+# Photos picked before the first fit.
+SEEDS = 5
+# Unselected photos measured at each step with `gp_refresh`.
+REFRESHED = 32
+# «ei» improves on the best gain of this many latest picks: older gains are out of reach.
+EI_WINDOW = 5
+RESTARTS = 1
+# A feature whose standard deviation is below this share of its size (or below this) is constant.
+CONSTANT = 1e-9
+
+FEATURE_NAMES = (
+    *("position x", "position y", "position z"),
+    *("direction x", "direction y", "direction z"),
+    *("log distance", "log area", "log keypoints"),
+)
+
+
+def gp_inputs(
+    candidates: Candidates, features: StaticFeatures, extended: bool
+) -> tuple[Float64, tuple[str, ...]]:
+    """(V, D) z-scored inputs and the names of the D <= 6 (9 when `extended`) that vary.
+
+    Position is in the box's frame, in half extents; direction is the unit forward vector in the
+    box's frame (no angle that could wrap).
+    """
+    roi = candidates.roi
+    rotation = roi.world_to_box[:3, :3]
+    columns = [roi.to_box(candidates.centres()), candidates.forwards() @ rotation.T]
+    if extended:
+        distance = np.maximum(features.distance, 1e-9 * roi.diagonal)
+        columns.append(
+            np.column_stack(
+                [np.log(distance), np.log(features.area + 1e-6), np.log1p(features.keypoints)]
+            )
+        )
+    table = np.concatenate(columns, axis=1)
+    deviation = table.std(axis=0)
+    varies = deviation > CONSTANT * np.maximum(1.0, np.abs(table).max(axis=0))
+    names = tuple(n for n, kept in zip(FEATURE_NAMES, varies, strict=False) if kept)
+    return (table[:, varies] - table[:, varies].mean(axis=0)) / deviation[varies], names
+
+
+class Surrogate:
+    """A GP from viewpoints to gains that keeps its hyper-parameters between refits."""
+
+    def __init__(self, inputs: Float64, seed: int) -> None:
+        self._inputs = inputs
+        self._seed = seed
+        self._kernel: Any = ConstantKernel(1.0, (1e-2, 1e2)) * Matern(
+            length_scale=np.ones(inputs.shape[1]), length_scale_bounds=(1e-1, 1e2), nu=2.5
+        ) + WhiteKernel(1e-2, (1e-6, 1.0))
+        self._model: Any = None
+
+    def fit(self, views: list[int], gains: Float64, optimise: bool) -> None:
+        """Take in the (n,) gains of those photos; `optimise` the hyper-parameters or keep them."""
+        self._model = GaussianProcessRegressor(
+            kernel=self._kernel,
+            optimizer="fmin_l_bfgs_b" if optimise else None,
+            n_restarts_optimizer=RESTARTS if optimise else 0,
+            normalize_y=True,
+            random_state=self._seed,
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            self._model.fit(self._inputs[views], gains)
+        self._kernel = self._model.kernel_
+
+    def predict(self, views: list[int]) -> tuple[Float64, Float64]:
+        """(n,) means and (n,) standard deviations of the gains of those photos."""
+        with warnings.catch_warnings():
+            # A variance that rounds to just below zero is set to zero, with a warning.
+            warnings.simplefilter("ignore", UserWarning)
+            mean, deviation = self._model.predict(self._inputs[views], return_std=True)
+        return np.nan_to_num(mean), np.nan_to_num(deviation)
+
+
+def acquisition(mean: Float64, deviation: Float64, best: float, config: SelectionConfig) -> Float64:
+    """(n,) how attractive each photo is: upper confidence bound or expected improvement."""
+    if config.acquisition == "ucb":
+        return mean + config.beta * deviation
+    safe = np.maximum(deviation, 1e-12)
+    z = (mean - best) / safe
+    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+    improvement: Float64 = (mean - best) * ndtr(z) + safe * density
+    return improvement
+
+
+def order_gp(
+    candidates: Candidates,
+    features: StaticFeatures,
+    config: SelectionConfig,
+    count: int,
+    extended: bool,
+) -> Picks:
+    """The photos that the GP's acquisition ranks best, one at a time.
+
+    Starts with the photo that sees most points and the farthest ones from it in viewing direction.
+    Goes on with farthest views where no remaining photo adds anything to the score.
+    """
+    inputs, names = gp_inputs(candidates, features, extended)
+    possible = FEATURE_NAMES[: 9 if extended else 6]
+    dropped = [name for name in possible if name not in names]
+    flags: tuple[str, ...] = ()
+    if dropped and len(candidates) > 1:
+        flags = (f"The same for all photos, and so left out of the gp: {', '.join(dropped)}.",)
+    score = DensityOccupancy(candidates)
+    seeds = farthest_first(
+        candidates.forwards(), [most_keypoints(candidates)], min(SEEDS, count, len(candidates))
+    )
+    gains = []
+    for view in seeds:
+        gains.append(float(score.gains()[view]))
+        score.add(view)
+    if not names:
+        return fill_up(candidates, seeds, count, flags)
+    order = _loop(inputs, score, seeds, gains, config, count)
+    return fill_up(candidates, order, count, flags)
+
+
+def _loop(
+    inputs: Float64,  # (V, D)
+    score: DensityOccupancy,
+    seeds: list[int],
+    gains: list[float],
+    config: SelectionConfig,
+    count: int,
+) -> list[int]:
+    """`seeds` continued to `count` photos, or to the last one before all gains are zero."""
+    surrogate = Surrogate(inputs, config.seed)
+    generator = np.random.default_rng(config.seed)
+    order = list(seeds)
+    while len(order) < count:
+        present = score.gains()
+        taken = set(order)
+        rest = [view for view in range(len(inputs)) if view not in taken]
+        if not (present[rest] > 0).any():
+            break
+        if config.gp_refresh:
+            sample = generator.permutation(len(rest))[:REFRESHED]
+            known = sorted(rest[i] for i in sample)
+            targets = present[known]
+            best = float(targets.max())
+        else:
+            known, targets = order, np.array(gains)
+            best = max(gains[-EI_WINDOW:])
+        optimise = (len(order) - len(seeds)) % config.gp_refit_every == 0
+        surrogate.fit(known, targets, optimise)
+        mean, deviation = surrogate.predict(rest)
+        value = acquisition(mean, deviation, best, config)
+        # Largest acquisition; of equal ones the least certain; of those the first name.
+        view = rest[int(np.lexsort((-deviation, -value))[0])]
+        gains.append(float(present[view]))
+        score.add(view)
+        order.append(view)
+    return order

@@ -1,0 +1,38 @@
+"""A camera selection as text for people."""
+
+from __future__ import annotations
+
+from .records import CameraSelection
+
+
+def format_selection(selection: CameraSelection) -> str:
+    """A table of the chosen photos, best first, under a line of summary and above the flags."""
+    head = ("rank", "photo", "score", "distance", "area", "keypoints")
+    rows = [head]
+    for rank, (name, score) in enumerate(
+        zip(selection.names, selection.scores, strict=True), start=1
+    ):
+        values = selection.features.get(name, {})
+        rows.append(
+            (
+                str(rank),
+                name,
+                f"{score:.4f}",
+                f"{values['distance']:.4g}" if "distance" in values else "-",
+                f"{100 * values['area']:.1f} %" if "area" in values else "-",
+                f"{values['keypoints']:.0f}" if "keypoints" in values else "-",
+            )
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    lines = [
+        f"ROI «{selection.roi}»: {len(selection.names)} of {len(selection.candidates)} photos that"
+        f" see it, chosen by {selection.method}"
+    ]
+    for row in rows:
+        cells = [
+            cell.ljust(width) if column == 1 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    lines += [f"! {flag}" for flag in selection.flags]
+    return "\n".join(lines)

@@ -1,0 +1,156 @@
+"""One stage of a run in its own folder: begun, continued, or taken as it was finished before.
+
+A stage folder holds `checkpoint.pt` while the stage runs, and `model.ply` with `stage.json` once it
+is done. The fingerprint in both names everything that decides the stage's result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from .checkpoint import load_checkpoint, save_checkpoint
+from .config import TrainConfig
+from .errors import RunFolderError, Stopped
+from .events import Emit, Message, StageStarted
+from .files import read_json, write_json
+from .gaussians import Gaussians
+from .trainer import StageData, Trainer
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StageResult:
+    """A finished stage.
+
+    Attributes:
+        name: the stage's folder name.
+        gaussians: the trained model.
+        seconds: of training, checkpoints and evaluation left out.
+        fingerprint: of everything that decided the result.
+    """
+
+    name: str
+    gaussians: Gaussians
+    seconds: float
+    fingerprint: str
+
+
+def fingerprint(data: StageData, config: TrainConfig, start: str, order: Any) -> str:
+    """Hash of what decides a stage's result.
+
+    Args:
+        data, config: of the stage.
+        start: names the Gaussians it starts from (the fingerprint of the stage they come from).
+        order: JSON-able description of the order of photos.
+    """
+    record = {
+        "config": asdict(config),
+        "images": [(i.name, asdict(i.camera), i.world_to_camera.tolist()) for i in data.images],
+        "rois": [roi.to_dict() for roi in data.rois],
+        "capacities": list(data.capacities or ()),
+        "extent": data.extent,
+        "seed": data.seed,
+        "start": start,
+        "order": order,
+    }
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """What to train, and where.
+
+    Attributes:
+        name: shown to people; the last part of `folder`.
+        folder: the stage's own.
+        data, config: see `Trainer`.
+        start: makes the Gaussians to start from; called only when the stage begins.
+        fingerprint: see `fingerprint`.
+    """
+
+    name: str
+    folder: Path
+    data: StageData
+    config: TrainConfig
+    start: Callable[[], Gaussians]
+    fingerprint: str
+
+    def run(self, emit: Emit, should_stop: Callable[[], bool]) -> StageResult:
+        """Finish the stage, from wherever it is.
+
+        Raises:
+            Stopped: `should_stop` said so; a checkpoint was written.
+            RunFolderError: the folder belongs to other settings, or is damaged.
+        """
+        finished = self._finished()
+        if finished is not None:
+            emit(Message(text=f"{self.name}: done before, {len(finished.gaussians)} Gaussians."))
+            return finished
+        trainer = self._trainer(emit)
+        emit(StageStarted(stage=self.name, total=self.config.steps))
+        done = trainer.run(
+            stage=self.name,
+            emit=emit,
+            should_stop=should_stop,
+            on_pause=lambda: self._save(trainer),
+        )
+        if not done:
+            self._save(trainer)
+            raise Stopped(self.name)
+        return self._finish(trainer)
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self.folder / "checkpoint.pt"
+
+    def _trainer(self, emit: Emit) -> Trainer:
+        """At step 0, or where the checkpoint says."""
+        if not self._checkpoint.exists():
+            return Trainer(self.start(), self.data, self.config)
+        state = load_checkpoint(self._checkpoint, self.fingerprint)
+        trainer = Trainer(Gaussians(**state["parameters"]), self.data, self.config)
+        trainer.load_state_dict(state)
+        emit(Message(text=f"{self.name}: goes on at step {trainer.step}."))
+        return trainer
+
+    def _save(self, trainer: Trainer) -> None:
+        save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
+
+    def _finish(self, trainer: Trainer) -> StageResult:
+        model = trainer.gaussians.detached()
+        model.save_ply(self.folder / "model.ply")
+        record = {
+            "fingerprint": self.fingerprint,
+            "seconds": trainer.seconds,
+            "steps": trainer.step,
+            "gaussians": len(model),
+        }
+        write_json(self.folder / "stage.json", record)
+        self._checkpoint.unlink(missing_ok=True)
+        return StageResult(
+            name=self.name,
+            gaussians=model,
+            seconds=trainer.seconds,
+            fingerprint=self.fingerprint,
+        )
+
+    def _finished(self) -> StageResult | None:
+        path = self.folder / "stage.json"
+        if not path.exists():
+            return None
+        record = read_json(path)
+        if not isinstance(record, dict) or record.get("fingerprint") != self.fingerprint:
+            raise RunFolderError(
+                f"{self.folder} was trained with other settings or photos.",
+                "Choose another --run-dir, or delete that folder.",
+            )
+        return StageResult(
+            name=self.name,
+            gaussians=Gaussians.load_ply(self.folder / "model.ply"),
+            seconds=float(record["seconds"]),
+            fingerprint=self.fingerprint,
+        )

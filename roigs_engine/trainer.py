@@ -1,0 +1,265 @@
+"""One training stage: photos in, better Gaussians out; stops and goes on bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from . import densify
+from .config import TrainConfig
+from .densify import DensityStats, Edit
+from .events import Emit, Progress, ignore
+from .gaussians import NAMES, Gaussians
+from .losses import photo_loss
+from .optimizer import VisibleAdam
+from .rasterize import rasterize
+from .roi import OrientedBox
+from .sampling import PhotoAt
+from .scene import PosedImage
+
+REPORT_SECONDS = 0.5
+RESET_OPACITY = 0.01
+RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
+
+
+class Photos(Protocol):
+    """What the trainer needs of `images.PhotoCache`."""
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]: ...
+
+    def prefetch(self, indices: Sequence[int]) -> None: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StageData:
+    """What a stage trains on.
+
+    Attributes:
+        images: posed photos; `photo_at` gives rows of it.
+        photos: their pixels, by the same rows.
+        photo_at: the photo of each step.
+        extent: the *scene's* extent, for position rates and world-size pruning.
+        rois: boxes that confine densification, when the stage's config says so.
+        capacities: most Gaussians each box may hold; None: no limit.
+        seed: of the split positions.
+    """
+
+    images: Sequence[PosedImage]
+    photos: Photos
+    photo_at: PhotoAt
+    extent: float
+    rois: Sequence[OrientedBox] = ()
+    capacities: Sequence[int] | None = None
+    seed: int = 0
+
+
+class Trainer:
+    """Optimises Gaussians on posed photos (Kerbl et al. 2023, with the paper's sec. II-B changes).
+
+    Everything random is a function of (seed, step), so `state_dict` holds no generator, and a
+    trainer loaded from it continues as if it had never stopped.
+    """
+
+    def __init__(self, gaussians: Gaussians, data: StageData, config: TrainConfig) -> None:
+        """Begin at step 0 with a copy of `gaussians`."""
+        self.config = config
+        self.data = data
+        self.step = 0
+        self.seconds = 0.0
+        order = densify.morton_order(gaussians.means)
+        self._parameters = _leaves(gaussians.rows(order))
+        self._optimizer = self._new_optimizer()
+        self._stats = DensityStats.zeros(len(order))
+        self._window = 0
+        self.last_loss = float("nan")
+        self._loss, self._psnr = float("nan"), float("nan")
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The present model; its tensors are the trainer's own."""
+        return self._parameters
+
+    def run(
+        self,
+        *,
+        stage: str = "",
+        emit: Emit = ignore,
+        should_stop: Callable[[], bool] = lambda: False,
+        on_pause: Callable[[], None] = lambda: None,
+        pause_seconds: float = 60.0,
+    ) -> bool:
+        """Train until the config's last step; False when `should_stop` ended it before.
+
+        Args:
+            stage: name that progress events carry.
+            emit: takes progress events, at most two a second.
+            should_stop: asked before every step.
+            on_pause: called every `pause_seconds` of training, to write a checkpoint.
+            pause_seconds: see above.
+        """
+        started = reported = paused = time.perf_counter()
+        before, first = self.seconds, self.step
+        while self.step < self.config.steps:
+            if should_stop():
+                break
+            self.train_step()
+            now = time.perf_counter()
+            self.seconds = before + now - started
+            if now - reported > REPORT_SECONDS or self.step == self.config.steps:
+                reported = now
+                left = (now - started) / (self.step - first) * (self.config.steps - self.step)
+                emit(self._progress(stage, left))
+            if now - paused > pause_seconds:
+                on_pause()
+                # Writing checkpoints is not training: the clock leaves it out.
+                spent = time.perf_counter() - now
+                started, paused = started + spent, now + spent
+        return self.step >= self.config.steps
+
+    def train_step(self) -> None:
+        """One photo: render, compare, descend; then edit the Gaussians where a step is due for it."""
+        config, data = self.config, self.data
+        index = data.photo_at(self.step)
+        data.photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
+        image, target = data.images[index], torch.from_numpy(data.photos[index])
+        self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
+        output = self._render(image)
+        loss = photo_loss(output.image, target, ssim_weight=config.ssim_weight)
+        loss.loss.backward()  # type: ignore[no-untyped-call]
+        visible = output.visible[0]
+        self._optimizer.step(visible)
+        self._stats.add(visible, output.grad2d[0], output.max_weight)
+        self._observe(float(loss.loss.detach()), output.image, target)
+        self.step += 1
+        self._edit()
+
+    def _render(self, image: PosedImage) -> Any:
+        p, camera = self._parameters, image.camera
+        return rasterize(
+            p.means,
+            p.quats,
+            p.log_scales,
+            p.logit_opacities,
+            p.sh,
+            torch.from_numpy(image.world_to_camera).float()[None],
+            torch.from_numpy(camera.matrix()).float()[None],
+            camera.width,
+            camera.height,
+            sh_degree=self.config.degree(self.step),
+            raw=True,
+            with_max_weight=self.config.contribution_every > 0,
+        )
+
+    def _observe(self, loss: float, rendered: Tensor, target: Tensor) -> None:
+        """Keep the running loss; the PSNR costs a pass over the image, so only now and then."""
+        self.last_loss = loss
+        self._loss = loss if self._loss != self._loss else RECENT * self._loss + (1 - RECENT) * loss
+        if self.step % 20 == 0:
+            error = rendered.detach()[0] - target / 255.0
+            psnr = float(-10 * torch.log10(error.square().mean().clamp(min=1e-10)))
+            self._psnr = psnr if self._psnr != self._psnr else 0.7 * self._psnr + 0.3 * psnr
+
+    def _progress(self, stage: str, seconds_left: float) -> Progress:
+        return Progress(
+            stage=stage,
+            step=self.step,
+            total=self.config.steps,
+            loss=self._loss,
+            psnr=self._psnr,
+            gaussians=len(self._parameters),
+            seconds_left=seconds_left,
+        )
+
+    def _edit(self) -> None:
+        """Densify, prune, reset: whatever is due after `self.step` steps."""
+        config, step = self.config, self.step
+        densifying = config.densify_from <= step < config.densify_until
+        if densifying and step % config.densify_every == 0:
+            self._apply(self._densified())
+        if config.contribution_every and step - self._window >= self._window_steps():
+            contributing = self._stats.weight >= densify.VISIBLE_WEIGHT
+            if not bool(contributing.all()):
+                self._apply(densify.keep_rows(densify.unchanged(self._parameters), contributing))
+            self._stats.new_window()
+            self._window = step
+        if densifying and config.reset_every and step % config.reset_every == 0:
+            self._reset_opacities()
+
+    def _window_steps(self) -> int:
+        """A window must hold every photo: «non-contributing» means on all of them."""
+        return max(self.config.contribution_every, 2 * len(self.data.images))
+
+    def _densified(self) -> Edit:
+        config, data = self.config, self.data
+        rng = torch.Generator().manual_seed(data.seed * 1_000_003 + self.step)
+        now = self._parameters
+        chosen = densify.choose(now, self._stats, config, data.rois, data.capacities)
+        reference = densify.size_reference(now, config, data.rois, data.extent)
+        edit = densify.grow(now, chosen, reference, config.split_fraction, rng)
+        keep = densify.worth_keeping(edit.gaussians, config, data.extent, self.step)
+        edit = densify.keep_rows(edit, keep)
+        return densify.keep_rows(edit, densify.morton_order(edit.gaussians.means))
+
+    def _apply(self, edit: Edit) -> None:
+        """Go on with the edited Gaussians; optimiser state and statistics follow."""
+        self._parameters = _leaves(edit.gaussians)
+        self._optimizer.replace(self._parameters.tensors(), edit.rows)
+        self._stats = self._stats.after(edit.rows)
+
+    def _reset_opacities(self) -> None:
+        logit = float(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
+        with torch.no_grad():
+            self._parameters.logit_opacities.clamp_(max=logit)
+        self._optimizer.zero_moments("logit_opacities")
+
+    def _new_optimizer(self) -> VisibleAdam:
+        config, tensors = self.config, self._parameters.tensors()
+        bands = tensors["sh"].shape[1]
+        sh_rates = torch.full((bands, 3), config.lr_shN)
+        sh_rates[0] = config.lr_sh0
+        rates: dict[str, float | Tensor] = {
+            "means": config.lr_means * self.data.extent,
+            "quats": config.lr_quats,
+            "log_scales": config.lr_scales,
+            "logit_opacities": config.lr_opacities,
+            "sh": sh_rates.flatten(),
+        }
+        return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that decides how training goes on; tensors and plain numbers only."""
+        stats = self._stats
+        return {
+            "step": self.step,
+            "seconds": self.seconds,
+            "window": self._window,
+            "loss": self._loss,
+            "psnr": self._psnr,
+            "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
+            "optimizer": self._optimizer.state_dict(),
+            "stats": {"gradient": stats.gradient, "views": stats.views, "weight": stats.weight},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        self.step, self.seconds = int(state["step"]), float(state["seconds"])
+        self._window = int(state["window"])
+        self._loss, self._psnr = float(state["loss"]), float(state["psnr"])
+        self._parameters = _leaves(Gaussians(**state["parameters"]))
+        self._optimizer = self._new_optimizer()
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._stats = DensityStats(**state["stats"])
+
+
+def _leaves(gaussians: Gaussians) -> Gaussians:
+    """The same values as contiguous leaf tensors that collect gradients."""
+    return Gaussians(
+        **{n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
+    )

@@ -1,0 +1,88 @@
+"""A small scene with photos on disk, rendered from known Gaussians by the reference rasterizer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from roigs_engine.gaussians import SH_C0, Gaussians
+from roigs_engine.rasterize import rasterize
+from roigs_engine.roi import OrientedBox
+from roigs_engine.scene import Camera, PosedImage, SfmScene
+
+CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+BOX = OrientedBox.axis_aligned("thing", [-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
+
+
+def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(4, 4) world_to_camera, OpenCV axes, z up in the world."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
+    return matrix
+
+
+def truth(count: int = 300, seed: int = 0) -> Gaussians:
+    """A coloured ball of Gaussians in the box and a coarse shell around it."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    inner = np.arange(count) < count // 2
+    radius = np.where(inner, 0.45, 2.5)
+    scale = np.where(inner, 0.07, 0.35)
+    sh = np.zeros((count, 16, 3))
+    sh[:, 0] = (rng.uniform(0.05, 0.95, (count, 3)) - 0.5) / SH_C0
+    arrays = {
+        "means": directions * radius[:, None],
+        "quats": np.tile([1.0, 0, 0, 0], (count, 1)),
+        "log_scales": np.repeat(np.log(scale)[:, None], 3, axis=1),
+        "logit_opacities": np.full(count, 2.0),
+        "sh": sh,
+    }
+    return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
+
+
+def make_scene(folder: Path, views: int = 12) -> SfmScene:
+    """Photos of `truth` from a ring of cameras, written to `folder`; points at its centres."""
+    model = truth()
+    points = model.means.numpy().astype(np.float64)
+    images = []
+    for k in range(views):
+        angle = 2 * np.pi * k / views
+        eye = np.array([np.cos(angle), np.sin(angle), 0.35]) * (1.5 + 0.3 * (k % 3))
+        pose = look_at(eye, np.zeros(3))
+        output = rasterize(
+            model.means,
+            model.quats,
+            model.log_scales,
+            model.logit_opacities,
+            model.sh,
+            torch.from_numpy(pose).float()[None],
+            torch.from_numpy(CAMERA.matrix()).float()[None],
+            CAMERA.width,
+            CAMERA.height,
+            raw=True,
+            backend="reference",
+        )
+        pixels = (output.image[0].clamp(0, 1) * 255).round().byte().numpy()
+        path = folder / f"{k:03d}.png"
+        Image.fromarray(pixels).save(path)
+        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+        seen = np.flatnonzero(in_camera[:, 2] > 0.1)
+        images.append(
+            PosedImage(
+                name=path.name,
+                path=path,
+                camera=CAMERA,
+                world_to_camera=pose,
+                point_indices=seen.astype(np.int64),
+            )
+        )
+    colors = ((model.sh0[:, 0].numpy() * SH_C0 + 0.5) * 255).astype(np.uint8)
+    return SfmScene(images=tuple(images), points=points, colors=colors)

@@ -1,0 +1,361 @@
+"""The command line as a person or a program meets it: help, errors, events, request files."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import roigs_engine
+from roigs_engine.cli import COMMANDS, main
+from roigs_engine.selection import METHODS, CameraSelection
+from tests.engine.synthetic_colmap import Project, write_project
+
+ROOT = Path(roigs_engine.__file__).resolve().parent.parent
+BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+EMPTY = "nothing=30,30,30,31,31,31"
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
+    names = [f"{k}.png" for k in range(8)]
+    return write_project(tmp_path_factory.mktemp("cli") / "a scene", names=names)
+
+
+@pytest.fixture(autouse=True)
+def interrupt_handler() -> Iterator[None]:
+    """Commands take Ctrl-C over; give it back."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def python(*arguments: object, text: str = "", **options: Any) -> subprocess.CompletedProcess[str]:
+    """The command line as a process of its own."""
+    command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=ROOT, input=text, capture_output=True, text=True, timeout=120, **options
+    )
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run a command that must fail as people expect; returns its one line."""
+    assert main([str(argument) for argument in arguments]) == 2
+    out, err = capsys.readouterr()
+    lines = err.strip().splitlines()
+    assert out == ""
+    assert len(lines) == 1, err
+    assert lines[0].startswith("error: ")
+    assert "Traceback" not in err
+    return lines[0]
+
+
+# --- help and version ---
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_every_command_has_help_with_examples(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        main([command, "--help"])
+    assert left.value.code == 0
+    out = capsys.readouterr().out
+    assert "examples:" in out
+    assert f"python -m roigs_engine {command} " in out
+    assert "--events" in out
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_examples_in_the_help_are_accepted(command: str) -> None:
+    import shlex
+
+    from roigs_engine.cli import build_parser
+
+    text = COMMANDS[command].EXAMPLES.replace("\\\n", " ")
+    examples = [line for line in text.splitlines() if line.strip()]
+    assert examples
+    for line in examples:
+        words = shlex.split(line)
+        assert words[:3] == ["python", "-m", "roigs_engine"]
+        assert build_parser()[0].parse_args(words[3:]).command == command
+
+
+def test_help_lists_the_commands_and_version_is_the_packages() -> None:
+    shown = python("--help")
+    assert shown.returncode == 0
+    assert all(f"\n    {command}" in shown.stdout for command in COMMANDS)
+    assert python("--version").stdout.strip() == roigs_engine.__version__
+
+
+# --- errors: one line, status 2 ---
+
+
+def test_no_roi(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--roi" in refused(capsys, "select", project.folder)
+
+
+def test_unknown_roi_name(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "select", project.folder, "--roi", BOX, "--only", "vase")
+    assert "«vase»" in line and "thing" in line
+
+
+@pytest.mark.parametrize("text", ["thing", "thing=1,2,3", "=0,0,0,1,1,1", "a=0,0,0,1,1,x"])
+def test_malformed_roi(project: Project, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, "select", project.folder, "--roi", text)
+
+
+def test_roi_without_volume(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "«flat»" in refused(capsys, "select", project.folder, "--roi", "flat=0,0,0,1,1,0")
+
+
+def test_two_rois_of_one_name(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "inspect", project.folder, "--roi", BOX, "--roi", BOX)
+    assert "«thing»" in line
+
+
+def test_box_without_points_names_box_and_nearest_points(project: Project) -> None:
+    result = python("select", project.folder, "--roi", EMPTY)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.strip().splitlines()
+    assert line.startswith("error: ")
+    assert "«nothing»" in line and "Nearest points" in line
+    assert "1 x 1 x 1" in line
+
+
+def test_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert str(tmp_path) in refused(capsys, "inspect", tmp_path)
+    assert "nowhere" in refused(capsys, "inspect", tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("damage", ["cut", "noise"])
+def test_unreadable_model(
+    tmp_path: Path, name: str, damage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_project(tmp_path).folder / "sparse" / "0" / name
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] if damage == "cut" else b"\xff" * len(data))
+    assert name in refused(capsys, "select", tmp_path, "--roi", BOX)
+
+
+def test_no_photos(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_project(tmp_path, images=None)
+    assert "--images" in refused(capsys, "select", tmp_path, "--roi", BOX)
+
+
+def test_no_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import numpy as np
+
+    write_project(tmp_path, points=np.zeros((0, 3)))
+    assert "points" in refused(capsys, "select", tmp_path, "--roi", BOX)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--count", "0"],
+        ["--seed", "-1"],
+        ["--downscale", "0"],
+        ["--max-side", "0"],
+        ["--test-every", "1"],
+        ["--rois", "missing.json"],
+    ],
+)
+def test_values_out_of_range(
+    project: Project, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused(capsys, "select", project.folder, "--roi", BOX, *options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--steps-factor", "0"], ["--kept-share", "2"], ["--test-every", "1"], ["--count", "-3"]],
+)
+def test_training_values_out_of_range(
+    project: Project, tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    refused(capsys, "train", project.folder, "--roi", BOX, "--run-dir", folder, *options)
+    assert not folder.exists(), "a request that is refused leaves nothing behind"
+
+
+def test_files_that_are_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ply = tmp_path / "a.ply"
+    ply.write_bytes(b"ply\nnothing\n")
+    out = tmp_path / "out.ply"
+    line = refused(
+        capsys, "compose", ply, "--roi", BOX, "--object", f"thing={ply}", "--out", out
+    )
+    assert "a.ply" in line
+    assert not out.exists()
+    cameras = tmp_path / "cameras.json"
+    line = refused(capsys, "render", tmp_path / "no.ply", "--path", cameras, "--out", tmp_path)
+    assert "no.ply" in line
+
+
+def test_unknown_options_show_the_usage() -> None:
+    result = python("select", "scene", "--colour", "blue")
+    assert result.returncode == 2
+    assert "usage:" in result.stderr and "--colour" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+# --- what works ---
+
+
+def test_select_end_to_end(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--roi", BOX, "--method", "greedy", "--count", "3", "--out", str(tmp_path)]
+    assert main(["select", str(project.folder), *arguments]) == 0
+    shown = capsys.readouterr().out
+    stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
+    selection = CameraSelection.from_dict(stored)
+    assert (selection.roi, selection.method, len(selection.names)) == ("thing", "greedy", 3)
+    assert set(selection.names) <= set(project.names)
+    assert all(name in shown for name in selection.names)
+
+
+NO_TORCH = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class NoTorch(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "torch":
+            raise ImportError("there is no torch here")
+
+sys.meta_path.insert(0, NoTorch())
+from roigs_engine.cli import main
+folder, box, *methods = sys.argv[1:]
+for method in methods:
+    assert main(["select", folder, "--roi", box, "--method", method, "--test-every", "4"]) == 0
+assert main(["inspect", folder, "--roi", box]) == 0
+assert "torch" not in sys.modules
+"""
+
+
+def test_inspect_and_every_selection_need_no_torch(project: Project) -> None:
+    command = [sys.executable, "-c", NO_TORCH, str(project.folder), BOX, *METHODS]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert all(f"chosen by {method}" in result.stdout for method in METHODS)
+
+
+def test_test_photos_are_not_selected(project: Project, tmp_path: Path) -> None:
+    arguments = ["--roi", BOX, "--test-every", "4", "--count", "8", "--out", str(tmp_path)]
+    assert main(["select", str(project.folder), *arguments]) == 0
+    stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
+    assert len(stored["candidates"]) == 6
+
+
+def test_inspect_in_json(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(project.folder), "--roi", BOX, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["photos"] == len(project.names)
+    assert report["points"] == len(project.points)
+    assert report["rois"][0]["name"] == "thing"
+
+
+# --- events ---
+
+
+def events(result: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
+    """Standard output with --events: JSON lines and nothing else."""
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_events_end_in_done(project: Project) -> None:
+    result = python("select", project.folder, "--roi", BOX, "--events")
+    assert result.returncode == 0
+    assert events(result)[-1] == {"event": "done", "outputs": {}, "stopped": False}
+
+
+def test_a_failure_is_an_event(project: Project) -> None:
+    result = python("select", project.folder, "--roi", EMPTY, "--events")
+    assert result.returncode == 2
+    last = events(result)[-1]
+    assert last["event"] == "failed"
+    assert "«nothing»" in last["message"]
+    assert last["hint"]
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("text", ["stop\n", ""])
+def test_a_stop_or_the_end_of_input_stops_training(
+    project: Project, tmp_path: Path, text: str
+) -> None:
+    folder = tmp_path / "run"
+    result = python(
+        *("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3),
+        *("--events", "--threads", 1),
+        text=text,
+    )
+    assert result.returncode == 3, result.stderr
+    assert events(result)[-1] == {"event": "done", "outputs": {}, "stopped": True}
+    assert (folder / "scene" / "checkpoint.pt").exists()
+    log = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+    assert json.loads(log[-1])["event"] == "done"
+
+
+# --- request files ---
+
+
+def request_file(folder: Path, **values: object) -> Path:
+    path = folder / "request.json"
+    path.write_text(json.dumps(values), encoding="utf-8")
+    return path
+
+
+def test_a_request_file_stands_for_options(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    request = request_file(
+        tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2, out=str(tmp_path)
+    )
+    assert main(["select", str(request)]) == 0
+    stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
+    assert (stored["method"], len(stored["names"])) == ("fvs", 2)
+    # An option beside the file wins.
+    assert main(["select", str(request), "--count", "4"]) == 0
+    stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
+    assert (stored["method"], len(stored["names"])) == ("fvs", 4)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"colour": "blue"}, "«colour»"),
+        ({"help": True}, "«help»"),
+        ({"method": "best"}, "«method»"),
+        ({"count": "many"}, "«count»"),
+    ],
+)
+def test_a_request_with_a_wrong_key_or_value_is_refused(
+    project: Project,
+    tmp_path: Path,
+    values: dict[str, object],
+    named: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    request = request_file(tmp_path, scene=str(project.folder), roi=[BOX], **values)
+    assert named in refused(capsys, "select", request)
+
+
+def test_a_request_that_is_none_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "scene" in refused(capsys, "select", request_file(tmp_path, roi=[BOX]))
+    broken = tmp_path / "broken.json"
+    broken.write_text("{", encoding="utf-8")
+    assert "broken.json" in refused(capsys, "select", broken)
+    assert "gone.json" in refused(capsys, "select", tmp_path / "gone.json")

@@ -1,0 +1,134 @@
+"""Training: it learns, it stops and goes on bit for bit, its ROI stage stays in the box."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine import sampling
+from roigs_engine.checkpoint import load_checkpoint, save_checkpoint
+from roigs_engine.config import TrainConfig
+from roigs_engine.errors import RunFolderError
+from roigs_engine.gaussians import NAMES, Gaussians
+from roigs_engine.images import PhotoCache
+from roigs_engine.scene import SfmScene
+from roigs_engine.trainer import StageData, Trainer
+from tests.engine.synthetic_scene import BOX, make_scene
+
+SHORT = TrainConfig(
+    steps=60,
+    sh_every=20,
+    densify_from=10,
+    densify_until=50,
+    densify_every=10,
+    grad_threshold=1e-5,
+    reset_every=30,
+    contribution_every=20,
+)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def stage_data(scene: SfmScene, **changes: object) -> StageData:
+    data = StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=sampling.shuffled(range(len(scene.images)), 3),
+        extent=scene.extent(),
+    )
+    return replace(data, **changes)
+
+
+def first_model(scene: SfmScene) -> Gaussians:
+    return Gaussians.from_points(scene.points[::3], scene.colors[::3])
+
+
+def same_bits(a: Gaussians, b: Gaussians) -> bool:
+    return all(
+        torch.equal(getattr(a, n).detach().view(torch.int32), getattr(b, n).detach().view(torch.int32))
+        for n in NAMES
+    )
+
+
+def mean_loss(trainer: Trainer, steps: int) -> float:
+    losses = []
+    for _ in range(steps):
+        trainer.train_step()
+        losses.append(trainer.last_loss)
+    return float(np.mean(losses))
+
+
+def test_training_lowers_the_loss(scene: SfmScene) -> None:
+    config = TrainConfig(steps=300, densify_until=0)
+    trainer = Trainer(first_model(scene), stage_data(scene), config)
+    start = mean_loss(trainer, 12)
+    assert trainer.run()
+    assert mean_loss(trainer, 12) < 0.5 * start
+
+
+@pytest.mark.parametrize("stop", [1, 10, 29, 33, 59])
+def test_resuming_equals_never_stopping(scene: SfmScene, tmp_path: Path, stop: int) -> None:
+    whole = Trainer(first_model(scene), stage_data(scene), SHORT)
+    whole.run()
+    half = Trainer(first_model(scene), stage_data(scene), SHORT)
+    assert not half.run(should_stop=lambda: half.step >= stop)
+    save_checkpoint(tmp_path / "checkpoint.pt", half.state_dict(), "same")
+    state = load_checkpoint(tmp_path / "checkpoint.pt", "same")
+    rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), SHORT)
+    rest.load_state_dict(state)
+    assert rest.step == stop
+    assert rest.run()
+    assert len(rest.gaussians) == len(whole.gaussians) > 0
+    assert same_bits(rest.gaussians, whole.gaussians)
+
+
+def test_roi_stage_adds_gaussians_in_the_box_only(scene: SfmScene) -> None:
+    config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
+    config = replace(config, prune_opacity=0.0, lr_means=1e-9, lr_means_final=1e-9)
+    trainer = Trainer(first_model(scene), stage_data(scene, rois=[BOX]), config)
+    inside_before = int(trainer.gaussians.in_box(BOX).sum())
+    outside_before = len(trainer.gaussians) - inside_before
+    trainer.run()
+    inside = int(trainer.gaussians.in_box(BOX).sum())
+    assert inside > inside_before
+    # A child of a split may fall just outside; nothing else may appear there.
+    assert len(trainer.gaussians) - inside <= outside_before + 0.2 * (inside - inside_before)
+
+
+def test_capacity_limits_the_box(scene: SfmScene) -> None:
+    config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
+    start = first_model(scene)
+    limit = int(start.in_box(BOX).sum()) + 5
+    data = stage_data(scene, rois=[BOX], capacities=[limit])
+    trainer = Trainer(start, data, config)
+    trainer.run()
+    assert int(trainer.gaussians.in_box(BOX).sum()) <= limit + 5
+
+
+def test_non_contributing_gaussians_are_pruned(scene: SfmScene) -> None:
+    start = first_model(scene)
+    hidden = start.rows(torch.arange(7))
+    hidden.means[:] = torch.tensor([0.0, 0.0, 50.0])
+    config = replace(SHORT, steps=2 * 24 + 2, densify_until=0, contribution_every=24)
+    trainer = Trainer(Gaussians.concatenate([start, hidden]), stage_data(scene), config)
+    trainer.run()
+    assert not bool((trainer.gaussians.means[:, 2] > 40).any())
+    assert len(trainer.gaussians) > 0.5 * len(start)
+
+
+def test_damaged_or_foreign_checkpoints_are_refused(scene: SfmScene, tmp_path: Path) -> None:
+    trainer = Trainer(first_model(scene), stage_data(scene), SHORT)
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, trainer.state_dict(), "one")
+    with pytest.raises(RunFolderError, match="other settings"):
+        load_checkpoint(path, "two")
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(RunFolderError, match="damaged"):
+        load_checkpoint(path, "one")
