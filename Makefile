@@ -1,6 +1,6 @@
 # make demo        set up, run the main job on the demo scene, print the table
 # make test        lint, types, tests
-# make test-long   the slow tests too
+# make test-long   the slow tests
 # make format      bring the code into the project's form
 # make kernels     compile the kernels for every platform
 # make clean       remove the environment and everything that was built (runs stay)
@@ -8,38 +8,40 @@
 # PYTHON       the Python (3.11 or later) that makes the environment
 # TORCH_INDEX  a package index to take torch from; without it tools/install_torch.py finds a build
 #              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
+# RUN_DIR      where `make demo` puts its results
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
 TORCH_INDEX ?=
 export TORCH_INDEX
+RUN_DIR ?= runs/demo
 
 VENV := .venv
 BIN := $(VENV)/bin
-RUN_DIR ?= runs/demo
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# Compiles only what is older than its sources.
+UPDATE_KERNELS = @$(BIN)/python -m roigs_engine.kernels.build > /dev/null
 
-.PHONY: demo test test-long format kernels native-kernels clean
-.DELETE_ON_ERROR:
+.PHONY: demo test test-long format kernels clean
 
-demo: $(VENV)/installed native-kernels
+demo: $(VENV)/installed
+	$(UPDATE_KERNELS)
 	$(BIN)/python -m roigs_engine run demo/scene --rois demo/scene/rois.json \
-	    --preset draft --run-dir $(RUN_DIR)
+	    --preset draft --run-dir '$(RUN_DIR)'
 
-test: $(VENV)/installed-dev native-kernels
+test: $(VENV)/installed-dev
+	$(UPDATE_KERNELS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
-test-long: $(VENV)/installed-dev native-kernels
+test-long: $(VENV)/installed-dev
+	$(UPDATE_KERNELS)
 	$(BIN)/python -m pytest -m slow
 
 format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
-
-# Compiles only what is older than its sources.
-native-kernels: $(VENV)/installed
-	@$(BIN)/python -m roigs_engine.kernels.build > $(VENV)/kernels
 
 kernels: $(VENV)/installed-dev
 	@for target in $$($(BIN)/python -c \
@@ -47,16 +49,20 @@ kernels: $(VENV)/installed-dev
 	    $(BIN)/python -m roigs_engine.kernels.build --target $$target || exit 1; \
 	done
 
-$(VENV)/installed: pyproject.toml setup.py tools/install_torch.py
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or later is needed; set PYTHON.")'
+# The environment is made once, and again when what it is made from has changed.
+$(VENV)/torch: pyproject.toml tools/install_torch.py
+	@$(PYTHON) -c 'import sys; sys.exit("error: Python 3.11 or later is needed; run make PYTHON=..." if sys.version_info < (3, 11) else 0)'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python tools/install_torch.py
-	$(BIN)/python -m pip install --disable-pip-version-check --editable .
 	@touch $@
 
-$(VENV)/installed-dev: $(VENV)/installed
-	$(BIN)/python -m pip install --disable-pip-version-check --editable '.[dev]'
+$(VENV)/installed: $(VENV)/torch setup.py
+	$(PIP) install --editable '.[train]'
 	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/torch setup.py
+	$(PIP) install --editable '.[train,dev]'
+	@touch $(VENV)/installed $@
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info roigs_engine/kernels/lib

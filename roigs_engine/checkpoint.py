@@ -1,4 +1,4 @@
-"""Training state on disk: tensors and plain numbers, written whole, read without unpickling code."""
+"""Training state on disk: tensors and plain numbers, written whole, read without running code."""
 
 from __future__ import annotations
 

@@ -23,6 +23,7 @@ def load_colmap(
     cache: Path | None = None,
     downscale: float | None = None,
     max_side: int | None = None,
+    pixels: bool = True,
     emit: Emit = ignore,
 ) -> SfmScene:
     """The scene of a COLMAP project.
@@ -34,6 +35,8 @@ def load_colmap(
         cache: where undistorted photos are kept between loads; default a temporary folder.
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
+        pixels: False when nobody will look at the photos themselves: the cameras are the same,
+            but nothing is undistorted (it takes seconds), and `path` names the distorted photo.
         emit: receives messages.
 
     Raises:
@@ -47,7 +50,7 @@ def load_colmap(
     ids, points, colors = _points(model, folder, emit)
     photos = find_photos(folder, images, [image.name for image in model.images])
     loader = PhotoLoader(model, photos, shrink)
-    posed = loader.undistorted(cache, emit)
+    posed = loader.undistorted(cache, emit) if pixels else loader.posed
     if not posed:
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])

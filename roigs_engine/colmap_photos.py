@@ -60,17 +60,20 @@ def _same_shape(camera: ModelCamera, size: tuple[int, int]) -> bool:
 
 
 class PhotoLoader:
-    """Sorts a model's photos into usable ones, plans for distorted ones, and skipped names."""
+    """Sorts a model's photos into usable ones, plans for distorted ones, and skipped names.
+
+    Attributes:
+        posed: image id -> photo, with its final camera and the original file.
+        skipped: reason -> names.
+    """
 
     def __init__(self, model: Model, photos: PhotoFolder, shrink: Shrink) -> None:
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
-        self._posed: dict[int, PosedImage] = {}
+        self.posed: dict[int, PosedImage] = {}
         self._plans: dict[int, Plan] = {}
         names: set[str] = set()
         for image in sorted(model.images, key=lambda image: image.image_id):
-            reason = (
-                DUPLICATE if photo_name(image) in names or image.image_id in self._posed else ""
-            )
+            reason = DUPLICATE if photo_name(image) in names or image.image_id in self.posed else ""
             reason = reason or self._add(image, model.cameras.get(image.camera_id), photos, shrink)
             names.add(photo_name(image))
             if reason:
@@ -103,7 +106,7 @@ class PhotoLoader:
             target = plan.target
         else:
             target = pinhole.resized(*shrink(*size))
-        self._posed[image.image_id] = PosedImage(
+        self.posed[image.image_id] = PosedImage(
             name=photo_name(image),
             path=path,
             camera=target,
@@ -115,7 +118,7 @@ class PhotoLoader:
     def undistorted(self, cache: Path | None, emit: Emit) -> dict[int, PosedImage]:
         """Image id -> photo, the distorted ones' undistorted copies made or found in the cache."""
         if not self._plans:
-            return self._posed
+            return self.posed
         folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
         todo = sum(not (folder / plan.file_name()).is_file() for plan in self._plans.values())
         if todo:
@@ -124,15 +127,15 @@ class PhotoLoader:
         try:
             jobs = {key: pool.submit(undistort, plan, folder) for key, plan in self._plans.items()}
             for key, job in jobs.items():
-                image = self._posed[key]
+                image = self.posed[key]
                 try:
-                    self._posed[key] = replace(image, path=job.result())
+                    self.posed[key] = replace(image, path=job.result())
                 except PhotoError:
                     self.skipped[UNREADABLE].append(image.name)
-                    del self._posed[key]
+                    del self.posed[key]
         finally:
             pool.shutdown(cancel_futures=True)
-        return self._posed
+        return self.posed
 
 
 def _made(folder: Path) -> Path:

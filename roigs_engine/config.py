@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -146,9 +147,7 @@ class RunConfig:
         if not factor > 0:
             raise ConfigError(f"The step factor is {factor:g}.", "Use a number above 0.")
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
-        return replace(
-            self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi)
-        )
+        return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
 
     def baseline(self) -> TrainConfig:
         """The stage of the Full Scene and Full Object baselines: 3DGS over the steps of both.
@@ -219,9 +218,7 @@ def _short(preset: str, scene_steps: int, roi_steps: int) -> RunConfig:
         strategy="joint",
         selection=SelectionConfig(method="coverage"),
         kept_share=1.0,
-        scene=TrainConfig(
-            steps=scene_steps, densify_until=scene_steps, lr_means_final=middle
-        ),
+        scene=TrainConfig(steps=scene_steps, densify_until=scene_steps, lr_means_final=middle),
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=2,
@@ -237,7 +234,7 @@ def _short(preset: str, scene_steps: int, roi_steps: int) -> RunConfig:
     )
 
 
-PRESETS = {
+PRESETS: dict[str, Callable[[], RunConfig]] = {
     "paper": _paper,
     "standard": lambda: _short("standard", 6000, 9000),
     "draft": lambda: _short("draft", 2000, 3000),

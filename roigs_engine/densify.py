@@ -1,7 +1,8 @@
 """Adaptive density control (Kerbl et al. 2023, sec. 5.2), confined to boxes in the ROI stage.
 
 Free functions: parameters and statistics in, an `Edit` out, which says for each new row where it
-came from, so that the optimiser's state can follow. Random numbers come from the caller's generator.
+came from, so that the optimiser's state can follow. Random numbers come from the caller's
+generator.
 """
 
 from __future__ import annotations

@@ -263,9 +263,7 @@ def _table(
     best = max(scored, key=lambda k: means[k] or 0.0) if scored else None
     base = names.index(baseline) if baseline in names else None
     views = tuple(
-        dataclasses.replace(
-            view, object_pixels=0 if best is None else samples[name].pixels[best]
-        )
+        dataclasses.replace(view, object_pixels=0 if best is None else samples[name].pixels[best])
         for name, view in plan.views.items()
     )
     rows = tuple(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -74,7 +75,12 @@ def ignore(event: Event) -> None:
 
 
 def to_json(event: Event) -> str:
-    """One line of JSON, its `event` key the class's name in lower case (`stagestarted`, …)."""
+    """One line of JSON, its `event` key the class's name in lower case (`stagestarted`, …).
+
+    Numbers that JSON does not have (a PSNR before the first one is measured) become null.
+    """
     record: dict[str, Any] = {"event": type(event).__name__.lower()}
-    record.update(dataclasses.asdict(event))
-    return json.dumps(record, ensure_ascii=False)
+    for key, value in dataclasses.asdict(event).items():
+        missing = isinstance(value, float) and not math.isfinite(value)
+        record[key] = None if missing else value
+    return json.dumps(record, ensure_ascii=False, allow_nan=False)

@@ -89,7 +89,9 @@ class Gaussians:
         count = len(points)
         neighbours = min(4, count)
         distances = cKDTree(points).query(points, k=neighbours)[0].reshape(count, neighbours)
-        spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1)) if neighbours > 1 else np.ones(count)
+        spacing = np.ones(count)
+        if neighbours > 1:
+            spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
         log_scales = np.log(np.maximum(spacing, 1e-7))
         sh = np.zeros((count, (sh_degree + 1) ** 2, 3), dtype=np.float32)
         sh[:, 0] = (colors / 255.0 - 0.5) / SH_C0

@@ -69,7 +69,8 @@ def photo_loss(
         raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
     if not native:
         raise EngineError("photo_loss: the cpu backend takes float32 tensors on the CPU only.")
-    return LossOutput(*_KernelLoss.apply(planes, target, ssim_weight, weights))
+    terms = _KernelLoss.apply(planes, target, ssim_weight, weights)  # type: ignore[no-untyped-call]
+    return LossOutput(*terms)
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:

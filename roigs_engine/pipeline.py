@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from . import sampling
-from .compose import cut, replace as replace_in_boxes
+from .compose import cut
+from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
 from .errors import RunFolderError, SceneError
 from .evaluate import EvaluatedModel

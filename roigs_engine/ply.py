@@ -31,7 +31,8 @@ MAX_HEADER = 1 << 16
 def _columns(rest: int) -> list[str]:
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{k}" for k in range(rest)]
-    return names + ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    return names
 
 
 def write_ply(path: Path, arrays: Mapping[str, Float32]) -> None:
@@ -44,11 +45,12 @@ def write_ply(path: Path, arrays: Mapping[str, Float32]) -> None:
     """
     sh = arrays["sh"]
     count, bands = sh.shape[:2]
-    names = _columns(3 * (bands - 1))
+    rest = 3 * (bands - 1)
+    names = _columns(rest)
     table = np.zeros((count, len(names)), dtype="<f4")
     table[:, 0:3] = arrays["means"]
     table[:, 6:9] = sh[:, 0]
-    table[:, 9 : 9 + 3 * (bands - 1)] = sh[:, 1:].transpose(0, 2, 1).reshape(count, -1)
+    table[:, 9 : 9 + rest] = sh[:, 1:].transpose(0, 2, 1).reshape(count, rest)
     table[:, -8] = arrays["logit_opacities"]
     table[:, -7:-4] = arrays["log_scales"]
     table[:, -4:] = arrays["quats"]
@@ -83,8 +85,10 @@ def read_ply(path: Path) -> dict[str, Float32]:
         raise RunFolderError(f"{path} is not a Gaussian PLY ({what}).")
 
     def gather(prefix: str, number: int) -> Float32:
-        columns = [table[f"{prefix}{k}"] for k in range(number)]
-        return np.stack(columns, axis=1).astype(np.float32) if columns else np.zeros((count, 0), "f4")
+        gathered = np.empty((count, number), np.float32)
+        for k in range(number):
+            gathered[:, k] = table[f"{prefix}{k}"]
+        return gathered
 
     higher = gather("f_rest_", rest).reshape(count, 3, rest // 3).transpose(0, 2, 1)
     return {
@@ -101,7 +105,8 @@ def _parse_header(path: Path, data: bytes) -> tuple[int, np.dtype, int]:
     end = re.search(rb"end_header\r?\n", data[:MAX_HEADER])
     if not data.startswith(b"ply") or end is None:
         raise RunFolderError(f"{path} is not a PLY file.")
-    count, fields, in_vertex, form = -1, [], False, ""
+    count, in_vertex, form = -1, False, ""
+    fields: list[tuple[str, str]] = []
     for line in data[: end.start()].decode("ascii", "replace").splitlines():
         words = line.split()
         if words[:1] == ["format"]:

@@ -71,11 +71,11 @@ def _table(rows: Sequence[ModelScore]) -> list[str]:
 
 
 def _cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[str]:
-    """One column's cells; what is equal once written is equally bold."""
+    """One column's cells; what is equal once written is equally bold, all of it not at all."""
     values = [key(row) for row in rows]
     cells = [NONE if value is None else format(value, form) for value in values]
     present = [best * value for value in values if value is not None]
-    if best == 0 or len(present) < 2:
+    if best == 0 or len(present) < 2 or len(set(cells)) == 1:
         return cells
     winner = format(best * max(present), form)
     return [f"**{cell}**" if cell == winner else cell for cell in cells]

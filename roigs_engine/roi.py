@@ -70,7 +70,9 @@ class OrientedBox:
 
     def contains(self, points: Float64) -> NDArray[np.bool_]:
         """(N, 3) world positions -> (N,) whether each lies inside or on the box."""
-        return (np.abs(self.to_box(points)) <= 1).all(axis=1)
+        within = np.abs(self.to_box(points)) <= 1
+        inside: NDArray[np.bool_] = np.logical_and.reduce(within, axis=1)
+        return inside
 
     def corners(self) -> Float64:
         """(8, 3) world positions; corner k has the sign bits of k."""
@@ -98,7 +100,8 @@ class OrientedBox:
             return None
         focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
         pixels = visible[:, :2] / visible[:, 2:] * focal + centre
-        return pixels[ConvexHull(pixels).vertices]
+        hull: Float64 = pixels[ConvexHull(pixels).vertices]
+        return hull
 
     def camera_inside(self, world_to_camera: Float64) -> bool:
         """Whether the camera's centre lies inside the box."""
@@ -106,7 +109,7 @@ class OrientedBox:
         return bool(self.contains(centre[None])[0])
 
     def silhouette(self, camera: Camera, world_to_camera: Float64) -> NDArray[np.bool_]:
-        """(H, W) pixels whose centre lies in the projected box (method: the paper's mask, sec. III-B).
+        """(H, W) pixels whose centre lies in the projected box (the paper's mask, sec. III-B).
 
         The whole image when the camera is inside the box; nothing when the box is out of view.
         """

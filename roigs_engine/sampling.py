@@ -25,7 +25,7 @@ def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
         epoch, position = divmod(step, len(photos))
         if cached[0] != epoch:
             cached = (epoch, np.random.default_rng([seed, epoch]).permutation(len(photos)))
-        return photos[cached[1][position]]
+        return photos[int(cached[1][position])]
 
     return photo_at
 

@@ -1,7 +1,7 @@
 """A captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
 
 Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forward), pixel centres at
-+0.5, world = the COLMAP model's frame. Nothing in here reads files; `colmap.py` builds these values.
++0.5, world = the COLMAP model's frame. Nothing here reads files; `colmap.py` builds these values.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ class Trainer:
         return self.step >= self.config.steps
 
     def train_step(self) -> None:
-        """One photo: render, compare, descend; then edit the Gaussians where a step is due for it."""
+        """One photo: render, compare, descend; then edit the Gaussians where that is due."""
         config, data = self.config, self.data
         index = data.photo_at(self.step)
         data.photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])

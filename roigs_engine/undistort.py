@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
+import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -34,7 +36,6 @@ ONE_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_DIVISION"}
 # Undistorting happens at full size or, for a much smaller result, at this multiple of it.
 OVERSAMPLING = 2.0
 CACHE_VERSION = 1  # part of each cached photo's name: raise it when the pixels would differ
-_temporary: list[tempfile.TemporaryDirectory[str]] = []  # alive until the process ends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,8 +139,9 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
 
 def temporary_folder() -> Path:
     """A folder that lasts as long as this process."""
-    _temporary.append(tempfile.TemporaryDirectory(prefix="roigs-photos-"))
-    return Path(_temporary[-1].name)
+    folder = tempfile.mkdtemp(prefix="roigs-photos-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _resized(camera: ModelCamera, width: int, height: int) -> ModelCamera:
@@ -153,7 +155,14 @@ def _resized(camera: ModelCamera, width: int, height: int) -> ModelCamera:
 
 
 def _colmap_camera(camera: ModelCamera) -> Any:
-    return _pycolmap().Camera(
+    """The camera as pycolmap's; SceneError when the installed version does not know the model."""
+    colmap = _pycolmap()
+    if camera.model not in colmap.CameraModelId.__members__:
+        raise SceneError(
+            f"{camera.model} cameras are unknown to pycolmap {colmap.__version__}.",
+            "Install a newer pycolmap.",
+        )
+    return colmap.Camera(
         model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
     )
 

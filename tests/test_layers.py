@@ -88,7 +88,7 @@ def _walk(node: ast.AST, package: tuple[str, ...], *, late: bool) -> Iterator[Im
 
 def unit(module: str) -> str:
     """The file or folder directly below the engine that a module belongs to; "" for itself."""
-    return (module.split(".") + [""])[1]
+    return [*module.split("."), ""][1]
 
 
 def engine_imports(*, late: bool = True) -> dict[str, set[str]]:
@@ -222,7 +222,8 @@ def test_nothing_is_unpickled_from_a_file() -> None:
 
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    names = [re.match(r"[\w.-]+", requirement) for requirement in project["dependencies"]]
+    asked = [*project["dependencies"], *project["optional-dependencies"]["train"]]
+    names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}
     importable = {IMPORT_NAMES.get(name, name) for name in declared}
     for name, path in files(ENGINE).items():

@@ -2,10 +2,10 @@
 
     python tools/install_torch.py [--index URL]
 
-On Linux, PyPI's torch is a CUDA build of several gigabytes. This script asks pip first what it would
-install, without downloading it; when that holds CUDA packages, torch comes from PyTorch's own index
-of CPU builds instead. `--index` (or the variable TORCH_INDEX) names another index and skips the
-question, for example https://download.pytorch.org/whl/cu130 for a graphics card.
+On Linux, PyPI's torch is a CUDA build of several gigabytes. This script asks pip first what it
+would install, without downloading it; when that holds CUDA packages, torch comes from PyTorch's own
+index of CPU builds instead. `--index` (or the variable TORCH_INDEX) names another index and skips
+the question, for example https://download.pytorch.org/whl/cu130 for a graphics card.
 
 Run it with the Python of the environment to install into. It needs nothing but pip.
 """

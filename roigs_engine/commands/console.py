@@ -1,4 +1,4 @@
-"""How a command talks: a progress bar for people, JSON lines for programs; and how it is stopped."""
+"""How a command talks: a progress bar for people, JSON lines for programs; how it is stopped."""
 
 from __future__ import annotations
 

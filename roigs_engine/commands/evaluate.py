@@ -44,7 +44,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..report import format_markdown, write_report
     from ..split import choose_test_views
 
-    rois, scene = boxes(args), load_scene(args, console)
+    rois, scene = boxes(args), load_scene(args, console, args.out / "cache")
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
     unknown = sorted(set(test) - {image.name for image in scene.images})
     if unknown:
@@ -56,9 +56,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
         loaded = Gaussians.load_ply(Path(path))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
-    evaluation = evaluate(
-        models, scene, test, rois, emit=console.emit, baseline=models[0].name
-    )
+    evaluation = evaluate(models, scene, test, rois, emit=console.emit, baseline=models[0].name)
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out)
     console.print(format_markdown(evaluation))

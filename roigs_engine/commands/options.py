@@ -76,20 +76,26 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
 
 
 def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = None) -> SfmScene:
-    """The scene of `add_scene_options`; undistorted photos go to `cache`."""
+    """The scene of `add_scene_options`.
+
+    Args:
+        args, console: of the command.
+        cache: where undistorted photos go; None: nobody will look at pixels, only at cameras.
+    """
     from ..colmap import load_colmap
     from ..kernels.library import set_threads
 
-    set_threads(args.threads)
-    scene = load_colmap(
+    if args.threads is not None:  # photos can be looked at where the kernels cannot run
+        set_threads(args.threads)
+    return load_colmap(
         args.scene,
         images=args.images,
         cache=cache,
         downscale=args.downscale,
         max_side=args.max_side,
+        pixels=cache is not None,
         emit=console.emit,
     )
-    return scene
 
 
 def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBox]:

@@ -37,7 +37,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     gaussians = Gaussians.load_ply(args.ply)
     if args.path:
-        set_threads(args.threads)
+        if args.threads is not None:
+            set_threads(args.threads)
         cameras = load_camera_path(args.path)
     else:
         scene = load_scene(args, console)

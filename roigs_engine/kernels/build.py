@@ -165,9 +165,7 @@ def _compiler_command(compiler: str, target: str) -> tuple[list[str], bool]:
     raise BuildError("No C++ compiler found: run `pip install ziglang`, or set CXX.")
 
 
-def _compile_all(
-    scratch: Path, target: str, command: list[str], is_zig: bool
-) -> dict[str, Path]:
+def _compile_all(scratch: Path, target: str, command: list[str], is_zig: bool) -> dict[str, Path]:
     """Compiles and links all instruction sets in parallel; returns their temporary paths."""
     spec = PLATFORMS[target]
     environment = dict(os.environ)

@@ -10,10 +10,11 @@ from __future__ import annotations
 import ctypes
 import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import library
@@ -74,15 +75,21 @@ def _kernels() -> ctypes.CDLL:
 
 
 class View:
-    """Memory of one rendering on the C++ side. A list of idle ones saves allocating it anew."""
+    """What a rendering leaves for its backward pass, on the C++ side.
 
-    _idle: list[View] = []
+    Idle views are kept: memory that is used again costs no page faults, which would take longer
+    than some of the stages.
+    """
+
+    _idle: ClassVar[list[View]] = []
+    _MOST_IDLE: ClassVar[int] = 2
 
     def __init__(self) -> None:
-        self._address = _kernels().roigs_view_create()
+        self._kernels = _kernels()
+        self._address = self._kernels.roigs_view_create()
 
     def __del__(self) -> None:
-        _kernels().roigs_view_destroy(self._address)
+        self._kernels.roigs_view_destroy(self._address)
 
     @classmethod
     def take(cls) -> View:
@@ -94,16 +101,28 @@ class View:
 
     def give_back(self) -> None:
         """Offers the view to the next `take`; its contents are lost."""
-        self._idle.append(self)
+        if len(self._idle) < self._MOST_IDLE:
+            self._idle.append(self)
 
     def call(self, name: str, *arguments: Any) -> int:
         """Calls a kernel on this view; raises KernelError for its failures."""
-        result = getattr(_kernels(), name)(self._address, *arguments)
+        result = getattr(self._kernels, name)(self._address, *arguments)
         if result == _OUT_OF_MEMORY:
             raise KernelError("There is not enough memory to render this view.", _SMALLER)
         if result == _TOO_MANY_INTERSECTIONS:
             raise KernelError("More than 2^31 Gaussians and tiles meet in this view.", _SMALLER)
         return int(result or 0)
+
+
+class _Lease:
+    """Views that wait for a backward pass; gives them back when the graph is dropped without."""
+
+    def __init__(self) -> None:
+        self.views: list[View] = []
+
+    def __del__(self) -> None:
+        for view in self.views:
+            view.give_back()
 
 
 _SMALLER = "Render a smaller image, or Gaussians that are fewer or smaller."
@@ -141,7 +160,7 @@ def render(request: RenderRequest) -> RenderOutput:
         with_depth=request.with_depth,
         with_max_weight=request.with_max_weight,
     )
-    image, alpha, visible, grad2d, depth, max_weight = _Rasterize.apply(
+    image, alpha, visible, grad2d, depth, max_weight = _Rasterize.apply(  # type: ignore[no-untyped-call]
         cameras, *request.parameters
     )
     return RenderOutput(
@@ -198,7 +217,7 @@ class _Rasterize(torch.autograd.Function):
         max_weight = torch.zeros(count) if cameras.with_max_weight else None
         grad2d = torch.zeros(views, count)
 
-        ctx.cameras, ctx.views, ctx.grad2d = cameras, [], grad2d
+        ctx.cameras, ctx.lease, ctx.grad2d = cameras, _Lease(), grad2d
         packed = [p.contiguous() for p in parameters]
         for c in range(views):
             view = View.take()
@@ -211,7 +230,7 @@ class _Rasterize(torch.autograd.Function):
                 pointer(max_weight),
             )
             if any(ctx.needs_input_grad):
-                ctx.views.append(view)
+                ctx.lease.views.append(view)
             else:
                 view.give_back()
         ctx.save_for_backward(image, *parameters)
@@ -222,6 +241,7 @@ class _Rasterize(torch.autograd.Function):
         return image, alpha, visible, grad2d, depth, max_weight
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *output_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         image_gradient = output_gradients[0]
         image, *parameters = ctx.saved_tensors
@@ -236,13 +256,15 @@ class _Rasterize(torch.autograd.Function):
         gaussians = _gaussians(ctx.cameras, packed)
         gradients = _Gradients(*(pointer(buffer) for buffer, _ in targets))
         ctx.grad2d.zero_()
-        views, ctx.views = ctx.views, []
+        views, ctx.lease.views = ctx.lease.views, []
         for c, image_gradient_c in enumerate(image_gradient):
             if views:
                 view = views[c]
             else:  # a second backward through the same graph: the first has given the views back
                 view = View.take()
-                _prepare(view, ctx.cameras, c, packed, torch.zeros(len(packed[0]), dtype=torch.bool))
+                _prepare(
+                    view, ctx.cameras, c, packed, torch.zeros(len(packed[0]), dtype=torch.bool)
+                )
             view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
             view.call(
                 "roigs_project_backward",

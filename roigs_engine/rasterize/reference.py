@@ -56,8 +56,10 @@ def render(request: RenderRequest) -> RenderOutput:
         alpha.append(opacity)
         depth.append(depths)
         max_weight[splats.index] = torch.maximum(max_weight[splats.index], weights)
+    # zero, but a function of the parameters: `backward` works where nothing was drawn, too
+    nothing = sum(p[:0].sum() for p in request.parameters)
     return RenderOutput(
-        image=torch.stack(image),
+        image=torch.stack(image) + nothing,
         alpha=torch.stack(alpha),
         visible=visible,
         grad2d=grad2d,
@@ -232,7 +234,10 @@ def blend(request: RenderRequest, splats: Splats) -> tuple[Tensor, Tensor, Tenso
 def blending_weights(
     splats: Splats, x0: int, y0: int, x1: int, y1: int, like: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Weights alpha_i prod_{j<i} (1 - alpha_j) (P, V) of a rectangle's pixels; what is left (P,)."""
+    """For the P pixels of a rectangle: weights (P, V), and the transmittance that is left (P,).
+
+    A weight is alpha_i prod_{j<i} (1 - alpha_j).
+    """
     x, y = torch.meshgrid(torch.arange(x0, x1), torch.arange(y0, y1), indexing="xy")
     pixels = torch.stack([x, y], -1).reshape(-1, 1, 2).to(like) + 0.5
     power = exponent(splats.covariance, pixels - splats.mean2d)
@@ -252,4 +257,4 @@ def watch_mean2d(splats: Splats, grad2d: Tensor, width: int, height: int) -> Non
         half_size = gradient.new_tensor([0.5 * width, 0.5 * height])
         grad2d[splats.index] = (gradient * half_size).norm(dim=-1).float()
 
-    splats.mean2d.register_hook(write)
+    splats.mean2d.register_hook(write)  # type: ignore[no-untyped-call]

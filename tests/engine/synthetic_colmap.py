@@ -15,7 +15,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
-    """What was written: folder, names, (V, 4, 4) poses, (P, 3) points, cameras and their indices."""
+    """What was written: names, (V, 4, 4) poses, (P, 3) points, cameras and each photo's index."""
 
     folder: Path
     names: list[str]
@@ -48,13 +48,13 @@ def project(cam: pycolmap.Camera, local: Array) -> Array:
     pixels = np.full((len(local), 2), np.nan)
     for row, point in enumerate(local):
         pixel = cam.img_from_cam(point)
-        if pixel is not None and (0 <= pixel).all() and (pixel < (cam.width, cam.height)).all():
+        if pixel is not None and (pixel >= 0).all() and (pixel < (cam.width, cam.height)).all():
             pixels[row] = pixel
     return pixels
 
 
 def look_at(centre: Array) -> Array:
-    """(4, 4) world to camera of a camera at `centre` that looks at the origin, the world's y down."""
+    """(4, 4) world to camera of a camera at `centre` looking at the origin, the world's y down."""
     forward = -centre / np.linalg.norm(centre)
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)

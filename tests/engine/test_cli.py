@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,7 +15,8 @@ from typing import Any
 import pytest
 
 import roigs_engine
-from roigs_engine.cli import COMMANDS, main
+from roigs_engine.cli import COMMANDS, build_parser, main
+from roigs_engine.events import Message, Progress, to_json
 from roigs_engine.selection import METHODS, CameraSelection
 from tests.engine.synthetic_colmap import Project, write_project
 
@@ -74,10 +77,6 @@ def test_every_command_has_help_with_examples(
 
 @pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_examples_in_the_help_are_accepted(command: str) -> None:
-    import shlex
-
-    from roigs_engine.cli import build_parser
-
     text = COMMANDS[command].EXAMPLES.replace("\\\n", " ")
     examples = [line for line in text.splitlines() if line.strip()]
     assert examples
@@ -191,9 +190,7 @@ def test_files_that_are_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[
     ply = tmp_path / "a.ply"
     ply.write_bytes(b"ply\nnothing\n")
     out = tmp_path / "out.ply"
-    line = refused(
-        capsys, "compose", ply, "--roi", BOX, "--object", f"thing={ply}", "--out", out
-    )
+    line = refused(capsys, "compose", ply, "--roi", BOX, "--object", f"thing={ply}", "--out", out)
     assert "a.ply" in line
     assert not out.exists()
     cameras = tmp_path / "cameras.json"
@@ -271,6 +268,19 @@ def test_inspect_in_json(project: Project, capsys: pytest.CaptureFixture[str]) -
 def events(result: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
     """Standard output with --events: JSON lines and nothing else."""
     return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_every_event_is_one_line_of_strict_json() -> None:
+    nan = float("nan")
+    progress = Progress(
+        stage="a", step=1, total=2, loss=nan, psnr=-nan, gaussians=3, seconds_left=float("inf")
+    )
+    record = json.loads(to_json(progress), parse_constant=pytest.fail)
+    assert record["event"] == "progress"
+    assert record["step"] == 1
+    assert record["loss"] is record["psnr"] is record["seconds_left"] is None
+    line = to_json(Message(text="two\nlines, «模型»"))
+    assert "\n" not in line and "模型" in line
 
 
 def test_events_end_in_done(project: Project) -> None:
@@ -359,3 +369,16 @@ def test_a_request_that_is_none_is_refused(
     broken.write_text("{", encoding="utf-8")
     assert "broken.json" in refused(capsys, "select", broken)
     assert "gone.json" in refused(capsys, "select", tmp_path / "gone.json")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/files.md"])
+def test_commands_in_the_documents_are_accepted(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
+    start = "python -m roigs_engine "
+    lines = [line.partition(start)[2] for line in text.splitlines() if start in line]
+    lines += re.findall(rf"^\| `((?:{'|'.join(COMMANDS)}) .*?)` \|", text, re.MULTILINE)
+    commands = [line for line in lines if line.split() and line.split()[0] in COMMANDS]
+    assert commands
+    for line in commands:
+        words = shlex.split(line.rstrip("`").replace("\\", "/"))
+        assert build_parser()[0].parse_args(words).command == words[0]

@@ -73,9 +73,12 @@ def test_pixel_formats(tmp_path: Path, mode: str) -> None:
         grey = np.where(grey > 127, 255, 0).astype(np.uint8)
         Image.fromarray(grey).convert("1").save(tmp_path / "a.png")
     else:
-        source = Image.fromarray(grey).convert("RGB" if mode == "P" else "L")
         suffix = {"CMYK": "tif", "YCbCr": "jpg"}.get(mode, "png")
-        colored = source.convert("RGB").convert(mode)
+        colored = Image.fromarray(grey)
+        if mode == "P":
+            colored.putpalette(bytes(value for level in range(256) for value in [level] * 3))
+        elif mode != "L":
+            colored = colored.convert("RGB").convert(mode)
         if mode in ("LA", "RGBA"):
             colored.putalpha(0)  # colour under full transparency counts
         colored.save(tmp_path / f"a.{suffix}")

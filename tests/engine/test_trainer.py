@@ -52,7 +52,7 @@ def first_model(scene: SfmScene) -> Gaussians:
 
 def same_bits(a: Gaussians, b: Gaussians) -> bool:
     return all(
-        torch.equal(getattr(a, n).detach().view(torch.int32), getattr(b, n).detach().view(torch.int32))
+        torch.equal(*(getattr(model, n).detach().view(torch.int32) for model in (a, b)))
         for n in NAMES
     )
 

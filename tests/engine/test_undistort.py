@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def grid() -> np.ndarray:
     return np.stack([x, y, 0.25 * x + 0.1 * y], axis=-1).reshape(-1, 3)
 
 
-def distorted(folder: Path, model: str = "OPENCV", **settings) -> Project:
+def distorted(folder: Path, model: str = "OPENCV", **settings: Any) -> Project:
     """One photo of dots by a camera of that model."""
     made = camera(model, 240, 180, DISTORTED[model])
     return write_project(
@@ -92,7 +93,7 @@ def test_points_project_to_the_same_features(tmp_path: Path, model: str) -> None
 
 
 @pytest.mark.parametrize("settings", [{"max_side": 120}, {"downscale": 1.3}, {"max_side": 80}])
-def test_the_same_at_smaller_sizes(tmp_path: Path, settings: dict) -> None:
+def test_the_same_at_smaller_sizes(tmp_path: Path, settings: dict[str, Any]) -> None:
     """Also where the photo is shrunk before it is undistorted."""
     distorted(tmp_path)
     scene = load_colmap(tmp_path, **settings)
@@ -115,7 +116,7 @@ def test_the_same_on_resampled_photos(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("model", DISTORTED)
 @pytest.mark.parametrize("settings", [{}, {"max_side": 80}])
-def test_no_black_borders(tmp_path: Path, model: str, settings: dict) -> None:
+def test_no_black_borders(tmp_path: Path, model: str, settings: dict[str, Any]) -> None:
     distorted(tmp_path, model)
     Image.new("RGB", (240, 180), (200, 200, 200)).save(tmp_path / "images/a.png")
     assert load_photo(load_colmap(tmp_path, **settings).images[0]).min() >= 198
@@ -157,7 +158,7 @@ def test_a_panorama_is_left_out(tmp_path: Path) -> None:
 # --- cache ----------------------------------------------------------------------------------------
 
 
-def stages(folder: Path, **settings) -> tuple[SfmScene, list[int]]:
+def stages(folder: Path, **settings: Any) -> tuple[SfmScene, list[int]]:
     """The scene and how many photos each undistortion stage announced."""
     events: list[Event] = []
     scene = load_colmap(folder, emit=events.append, **settings)
@@ -189,6 +190,14 @@ def test_the_cache_follows_photo_camera_and_size(tmp_path: Path) -> None:
     distorted(tmp_path, "FOV", images=None)
     assert stages(tmp_path, cache=cache)[1] == [1]
     assert stages(tmp_path, cache=cache)[1] == []
+
+
+def test_cameras_alone(tmp_path: Path) -> None:
+    distorted(tmp_path)
+    scene, announced = stages(tmp_path, max_side=100, pixels=False)
+    assert announced == []
+    assert scene.images[0].path == tmp_path / "images/a.png"
+    assert scene.images[0].camera == load_colmap(tmp_path, max_side=100).images[0].camera
 
 
 def test_a_photo_that_breaks_off_is_left_out(tmp_path: Path) -> None:
