@@ -58,7 +58,8 @@ def photo_loss(
     Raises:
         EngineError: shapes or types that do not fit, or an unknown backend.
     """
-    planes = image[0] if image.dim() == 4 and image.shape[0] == 1 else image
+    # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
+    planes = image.squeeze(0) if image.dim() == 4 else image
     _check(planes, target, weights)
     native = planes.dtype == torch.float32 and planes.device.type == "cpu"
     if backend == "auto":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -104,6 +105,17 @@ class Trainer:
             on_pause: called every `pause_seconds` of training, to write a checkpoint.
             pause_seconds: see above.
         """
+        with _one_torch_thread():
+            return self._run(stage, emit, should_stop, on_pause, pause_seconds)
+
+    def _run(
+        self,
+        stage: str,
+        emit: Emit,
+        should_stop: Callable[[], bool],
+        on_pause: Callable[[], None],
+        pause_seconds: float,
+    ) -> bool:
         started = reported = paused = time.perf_counter()
         before, first = self.seconds, self.step
         while self.step < self.config.steps:
@@ -256,6 +268,20 @@ class Trainer:
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
         self._stats = DensityStats(**state["stats"])
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """Keep torch's own pool quiet: it and the kernels' pool would fight for the same cores.
+
+    What torch does in a training step is small; its threads cost more than they bring.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _leaves(gaussians: Gaussians) -> Gaussians:

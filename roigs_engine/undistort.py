@@ -5,7 +5,9 @@ from __future__ import annotations
 import atexit
 import hashlib
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -174,6 +176,7 @@ def _options() -> Any:
 @cache
 def _pycolmap() -> Any:
     """The module, its log silenced: what matters comes as an exception."""
+    before = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError as error:
@@ -182,4 +185,7 @@ def _pycolmap() -> Any:
             "Install pycolmap, or give a model that COLMAP's image_undistorter has written.",
         ) from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL.value)
+    if threading.current_thread() is threading.main_thread():
+        # The import takes SIGTERM over, to print a stack trace; ending a process is no crash.
+        signal.signal(signal.SIGTERM, before)
     return pycolmap

@@ -29,8 +29,9 @@ class Console:
         self._log: TextIO | None = None
 
     def watch(self) -> None:
-        """Begin to listen for requests to stop: Ctrl-C once, or standard input (JSON lines)."""
-        signal.signal(signal.SIGINT, self._interrupted)
+        """Begin to listen for requests to stop: Ctrl-C, SIGTERM, standard input (JSON lines)."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._interrupted)
         if self._json_lines:
             threading.Thread(target=self._read_input, daemon=True).start()
 
@@ -97,7 +98,7 @@ class Console:
         if self._stop.is_set():
             raise KeyboardInterrupt
         self._stop.set()
-        self._line("Stopping after this step; Ctrl-C again to leave at once.")
+        self._line("Stopping after this step; once more to leave at once.")
 
     def _read_input(self) -> None:
         for line in sys.stdin:

@@ -64,12 +64,13 @@ FLAGS = (
     "-fno-exceptions",
     "-fno-rtti",
     "-fvisibility=hidden",
-    "-Wall",
-    "-Wextra",
 )
 
 # See runtime.cpp: its `new` and `delete` are for the kernels only, not for others in the process.
 _NO_CXX_LIBRARY = ("-DROIGS_NO_CXX_LIBRARY=1", "-fvisibility-global-new-delete=force-hidden")
+
+# Not for other compilers: gcc warns about its own vector headers (its bug 105593).
+_WARNINGS = ("-Wall", "-Wextra")
 
 
 def native_platform() -> str:
@@ -172,7 +173,7 @@ def _compile_all(scratch: Path, target: str, command: list[str], is_zig: bool) -
     if is_zig:
         cache = str(_zig_cache())
         environment.update(ZIG_GLOBAL_CACHE_DIR=cache, ZIG_LOCAL_CACHE_DIR=cache)
-        common = [*command, "-target", spec.triple, *FLAGS, *_NO_CXX_LIBRARY]
+        common = [*command, "-target", spec.triple, *FLAGS, *_NO_CXX_LIBRARY, *_WARNINGS]
         # One processor model for all links: what zig links in is then built only once.
         link = [command[0], "cc", "-target", spec.triple, "-nostdlib++", "-s", "-shared"]
     else:
@@ -181,6 +182,8 @@ def _compile_all(scratch: Path, target: str, command: list[str], is_zig: bool) -
     if not target.startswith("windows"):
         common.append("-fPIC")
         link.append("-pthread")
+    if target.startswith("linux"):
+        link.append("-Wl,-z,defs")  # an undefined symbol fails here and not when it is called
 
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as workers:
         objects: dict[str, list[Path]] = {}
@@ -223,7 +226,8 @@ def _run(command: list[str], environment: dict[str, str]) -> None:
 
 def _zig_cache() -> Path:
     """A folder of this user's for the compiler's cache, outside the project and the home folder."""
-    folder = Path(tempfile.gettempdir()) / f"roigs-zig-cache-{getpass.getuser()}"
+    user = os.getuid() if hasattr(os, "getuid") else getpass.getuser()
+    folder = Path(tempfile.gettempdir()) / f"roigs-zig-cache-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
     if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
         return Path(tempfile.mkdtemp(prefix="roigs-zig-cache-"))

@@ -5,7 +5,7 @@
 //
 // Rules for the body of a loop
 //   * It runs once for each task in [0, tasks), in any order, on any thread.
-//   * It throws nothing.
+//   * It throws nothing; all kernels are compiled without exceptions (see runtime.cpp).
 //   * Results may not depend on which thread runs a task: write to slots owned by the task, and
 //     add partial sums in task order afterwards. Then every result is the same at any number of
 //     threads, which the tests check bit for bit.

@@ -1,22 +1,12 @@
 // Forward projection: from Gaussians in the world to splats on the image and the tiles they touch.
 #include <atomic>
-#include <limits>
 
 #include "geometry.h"
 #include "sh.h"
+#include "tile_lists.h"
 
 namespace roigs {
 namespace {
-
-// The pixel centres of the tiles being worked on lie in this rectangle.
-struct PixelBounds {
-    float left, top, right, bottom;
-    explicit PixelBounds(const Camera& c)
-        : left(c.tile_x0 * kTile + 0.5f),
-          top(c.tile_y0 * kTile + 0.5f),
-          right(std::min(c.tile_x1 * kTile, c.width) - 0.5f),
-          bottom(std::min(c.tile_y1 * kTile, c.height) - 0.5f) {}
-};
 
 // Writes the splats of the lanes that can touch a pixel to `out`; returns their number. Colours
 // are left open.
@@ -101,83 +91,6 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
     }
 }
 
-bool finite(float x) {
-    uint32_t pattern;
-    std::memcpy(&pattern, &x, sizeof x);
-    return (pattern & 0x7fffffff) < 0x7f800000;
-}
-
-// Range of tiles, in one direction, whose pixel centres meet [low, high]; clipped to [begin, end).
-struct TileRange {
-    int first, last;
-    TileRange(float low, float high, int begin, int end) {
-        // clipped as floats: what is far outside does not fit an int
-        first = int(std::ceil(std::max((low - (kTile - 0.5f)) * (1.0f / kTile), float(begin))));
-        last = int(std::floor(std::min((high - 0.5f) * (1.0f / kTile), float(end - 1))));
-    }
-};
-
-// Writes the tiles in which the ellipse alpha >= 1/255 meets the hull of the pixel centres, row
-// by row, exactly: a row of tiles cuts a horizontal slab out of the (convex) ellipse, and what
-// lies between the slab's leftmost and rightmost point is touched. Returns the end of the list.
-uint32_t* list_tiles(const Splat& s, const Camera& camera, const PixelBounds& bounds,
-                     uint32_t* out) {
-    const int columns = camera.tile_x1 - camera.tile_x0;
-    const float headroom = s.log2_opacity - (kLog2AlphaMin - kCullSlack);
-    const float inverse_l11 = 1.0f / s.l11;
-    const float extreme_y = s.slope_y * s.reach_x;  // the ellipse's rightmost point has this dy
-    // Signed distance of the ellipse's side from the centre at the dy in the slab that is nearest
-    // to the extreme point's.
-    const auto side = [&](float sign, float low, float high) {
-        const float dy = std::min(std::max(sign * extreme_y, low), high), v = s.l22 * dy;
-        return s.slope_x * dy + sign * inverse_l11 * std::sqrt(std::max(headroom - v * v, 0.0f));
-    };
-    const TileRange rows(s.y - s.reach_y, s.y + s.reach_y, camera.tile_y0, camera.tile_y1);
-    for (int row = rows.first; row <= rows.last; ++row) {
-        const float top = row * kTile + 0.5f, low = top - s.y;
-        const float high = std::min(top + (kTile - 1), bounds.bottom) - s.y;
-        const float left = s.x + side(-1, low, high), right = s.x + side(1, low, high);
-        if (left > bounds.right) continue;  // the last tile may stick out of the image
-        const TileRange range(left, right, camera.tile_x0, camera.tile_x1);
-        const int before = (row - camera.tile_y0) * columns - camera.tile_x0;
-        for (int column = range.first; column <= range.last; ++column)
-            *out++ = uint32_t(before + column);
-    }
-    return out;
-}
-
-constexpr int64_t kMostTilesInChunk = std::numeric_limits<int32_t>::max();
-
-// At most this many tiles can come out of list_tiles.
-int64_t most_tiles(const Splat& s, const Camera& camera) {
-    const TileRange x(s.x - s.reach_x - 1, s.x + s.reach_x + 1, camera.tile_x0, camera.tile_x1);
-    const TileRange y(s.y - s.reach_y - 1, s.y + s.reach_y + 1, camera.tile_y0, camera.tile_y1);
-    return int64_t(std::max(x.last - x.first + 1, 0)) * std::max(y.last - y.first + 1, 0);
-}
-
-// Lists the tiles of a chunk's splats and drops the splats that touch none or have no finite
-// colour. Returns false when there is not enough memory.
-bool keep_touching(const Camera& camera, const PixelBounds& bounds, Splat* splats,
-                   TileSpan* tiles_of, int count, Chunk& chunk) {
-    int32_t kept = 0, used = 0;
-    chunk.visible = chunk.tile_count = 0;
-    for (int i = 0; i < count; ++i) {
-        const Splat& s = splats[i];
-        if (!finite(s.red) || !finite(s.green) || !finite(s.blue)) continue;
-        const int64_t wanted = used + most_tiles(s, camera);
-        if (wanted > kMostTilesInChunk || !chunk.tiles.extend(wanted, used)) return false;
-        uint32_t* begin = chunk.tiles.data() + used;
-        const int32_t touched = int32_t(list_tiles(s, camera, bounds, begin) - begin);
-        if (!touched) continue;
-        tiles_of[kept] = {used, touched};
-        used += touched;
-        splats[kept++] = s;
-    }
-    chunk.visible = kept;
-    chunk.tile_count = used;
-    return true;
-}
-
 bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, uint8_t* visible) {
     const int64_t begin = c * kChunk, end = std::min(begin + kChunk, gaussians.count);
     const PixelBounds bounds(view.camera);
@@ -193,8 +106,7 @@ bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, uint8_t* v
     }
     colour_splats(gaussians, view.camera, splats, count);
     Chunk& chunk = view.chunks[c];
-    if (!keep_touching(view.camera, bounds, splats, &view.tiles_of[begin], count, chunk))
-        return false;
+    if (!list_tiles(view.camera, splats, &view.tiles_of[begin], count, chunk)) return false;
     for (int i = 0; i < chunk.visible; ++i) visible[splats[i].id] = 1;
     return true;
 }

@@ -152,6 +152,13 @@ ROIGS_INLINE bool any(Mask m) {
 
 ROIGS_INLINE Floats clamp(Floats x, Floats low, Floats high) { return min(max(x, low), high); }
 
+// For |x| below 2^31.
+ROIGS_INLINE Floats floor(Floats x) {
+    const Floats towards_zero = to_floats(__builtin_convertvector(x, Ints));
+    return towards_zero - keep(greater(towards_zero, x), splat(1.0f));
+}
+ROIGS_INLINE Floats ceil(Floats x) { return -floor(-x); }
+
 // Looks at the bits, so that it holds under compiler flags that assume there are no NaNs.
 ROIGS_INLINE Mask is_finite(Floats x) {
     return less(bits_of(x) & 0x7fffffff, Ints{} + 0x7f800000);

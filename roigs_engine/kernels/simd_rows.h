@@ -95,16 +95,33 @@ ROIGS_INLINE void transpose(Floats (&v)[4]) {
 
 #endif
 
-// Writes the sums over all lanes of v[0], v[1], .. to out[0], out[1], ..
+#if defined(__AVX2__)
+
+// The sums over all lanes of four vectors.
+ROIGS_INLINE void sum_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out) {
+    const __m256 sums = _mm256_hadd_ps(_mm256_hadd_ps(a, b), _mm256_hadd_ps(c, d));
+    _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(sums), _mm256_extractf128_ps(sums, 1)));
+}
+
+#else
+
+ROIGS_INLINE void sum_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out) {
+    Floats v[4] = {a, b, c, d};
+    transpose(v);
+    store(out, (v[0] + v[1]) + (v[2] + v[3]));
+}
+
+#endif
+
+// Writes the sums over all lanes of v[0], v[1], .. to out[0], out[1], .. Writes 16 floats.
 template <int kCount>
 ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
-    for (int first = 0; first < kCount; first += kLanes) {
-        Floats tile[kLanes], sums = {};
-        for (int i = 0; i < kLanes; ++i) tile[i] = first + i < kCount ? v[first + i] : Floats{};
-        transpose(tile);
-        for (int i = 0; i < kLanes; ++i) sums += tile[i];
-        for (int i = 0; i < kLanes && first + i < kCount; ++i) out[first + i] = sums[i];
-    }
+    static_assert(kCount <= 16, "out has 16 places");
+    const auto at = [&](int i) { return i < kCount ? v[i] : Floats{}; };
+    sum_four_lanes(at(0), at(1), at(2), at(3), out);
+    sum_four_lanes(at(4), at(5), at(6), at(7), out + 4);
+    sum_four_lanes(at(8), at(9), at(10), at(11), out + 8);
+    sum_four_lanes(at(12), at(13), at(14), at(15), out + 12);
 }
 
 ROIGS_INLINE Floats load_some(const float* p, int count) {

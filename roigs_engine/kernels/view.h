@@ -122,6 +122,7 @@ struct Chunk {
     int32_t tile_count = 0;   // number of (Gaussian, tile) pairs
     int64_t first_slot = 0;   // slot of the first pair
     Scratch<uint32_t> tiles;  // tiles touched, splat by splat
+    Scratch<int32_t> runs;    // used while they are found, see tile_lists.h
 };
 
 struct TileSpan {

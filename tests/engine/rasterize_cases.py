@@ -11,6 +11,9 @@ from torch import Tensor
 
 from roigs_engine.rasterize import RenderOutput, rasterize
 
+# Where cores are shared, torch's threads wait for each other longer than such small tensors take.
+torch.set_num_threads(1)
+
 NAMES = ("means", "quats", "scales", "opacities", "sh")
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])
 
