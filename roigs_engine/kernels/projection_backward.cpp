@@ -181,6 +181,17 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     for (int i = 0; i < batch.count; ++i) grad2d[batch.id[i]] = norm[i];
 }
 
+// Rows of the batch at `first`: those of the SH make up most of the memory traffic.
+void prefetch_batch(const View& view, const Gaussians& gaussians, const Gradients& out,
+                    int32_t first, int32_t end) {
+    const int stride = 3 * gaussians.sh_coefficients;
+    for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
+        const int64_t row = view.splats[i].id;
+        prefetch_row(gaussians.sh, stride, row);
+        if (out.sh) prefetch_row(out.sh, stride, row);
+    }
+}
+
 }  // namespace
 }  // namespace roigs
 
@@ -189,7 +200,9 @@ void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians
     using namespace roigs;
     parallel_for(int64_t(view->chunks.size()), [&](int64_t c) {
         const int32_t begin = int32_t(c * kChunk), end = begin + view->chunks[c].visible;
-        for (int32_t first = begin; first < end; first += kLanes)
+        for (int32_t first = begin; first < end; first += kLanes) {
+            prefetch_batch(*view, *gaussians, *gradients, first + kLanes, end);
             batch_gradient(*view, *gaussians, *gradients, SplatBatch(*view, first, end), grad2d);
+        }
     });
 }

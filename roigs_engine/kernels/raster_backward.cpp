@@ -18,72 +18,99 @@
 namespace roigs {
 namespace {
 
-struct Pixels {
-    Floats transmittance[kBlocks];
-    Floats behind[kBlocks];                          // R
-    Floats red[kBlocks], green[kBlocks], blue[kBlocks];  // v
+struct PixelBlock {
+    Floats transmittance;
+    Floats behind;            // R
+    Floats red, green, blue;  // v
 };
 
-void load_tile(const TilePlace& place, const float* image, const float* gradient, Pixels& p) {
+void load_tile(const TilePlace& place, const float* image, const float* gradient,
+               PixelBlock* blocks) {
     const int64_t plane = int64_t(place.width) * place.height;
     for (int b = 0; b < kBlocks; ++b) {
         if (place.block_is_outside(b)) continue;
-        p.transmittance[b] = place.start_transmittance(b);
-        p.red[b] = place.load_block(gradient, b);
-        p.green[b] = place.load_block(gradient + plane, b);
-        p.blue[b] = place.load_block(gradient + 2 * plane, b);
-        p.behind[b] = place.load_block(image, b) * p.red[b] +
-                      place.load_block(image + plane, b) * p.green[b] +
-                      place.load_block(image + 2 * plane, b) * p.blue[b];
+        PixelBlock& p = blocks[b];
+        p.transmittance = place.start_transmittance(b);
+        p.red = place.load_block(gradient, b);
+        p.green = place.load_block(gradient + plane, b);
+        p.blue = place.load_block(gradient + 2 * plane, b);
+        p.behind = place.load_block(image, b) * p.red +
+                   place.load_block(image + plane, b) * p.green +
+                   place.load_block(image + 2 * plane, b) * p.blue;
     }
 }
 
-// One splat over all the blocks it touches: with its sums in registers, this is the loop that
-// training spends most of its time in. Clears the bits of blocks that end in `live`.
-ROIGS_INLINE void splat_gradient(const LocalSplat& s, uint64_t blocks, Pixels& p, uint64_t& live,
-                                 SlotGradient& out) {
+// What one block adds to a splat's sums.
+struct Term {
+    Floats gradient;  // s
+    Floats weight, u, v;
+};
+
+ROIGS_INLINE void accumulate(const Term& t, const PixelBlock& p, Floats (&sum)[kMoments]) {
+    const Floats gu = t.gradient * t.u, gv = t.gradient * t.v;
+    sum[kS] += t.gradient;
+    sum[kSU] += gu;
+    sum[kSV] += gv;
+    sum[kSUU] += gu * t.u;
+    sum[kSUV] += gu * t.v;
+    sum[kSVV] += gv * t.v;
+    sum[kRed] += t.weight * p.red;
+    sum[kGreen] += t.weight * p.green;
+    sum[kBlue] += t.weight * p.blue;
+}
+
+// Takes the splat in front off the block's pixels.
+ROIGS_INLINE Term differentiate(const LocalSplat& s, int b, PixelBlock& p) {
+    Term t;
+    const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), t.u, t.v);
+    const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
+    const Floats uncapped = exp2(exponent);
+    const Floats alpha = keep(drawn, min(uncapped, splat(kAlphaMax)));
+    const Floats before = p.transmittance;
+    t.weight = alpha * before;
+    p.transmittance = before - t.weight;
+
+    const Floats colour = p.red * s.red + p.green * s.green + p.blue * s.blue;
+    p.behind -= t.weight * colour;
+    const Floats alpha_gradient = before * colour - p.behind * reciprocal(1.0f - alpha);
+    // a capped alpha does not depend on anything
+    const Mask moves = both(drawn, less(uncapped, splat(kAlphaMax)));
+    t.gradient = keep(moves, alpha * alpha_gradient);
+    return t;
+}
+
+// One splat over all the blocks it touches: the loop that training spends most of its time in.
+// Clears the bits of blocks that end in `live`.
+ROIGS_INLINE void splat_gradient(const LocalSplat& s, uint64_t touched, PixelBlock* blocks,
+                                 uint64_t& live, SlotGradient& out) {
     Floats sum[kMoments] = {};
-    do {
-        const int b = __builtin_ctzll(blocks);
-        blocks &= blocks - 1;
-        Floats u, v;
-        const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
-        const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
-        const Floats uncapped = exp2(exponent);
-        const Floats alpha = keep(drawn, min(uncapped, splat(kAlphaMax)));
-        const Floats before = p.transmittance[b], weight = alpha * before;
-        const Floats after = before - weight;
-        p.transmittance[b] = after;
-
-        const Floats vr = p.red[b], vg = p.green[b], vb = p.blue[b];
-        const Floats colour = vr * s.red + vg * s.green + vb * s.blue;
-        const Floats behind = p.behind[b] - weight * colour;
-        p.behind[b] = behind;
-        const Floats alpha_gradient = before * colour - behind * reciprocal(1.0f - alpha);
-        // a capped alpha does not depend on anything
-        const Mask moves = both(drawn, less(uncapped, splat(kAlphaMax)));
-        const Floats gradient = keep(moves, alpha * alpha_gradient);
-
-        const Floats gu = gradient * u, gv = gradient * v;
-        sum[kS] += gradient;
-        sum[kSU] += gu;
-        sum[kSV] += gv;
-        sum[kSUU] += gu * u;
-        sum[kSUV] += gu * v;
-        sum[kSVV] += gv * v;
-        sum[kRed] += weight * vr;
-        sum[kGreen] += weight * vg;
-        sum[kBlue] += weight * vb;
-        if (__builtin_expect(!any(greater(after, splat(kTransmittanceEnd))), 0))
-            live &= ~(uint64_t(1) << b);
-    } while (blocks);
+    // Sums and all the rest do not fit 16 registers together, and moving them to and from memory
+    // for each block takes longer than a second loop: a quarter of this function's time.
+    constexpr bool kTwoLoops = kVectorRegisters < 32;
+    Term terms[kTwoLoops ? kBlocks : 1];
+    int count = 0;
+    for (uint64_t todo = touched; todo; todo &= todo - 1) {
+        const int b = __builtin_ctzll(todo);
+        const Term t = differentiate(s, b, blocks[b]);
+        if (kTwoLoops)
+            terms[count++] = t;
+        else
+            accumulate(t, blocks[b], sum);
+        const Mask shines_through = greater(blocks[b].transmittance, splat(kTransmittanceEnd));
+        if (__builtin_expect(!any(shines_through), 0)) live &= ~(uint64_t(1) << b);
+    }
+    if (kTwoLoops) {
+        count = 0;
+        for (uint64_t todo = touched; todo; todo &= todo - 1)
+            accumulate(terms[count++], blocks[__builtin_ctzll(todo)], sum);
+    }
     sum_lanes(sum, out.sum);
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
     const TilePlace place(view, tile);
-    Pixels pixels;
-    load_tile(place, image, gradient, pixels);
+    PixelBlock blocks[kBlocks];
+    load_tile(place, image, gradient, blocks);
     uint64_t live = kAllBlocks;
     for (int b = 0; b < kBlocks; ++b)
         if (place.block_is_outside(b)) live &= ~(uint64_t(1) << b);
@@ -97,8 +124,8 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, clear);
         for (int i = 0; i < batch.count; ++i) {
             const LocalSplat& s = batch.splats[i];
-            if (const uint64_t blocks = batch.blocks[i] & live)
-                splat_gradient(s, blocks, pixels, live, view.slot_gradients[s.slot]);
+            if (const uint64_t touched = batch.blocks[i] & live)
+                splat_gradient(s, touched, blocks, live, view.slot_gradients[s.slot]);
             else
                 clear(s.slot);
         }

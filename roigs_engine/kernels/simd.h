@@ -25,7 +25,8 @@
 
 namespace roigs {
 
-#if defined(__AVX512F__)
+#if defined(__AVX512F__) && defined(__AVX512DQ__)
+#define ROIGS_AVX512
 constexpr int kBlockWidth = 4, kBlockHeight = 4;
 #elif defined(__AVX2__)
 constexpr int kBlockWidth = 4, kBlockHeight = 2;
@@ -34,10 +35,16 @@ constexpr int kBlockWidth = 2, kBlockHeight = 2;
 #endif
 constexpr int kLanes = kBlockWidth * kBlockHeight;
 
+#if defined(ROIGS_AVX512) || defined(__aarch64__)
+constexpr int kVectorRegisters = 32;
+#else
+constexpr int kVectorRegisters = 16;
+#endif
+
 typedef float Floats __attribute__((vector_size(4 * kLanes)));
 typedef int32_t Ints __attribute__((vector_size(4 * kLanes)));
 
-#if defined(__AVX512F__)
+#if defined(ROIGS_AVX512)
 typedef __mmask16 Mask;  // a bit per lane
 #else
 typedef Ints Mask;  // all bits of a lane, or none
@@ -55,7 +62,7 @@ ROIGS_INLINE Floats load(const float* p) {
 }
 ROIGS_INLINE void store(float* p, Floats x) { std::memcpy(p, &x, sizeof x); }
 
-#if defined(__AVX512F__)
+#if defined(ROIGS_AVX512)
 
 ROIGS_INLINE Mask greater(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
 ROIGS_INLINE Mask less(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
@@ -167,7 +174,7 @@ ROIGS_INLINE Mask is_finite(Floats x) {
 // 2^x for x in about [-126, 127], relative error below 3e-7: x = n + f with |f| <= 1/2, a
 // polynomial for 2^f (minimax, 2^0 = 1 exactly), n added to the exponent.
 ROIGS_INLINE Floats exp2(Floats x) {
-#if defined(__AVX512F__)
+#if defined(ROIGS_AVX512)
     const Floats f = _mm512_reduce_ps(x, 0x08);
 #else
     x = clamp(x, splat(-126.0f), splat(127.0f));
@@ -180,7 +187,7 @@ ROIGS_INLINE Floats exp2(Floats x) {
     p = p * f + 0.24022461f;
     p = p * f + 0.69314693f;
     p = p * f + 1.0f;
-#if defined(__AVX512F__)
+#if defined(ROIGS_AVX512)
     return _mm512_scalef_ps(p, x - f);
 #else
     return floats_of(bits_of(p) + (n << 23));

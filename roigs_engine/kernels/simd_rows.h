@@ -5,7 +5,7 @@
 
 namespace roigs {
 
-#if defined(__AVX512F__)
+#if defined(ROIGS_AVX512)
 
 // Lane j of vector i becomes lane i of vector j. Interleaves 1, 2, then 4 and 8 floats at a time.
 ROIGS_INLINE void transpose(Floats (&v)[16]) {
@@ -134,6 +134,13 @@ ROIGS_INLINE void add_some(float* p, Floats x, int count) {
 }
 
 #endif
+
+// Starts fetching a row that will be needed soon. Rows that belong to visible Gaussians follow no
+// pattern that the processor would fetch ahead by.
+ROIGS_INLINE void prefetch_row(const float* matrix, int stride, int64_t row) {
+    constexpr int kLine = 16;  // floats
+    for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, 1);
+}
 
 // Column `column` of a row-major matrix with `stride` floats a row, at one row per lane.
 ROIGS_INLINE Floats gather(const float* matrix, int stride, int column, const int32_t* rows) {

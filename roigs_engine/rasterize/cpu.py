@@ -83,13 +83,15 @@ class View:
 
     _idle: ClassVar[list[View]] = []
     _MOST_IDLE: ClassVar[int] = 2
+    _address: int | None = None
 
     def __init__(self) -> None:
         self._kernels = _kernels()
         self._address = self._kernels.roigs_view_create()
 
     def __del__(self) -> None:
-        self._kernels.roigs_view_destroy(self._address)
+        if self._address is not None:
+            self._kernels.roigs_view_destroy(self._address)
 
     @classmethod
     def take(cls) -> View:

@@ -217,6 +217,25 @@ def test_broken_gaussians_disturb_nobody(backend: str, value: float, raw: bool) 
         assert not p.grad[~kept].any(), name
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_extreme_values_anywhere(seed: int) -> None:
+    """Image and gradients stay finite whatever the parameters hold, but for huge colours."""
+    generator = torch.Generator().manual_seed(seed)
+    nan, inf = float("nan"), float("inf")
+    extremes = torch.tensor([nan, inf, -inf, 0.0, 1e-20, 1e-40, 1e38, -1e38, 1e20, 1e10])
+    parameters = gaussians(500, raw=seed % 2 == 0, seed=seed)
+    for name, p in zip(NAMES, parameters, strict=True):
+        kinds = 6 if name == "sh" else len(extremes)
+        where = torch.rand(p.shape, generator=generator) < 0.05
+        p[where] = extremes[torch.randint(0, kinds, p.shape, generator=generator)][where]
+        p.requires_grad_()
+    output = render(parameters, raw=seed % 2 == 0, with_max_weight=True)
+    output.image.clamp(-1e3, 1e3).sum().backward()
+    assert torch.isfinite(output.image).all()
+    for name, p in zip(NAMES, parameters, strict=True):
+        assert p.grad is not None and torch.isfinite(p.grad).all(), name
+
+
 @pytest.mark.parametrize("size", [(8192, 3), (3, 8192)])
 def test_long_images(size: tuple[int, int]) -> None:
     parameters = leaves(50, coefficients=1, size=2.0)

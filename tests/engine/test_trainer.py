@@ -67,7 +67,8 @@ def mean_loss(trainer: Trainer, steps: int) -> float:
 
 def test_training_lowers_the_loss(scene: SfmScene) -> None:
     config = TrainConfig(steps=300, densify_until=0)
-    trainer = Trainer(first_model(scene), stage_data(scene), config)
+    start_model = Gaussians.from_points(scene.points, scene.colors)
+    trainer = Trainer(start_model, stage_data(scene), config)
     start = mean_loss(trainer, 12)
     assert trainer.run()
     assert mean_loss(trainer, 12) < 0.5 * start
