@@ -34,8 +34,10 @@ ROIGS_INLINE Floats exp(Floats x) { return exp2(1.44269504f * x); }
 
 // Quaternion to rotation matrix.
 ROIGS_INLINE void rotate(const float* quats, const int32_t* ids, Geometry& g) {
-    for (int k = 0; k < 4; ++k) g.quat[k] = gather(quats, 4, k, ids);
-    Floats norm2 = dot3(g.quat, g.quat) + g.quat[3] * g.quat[3];
+    Floats stored[kLanes];
+    load_columns(quats, 4, 4, ids, stored);
+    for (int k = 0; k < 4; ++k) g.quat[k] = stored[k];
+    const Floats norm2 = dot3(g.quat, g.quat) + g.quat[3] * g.quat[3];
     g.inverse_norm = 1.0f / sqrt(norm2);
     for (int k = 0; k < 4; ++k) g.quat[k] *= g.inverse_norm;
     const Floats w = g.quat[0], x = g.quat[1], y = g.quat[2], z = g.quat[3];
@@ -75,8 +77,8 @@ ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
 // hold finite nonsense or not.
 ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, const int32_t* ids,
                           Geometry& g) {
-    Floats mean[3];
-    for (int k = 0; k < 3; ++k) mean[k] = gather(gaussians.means, 3, k, ids);
+    Floats mean[kLanes], scale[kLanes];
+    load_columns(gaussians.means, 3, 3, ids, mean);
     for (int r = 0; r < 3; ++r) {
         const float* row = camera.world_to_camera[r];
         g.t[r] = row[0] * mean[0] + row[1] * mean[1] + row[2] * mean[2] + row[3];
@@ -87,11 +89,9 @@ ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, cons
     g.y = camera.fy * g.t[1] * g.inverse_z + camera.cy;
 
     rotate(gaussians.quats, ids, g);
-    for (int k = 0; k < 3; ++k) {
-        g.scale[k] = gather(gaussians.scales, 3, k, ids);
-        if (gaussians.raw) g.scale[k] = exp(g.scale[k]);
-    }
-    g.opacity = gather(gaussians.opacities, 1, 0, ids);
+    load_columns(gaussians.scales, 3, 3, ids, scale);
+    for (int k = 0; k < 3; ++k) g.scale[k] = gaussians.raw ? exp(scale[k]) : scale[k];
+    g.opacity = gather(gaussians.opacities, ids);
     if (gaussians.raw) g.opacity = 1.0f / (1.0f + exp(-g.opacity));
 
     linearise(camera, g);
@@ -128,8 +128,9 @@ ROIGS_INLINE Whitening whitening(const Geometry& g) {
 // 1 / distance.
 ROIGS_INLINE Floats view_direction(const Gaussians& gaussians, const Camera& camera,
                                    const int32_t* ids, Floats (&direction)[3]) {
-    for (int k = 0; k < 3; ++k)
-        direction[k] = gather(gaussians.means, 3, k, ids) - camera.position[k];
+    Floats mean[kLanes];
+    load_columns(gaussians.means, 3, 3, ids, mean);
+    for (int k = 0; k < 3; ++k) direction[k] = mean[k] - camera.position[k];
     const Floats inverse = 1.0f / sqrt(dot3(direction, direction));
     for (int k = 0; k < 3; ++k) direction[k] *= inverse;
     return inverse;

@@ -24,7 +24,7 @@ int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const
                                less(g.y - reach_y, splat(bounds.bottom))));
 
     const Whitening w = whitening(g);
-    Floats columns[16] = {g.x,
+    Floats columns[16] = {g.x,  // in the order of Splat's members
                           g.y,
                           w.l11,
                           w.l21,
@@ -38,10 +38,10 @@ int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const
                           g.t[2],
                           reach_x,
                           reach_y,
-                          g.opacity,
+                          {},
                           {}};
     for (const Floats& column : columns) usable = both(usable, is_finite(column));
-    usable = both(usable, is_finite(g.determinant));
+    usable = both(usable, both(is_finite(g.determinant), is_finite(g.opacity)));
     uint32_t lanes = bits(usable);
     if (!lanes) return 0;
 

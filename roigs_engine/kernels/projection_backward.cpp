@@ -10,10 +10,9 @@ namespace {
 struct SplatBatch {
     int count;
     int32_t splat[kLanes], id[kLanes];
-    Mask exists;
 
     SplatBatch(const View& view, int32_t first, int32_t end)
-        : count(std::min(kLanes, end - first)), exists(first_lanes(count)) {
+        : count(std::min(kLanes, end - first)) {
         for (int i = 0; i < kLanes; ++i) {
             splat[i] = first + std::min(i, count - 1);
             id[i] = view.splats[splat[i]].id;
@@ -37,21 +36,23 @@ void sum_slots(const View& view, const SplatBatch& batch, Floats (&moments)[16])
 }
 
 struct Gradient2d {
-    Floats x, y;          // dL / d(projected centre)
-    Floats xx, xy, yy;    // dL / d(Sigma'), a symmetric matrix
+    Floats x, y;        // dL / d(projected centre)
+    Floats xx, xy, yy;  // dL / d(Sigma'), a symmetric matrix
 };
 
 // With Sigma'^-1 = L L^T / h (h = kExponentScale) and (u, v) = L^T d,
 //     dL / d(centre) = sum s Sigma'^-1 d = L (sum s (u, v)) / h
-//     dL / d(Sigma') = 1/2 sum s (Sigma'^-1 d)(Sigma'^-1 d)^T = L (sum s (u, v)(u, v)^T) L^T / 2 h^2.
+//     dL / d(Sigma') = 1/2 sum s (Sigma'^-1 d)(Sigma'^-1 d)^T
+//                    = L M L^T / (2 h^2) with M = sum s (u, v)(u, v)^T.
 Gradient2d unwhiten(const Geometry& g, const Floats (&m)[16]) {
     const Whitening w = whitening(g);
     constexpr float kFirst = 1 / kExponentScale, kSecond = 0.5f * kFirst * kFirst;
     Gradient2d out;
     out.x = kFirst * (w.l11 * m[kSU]);
     out.y = kFirst * (w.l21 * m[kSU] + w.l22 * m[kSV]);
-    const Floats a = w.l11 * m[kSUU];                     // first column of M L^T, ..
-    const Floats b = w.l21 * m[kSUU] + w.l22 * m[kSUV];   // .. second
+    // M L^T = (a b; . c)
+    const Floats a = w.l11 * m[kSUU];
+    const Floats b = w.l21 * m[kSUU] + w.l22 * m[kSUV];
     const Floats c = w.l21 * m[kSUV] + w.l22 * m[kSVV];
     out.xx = kSecond * (w.l11 * a);
     out.xy = kSecond * (w.l11 * b);
@@ -149,9 +150,7 @@ void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBa
 
 template <int kColumns>
 void add_rows(float* matrix, const SplatBatch& batch, const Floats (&columns)[kColumns]) {
-    if (!matrix) return;
-    for (int k = 0; k < kColumns; ++k)
-        scatter_add(matrix, kColumns, k, batch.id, batch.count, columns[k]);
+    if (matrix) add_columns(matrix, kColumns, kColumns, batch.id, batch.count, columns);
 }
 
 void batch_gradient(const View& view, const Gaussians& gaussians, const Gradients& out,
@@ -181,14 +180,19 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     for (int i = 0; i < batch.count; ++i) grad2d[batch.id[i]] = norm[i];
 }
 
-// Rows of the batch at `first`: those of the SH make up most of the memory traffic.
+// Starts fetching what the batch at `first` will read and add to.
 void prefetch_batch(const View& view, const Gaussians& gaussians, const Gradients& out,
                     int32_t first, int32_t end) {
     const int stride = 3 * gaussians.sh_coefficients;
     for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
         const int64_t row = view.splats[i].id;
+        __builtin_prefetch(&view.slot_gradients[view.slot(i)]);
         prefetch_row(gaussians.sh, stride, row);
         if (out.sh) prefetch_row(out.sh, stride, row);
+        if (out.means) prefetch_row(out.means, 3, row);
+        if (out.quats) prefetch_row(out.quats, 4, row);
+        if (out.scales) prefetch_row(out.scales, 3, row);
+        if (out.opacities) prefetch_row(out.opacities, 1, row);
     }
 }
 

@@ -57,9 +57,8 @@ ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
 ROIGS_INLINE Floats load_some(const float* p, int count) {
     return _mm512_maskz_loadu_ps(first_lanes(count), p);
 }
-ROIGS_INLINE void add_some(float* p, Floats x, int count) {
-    const Mask m = first_lanes(count);
-    _mm512_mask_storeu_ps(p, m, _mm512_maskz_loadu_ps(m, p) + (__m512)x);
+ROIGS_INLINE void store_some(float* p, Floats x, int count) {
+    _mm512_mask_storeu_ps(p, first_lanes(count), x);
 }
 
 #else
@@ -129,8 +128,8 @@ ROIGS_INLINE Floats load_some(const float* p, int count) {
     std::memcpy(&x, p, sizeof(float) * count);
     return x;
 }
-ROIGS_INLINE void add_some(float* p, Floats x, int count) {
-    for (int i = 0; i < count; ++i) p[i] += x[i];
+ROIGS_INLINE void store_some(float* p, Floats x, int count) {
+    std::memcpy(p, &x, sizeof(float) * count);
 }
 
 #endif
@@ -142,49 +141,46 @@ ROIGS_INLINE void prefetch_row(const float* matrix, int stride, int64_t row) {
     for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, 1);
 }
 
-// Column `column` of a row-major matrix with `stride` floats a row, at one row per lane.
-ROIGS_INLINE Floats gather(const float* matrix, int stride, int column, const int32_t* rows) {
+// values[rows[i]] in lane i.
+ROIGS_INLINE Floats gather(const float* values, const int32_t* rows) {
     Floats x;
-    for (int i = 0; i < kLanes; ++i) x[i] = matrix[(int64_t)rows[i] * stride + column];
+    for (int i = 0; i < kLanes; ++i) x[i] = values[rows[i]];
     return x;
 }
 
-// Adds to the same place; `count` lanes only, rows must differ.
-ROIGS_INLINE void scatter_add(float* matrix, int stride, int column, const int32_t* rows, int count,
-                              Floats x) {
-    for (int i = 0; i < count; ++i) matrix[(int64_t)rows[i] * stride + column] += x[i];
-}
-
-// The first `columns` columns at one row per lane, each as a vector. Reads nothing beyond a row's
-// `columns` floats. `out` has room for `columns` rounded up to whole vectors.
+// The first `columns` columns of a row-major matrix with `stride` floats a row, at one row per
+// lane, each as a vector. Reads nothing beyond a row's `columns` floats. `out` has room for
+// `columns` rounded up to a multiple of kLanes.
 ROIGS_INLINE void load_columns(const float* matrix, int stride, int columns, const int32_t* rows,
                                Floats* out) {
     for (int first = 0; first < columns; first += kLanes) {
         Floats tile[kLanes];
-        const int left = columns - first;
+        const int used = columns - first;
         for (int i = 0; i < kLanes; ++i) {
             const float* p = matrix + (int64_t)rows[i] * stride + first;
-            tile[i] = left >= kLanes ? load(p) : load_some(p, left);
+            tile[i] = used < kLanes ? load_some(p, used) : load(p);
         }
         transpose(tile);
         for (int i = 0; i < kLanes; ++i) out[first + i] = tile[i];
     }
 }
 
-// Adds column vectors to the first `columns` columns of `count` rows, one row per lane.
+// Adds vectors to the first `columns` columns of `count` rows, one row per lane; rows must differ.
 ROIGS_INLINE void add_columns(float* matrix, int stride, int columns, const int32_t* rows,
                               int count, const Floats* in) {
     for (int first = 0; first < columns; first += kLanes) {
         Floats tile[kLanes];
-        const int left = columns - first;
-        for (int i = 0; i < kLanes; ++i) tile[i] = i < left ? in[first + i] : Floats{};
+        const int used = columns - first;
+        const auto place = [&](int i) { return matrix + (int64_t)rows[i] * stride + first; };
+        for (int i = 0; i < kLanes; ++i) tile[i] = i < used ? in[first + i] : Floats{};
         transpose(tile);
-        for (int i = 0; i < count; ++i) {
-            float* p = matrix + (int64_t)rows[i] * stride + first;
-            if (left >= kLanes)
-                store(p, load(p) + tile[i]);
-            else
-                add_some(p, tile[i], left);
+        // All loads come before all stores: rows are neighbours in memory, and to load a vector
+        // that overlaps one being stored takes long.
+        if (used < kLanes) {
+            for (int i = 0; i < count; ++i) tile[i] += load_some(place(i), used);
+            for (int i = 0; i < count; ++i) store_some(place(i), tile[i], used);
+        } else {
+            for (int i = 0; i < count; ++i) store(place(i), load(place(i)) + tile[i]);
         }
     }
 }

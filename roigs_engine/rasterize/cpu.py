@@ -213,11 +213,12 @@ class _Rasterize(torch.autograd.Function):
     def forward(ctx: Any, cameras: _Cameras, *parameters: Tensor) -> tuple[Tensor | None, ...]:
         views, count = len(cameras.structures), parameters[0].shape[0]
         size = (cameras.height, cameras.width)
-        image, alpha = torch.empty(views, 3, *size), torch.empty(views, *size)
-        depth = torch.empty(views, *size) if cameras.with_depth else None
+        image = torch.empty(views, 3, *size, dtype=torch.float32)
+        alpha = torch.empty(views, *size, dtype=torch.float32)
+        depth = torch.empty_like(alpha) if cameras.with_depth else None
         visible = torch.zeros(views, count, dtype=torch.bool)
-        max_weight = torch.zeros(count) if cameras.with_max_weight else None
-        grad2d = torch.zeros(views, count)
+        grad2d = torch.zeros(views, count, dtype=torch.float32)
+        max_weight = torch.zeros(count, dtype=torch.float32) if cameras.with_max_weight else None
 
         ctx.cameras, ctx.lease, ctx.grad2d = cameras, _Lease(), grad2d
         packed = [p.contiguous() for p in parameters]
@@ -257,16 +258,13 @@ class _Rasterize(torch.autograd.Function):
         ]
         gaussians = _gaussians(ctx.cameras, packed)
         gradients = _Gradients(*(pointer(buffer) for buffer, _ in targets))
-        ctx.grad2d.zero_()
         views, ctx.lease.views = ctx.lease.views, []
         for c, image_gradient_c in enumerate(image_gradient):
             if views:
                 view = views[c]
             else:  # a second backward through the same graph: the first has given the views back
-                view = View.take()
-                _prepare(
-                    view, ctx.cameras, c, packed, torch.zeros(len(packed[0]), dtype=torch.bool)
-                )
+                view, visible = View.take(), torch.zeros(len(packed[0]), dtype=torch.bool)
+                _prepare(view, ctx.cameras, c, packed, visible)
             view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
             view.call(
                 "roigs_project_backward",
@@ -298,11 +296,12 @@ def _gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bo
     A dense gradient costs as much for a Gaussian out of view as for one in view: filling it with
     zeros, adding it to `.grad`, and all of that to be undone by the optimizer. With tens of
     Gaussians stored for each one seen, this would be most of a training step. So where a leaf has
-    its `.grad` already, rows are added there and autograd is told that there is no gradient.
+    its `.grad` already, rows are added there and autograd is told that there is no gradient (so
+    that hooks on the leaf see none either).
     """
     if not needed:
         return None, False
     grad = parameter.grad if parameter.is_leaf else None
     if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
         return grad, False
-    return torch.zeros(parameter.shape), True
+    return torch.zeros(parameter.shape, dtype=torch.float32), True
