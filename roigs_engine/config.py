@@ -38,6 +38,8 @@ class TrainConfig:
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
         box_capacity: most Gaussians in a box per observed value there (pixels x 3 channels over the
             training photos, divided by the 59 parameters of a Gaussian); 0: no limit.
+        box_growth: most Gaussians that all boxes together may gain, as a share of the model the
+            stage starts from; 0: no limit.
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
@@ -64,6 +66,7 @@ class TrainConfig:
     split_fraction: float = 0.01
     densify_in_boxes: bool = False
     box_capacity: float = 0.0
+    box_growth: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
@@ -234,6 +237,7 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
             densify_in_boxes=True,
             grad_threshold=8e-5,
             box_capacity=1.0,
+            box_growth=0.5,
             reset_every=0,
         ),
         roi_order="shuffled",

@@ -14,11 +14,12 @@ The run folder:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from . import sampling
+from .capacity import box_capacities
 from .compose import cut
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
@@ -36,8 +37,6 @@ from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
 from .trainer import StageData
 
-# Floats that make up one Gaussian: 3 position, 4 rotation, 3 scale, 1 opacity, 48 colour.
-PARAMETERS = 59
 BASELINE = "Full Scene"
 
 
@@ -145,16 +144,16 @@ class Run:
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo] for photo in photos]
         photo_at, order = self._order(images, bool(rois), selected)
+        start, start_name = self._start(rois)
         data = StageData(
             images=images,
             photos=self._cache(images),
             photo_at=photo_at,
             extent=self.extent,
             rois=rois,
-            capacities=_capacities(images, rois, config.box_capacity),
+            capacities=box_capacities(start, images, rois, config),
             seed=self.config.seed,
         )
-        start, start_name = self._start(rois)
         stage = Stage(
             name=name,
             folder=self.folder / name,
@@ -182,16 +181,16 @@ class Run:
             return sampling.ordered(every), ["ordered"]
         return sampling.shuffled(every, config.seed), ["shuffled", config.seed]
 
-    def _start(self, rois: Sequence[OrientedBox]) -> tuple[Callable[[], Gaussians], str]:
+    def _start(self, rois: Sequence[OrientedBox]) -> tuple[Gaussians, str]:
         """What a stage begins with, and a name for it."""
         if not rois or self.config.roi_init == "points":
             scene = self.train_scene
-            return lambda: Gaussians.from_points(scene.points, scene.colors), "points"
+            return Gaussians.from_points(scene.points, scene.colors), "points"
         base = self.scene_stage()
         if self.config.roi_init == "box":
             (roi,) = rois
-            return lambda: cut(base.gaussians, roi, [roi]), f"box:{base.fingerprint}"
-        return lambda: base.gaussians, base.fingerprint
+            return cut(base.gaussians, roi, [roi]), f"box:{base.fingerprint}"
+        return base.gaussians, base.fingerprint
 
     def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
         """One cache for each list of photos, the last only: stages do not run side by side."""
@@ -299,30 +298,6 @@ def _difference(before: Any, now: Any, path: str = "") -> str:
                 return found
         return ""
     return "" if before == now else f"{path} was {before}, now {now}"
-
-
-def _capacities(
-    images: Sequence[PosedImage], rois: Sequence[OrientedBox], capacity: float
-) -> list[int] | None:
-    """Most Gaussians a box may hold: not more parameters than `capacity` x observed values."""
-    if not rois or capacity <= 0:
-        return None
-    limits = []
-    for roi in rois:
-        small = [replace(i, camera=_thumbnail(i)) for i in images]
-        pixels = sum(
-            roi.projected_area(s.camera, s.world_to_camera) * i.camera.width * i.camera.height
-            for s, i in zip(small, images, strict=True)
-        )
-        limits.append(int(capacity * 3 * pixels / PARAMETERS))
-    return limits
-
-
-def _thumbnail(image: PosedImage) -> Any:
-    """The photo's camera at a size that is good enough to measure areas."""
-    camera = image.camera
-    scale = min(1.0, 256 / max(camera.width, camera.height))
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
 def _row(name: str, stage: StageResult, rois: tuple[str, ...] | None = None) -> EvaluatedModel:

@@ -51,7 +51,7 @@ def fingerprint(data: StageData, config: TrainConfig, start: str, order: Any) ->
         "config": asdict(config),
         "images": [(i.name, asdict(i.camera), i.world_to_camera.tolist()) for i in data.images],
         "rois": [roi.to_dict() for roi in data.rois],
-        "capacities": list(data.capacities or ()),
+        "capacities": [asdict(capacity) for capacity in data.capacities or ()],
         "extent": data.extent,
         "seed": data.seed,
         "start": start,
@@ -68,7 +68,7 @@ class Stage:
         name: shown to people; the last part of `folder`.
         folder: the stage's own.
         data, config: see `Trainer`.
-        start: makes the Gaussians to start from; called only when the stage begins.
+        start: the Gaussians to start from.
         fingerprint: see `fingerprint`.
     """
 
@@ -76,7 +76,7 @@ class Stage:
     folder: Path
     data: StageData
     config: TrainConfig
-    start: Callable[[], Gaussians]
+    start: Gaussians
     fingerprint: str
 
     def run(self, emit: Emit, should_stop: Callable[[], bool]) -> StageResult:
@@ -110,7 +110,7 @@ class Stage:
     def _trainer(self, emit: Emit) -> Trainer:
         """At step 0, or where the checkpoint says."""
         if not self._checkpoint.exists():
-            return Trainer(self.start(), self.data, self.config)
+            return Trainer(self.start, self.data, self.config)
         state = load_checkpoint(self._checkpoint, self.fingerprint)
         trainer = Trainer(Gaussians(**state["parameters"]), self.data, self.config)
         trainer.load_state_dict(state)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from . import densify
+from .capacity import BoxCapacity
 from .config import TrainConfig
 from .densify import DensityStats, Edit
 from .events import Emit, Progress, ignore
@@ -48,7 +49,7 @@ class StageData:
         photo_at: the photo of each step.
         extent: the *scene's* extent, for position rates and world-size pruning.
         rois: boxes that confine densification, when the stage's config says so.
-        capacities: most Gaussians each box may hold; None: no limit.
+        capacities: of each box; None: no limit.
         seed: of the split positions.
     """
 
@@ -57,7 +58,7 @@ class StageData:
     photo_at: PhotoAt
     extent: float
     rois: Sequence[OrientedBox] = ()
-    capacities: Sequence[int] | None = None
+    capacities: Sequence[BoxCapacity] | None = None
     seed: int = 0
 
 
@@ -212,7 +213,10 @@ class Trainer:
         config, data = self.config, self.data
         rng = torch.Generator().manual_seed(data.seed * 1_000_003 + self.step)
         now = self._parameters
-        chosen = densify.choose(now, self._stats, config, data.rois, data.capacities)
+        progress = self.step / config.densify_until
+        capacities = data.capacities
+        limits = None if capacities is None else [c.at(progress) for c in capacities]
+        chosen = densify.choose(now, self._stats, config, data.rois, limits)
         reference = densify.size_reference(now, config, data.rois, data.extent)
         edit = densify.grow(now, chosen, reference, config.split_fraction, rng)
         keep = densify.worth_keeping(edit.gaussians, config, data.extent, self.step)

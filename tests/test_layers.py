@@ -26,7 +26,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("photo_files", "images", "colmap_files", "undistort", "colmap_photos", "colmap"),
         *("inspect", "selection", "split", "config"),
         *("rasterize", "losses", "optimizer", "metrics", "render"),
-        *("densify", "checkpoint", "compose", "report"),
+        *("densify", "capacity", "checkpoint", "compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),
     "run": ("pipeline",),

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from roigs_engine import sampling
+from roigs_engine.capacity import BoxCapacity
 from roigs_engine.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.config import TrainConfig
 from roigs_engine.errors import RunFolderError
@@ -107,7 +108,7 @@ def test_capacity_limits_the_box(scene: SfmScene) -> None:
     config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
     start = first_model(scene)
     limit = int(start.in_box(BOX).sum()) + 5
-    data = stage_data(scene, rois=[BOX], capacities=[limit])
+    data = stage_data(scene, rois=[BOX], capacities=[BoxCapacity(begin=limit, end=limit)])
     trainer = Trainer(start, data, config)
     trainer.run()
     assert int(trainer.gaussians.in_box(BOX).sum()) <= limit + 5
