@@ -121,7 +121,7 @@ def evaluate(
                 stage="evaluate",
                 step=step,
                 total=len(images),
-                loss=0.0,
+                loss=math.nan,
                 psnr=max(whole.values()),
                 gaussians=max(len(model.gaussians) for model in models),
                 seconds_left=(time.monotonic() - started) / step * (len(images) - step),

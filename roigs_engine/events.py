@@ -24,7 +24,10 @@ class StageStarted:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Where training is. Seconds are wall-clock; `psnr` is over recent training photos, in dB."""
+    """Where a stage is. Seconds are wall-clock; `psnr` is over recent photos, in dB.
+
+    `loss` is NaN in a stage that has none (evaluation), and `null` in JSON.
+    """
 
     stage: str
     step: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -85,9 +86,9 @@ class Console:
     def _advance(self, event: Progress) -> None:
         if self._bar is None:
             return
+        loss = "" if math.isnan(event.loss) else f"loss {event.loss:.4f}, "
         self._bar.set_postfix_str(
-            f"loss {event.loss:.4f}, {event.psnr:.2f} dB, {event.gaussians:,} Gaussians",
-            refresh=False,
+            f"{loss}{event.psnr:.2f} dB, {event.gaussians:,} Gaussians", refresh=False
         )
         self._bar.update(event.step - self._bar.n)
 
