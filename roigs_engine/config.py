@@ -36,6 +36,8 @@ class TrainConfig:
         split_fraction: a Gaussian larger than this share of the size reference is split.
         densify_in_boxes: only Gaussians whose centre is in a box are cloned or split (paper,
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
+        box_margin: for densification and its limits, boxes are so many times larger: what stands
+            close around an object fills much of its silhouette.
         box_capacity: most Gaussians in a box per observed value there (pixels x 3 channels over the
             training photos, divided by the 59 parameters of a Gaussian); 0: no limit.
         box_growth: most Gaussians that all boxes together may gain, as a share of the model the
@@ -65,6 +67,7 @@ class TrainConfig:
     grad_threshold: float = 2e-4
     split_fraction: float = 0.01
     densify_in_boxes: bool = False
+    box_margin: float = 1.0
     box_capacity: float = 0.0
     box_growth: float = 0.0
     prune_opacity: float = 0.005

@@ -141,6 +141,7 @@ class Run:
         selected: set[str] | None = None,
     ) -> StageResult:
         """Run one stage; with `rois` it is a ROI stage and begins as `roi_init` says."""
+        margins = [roi.scaled(config.box_margin) for roi in rois]
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo] for photo in photos]
         photo_at, order = self._order(images, bool(rois), selected)
@@ -150,8 +151,8 @@ class Run:
             photos=self._cache(images),
             photo_at=photo_at,
             extent=self.extent,
-            rois=rois,
-            capacities=box_capacities(start, images, rois, config),
+            rois=margins,
+            capacities=box_capacities(start, images, margins, config),
             seed=self.config.seed,
         )
         stage = Stage(

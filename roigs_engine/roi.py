@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,10 @@ class OrientedBox:
     def diagonal(self) -> float:
         """Length of the box's space diagonal, world units."""
         return float(2 * np.linalg.norm(self.half_extents))
+
+    def scaled(self, factor: float) -> OrientedBox:
+        """The box with the same centre and sides `factor` times as long."""
+        return replace(self, half_extents=self.half_extents * factor)
 
     def to_box(self, points: Float64) -> Float64:
         """(N, 3) world positions -> (N, 3) in units of the half extents (inside: all |x| <= 1)."""
