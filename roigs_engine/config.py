@@ -220,7 +220,7 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
     What differs from 3DGS and the paper is measured in docs/results.md.
     """
     # The scene's position rates decay as the baseline's do over its first steps: it is not done
-    # at its end. The ROI stage begins at the full rate again, for its new Gaussians must travel.
+    # at its end. The ROI stage begins at a high rate again, for its new Gaussians must travel.
     middle = 1.6e-4 * (1.6e-6 / 1.6e-4) ** (scene_steps / (scene_steps + roi_steps))
     return RunConfig(
         preset=name,
@@ -229,21 +229,23 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
         kept_share=1.0,
         scene=TrainConfig(
             steps=scene_steps,
-            densify_until=scene_steps * 3 // 4,
+            densify_until=scene_steps * 3 // 5,
             lr_means_final=middle,
         ),
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=2,
+            lr_means=2e-4,
             densify_from=0,
             densify_until=roi_steps // 2,
             densify_in_boxes=True,
             grad_threshold=8e-5,
-            box_capacity=1.0,
-            box_growth=0.5,
+            box_capacity=0.4,
+            box_growth=1.0,
             reset_every=0,
         ),
         roi_order="shuffled",
+        selected_share=0.4,
     )
 
 
