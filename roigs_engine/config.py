@@ -220,7 +220,7 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
     What differs from 3DGS and the paper is measured in docs/results.md.
     """
     # The scene's position rates decay as the baseline's do over its first steps: it is not done
-    # at its end. The ROI stage begins at a high rate again, for its new Gaussians must travel.
+    # at its end. The ROI stage begins at the full rate again, for its new Gaussians must travel.
     middle = 1.6e-4 * (1.6e-6 / 1.6e-4) ** (scene_steps / (scene_steps + roi_steps))
     return RunConfig(
         preset=name,
@@ -235,17 +235,15 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=2,
-            lr_means=2e-4,
             densify_from=0,
             densify_until=roi_steps // 2,
             densify_in_boxes=True,
             grad_threshold=8e-5,
-            box_capacity=0.4,
-            box_growth=1.0,
+            box_capacity=1.0,
+            box_growth=1.05,
             reset_every=0,
         ),
         roi_order="shuffled",
-        selected_share=0.4,
     )
 
 
