@@ -1,8 +1,9 @@
 """How many Gaussians a box may come to hold in the ROI stage, and how fast (ours; paper: no limit).
 
-Two limits hold together. A box that few photos see must not get more parameters than there are
-observed values, or it learns those photos by heart. And all boxes together may add only a share of
-the model they start from, or a box that fills the photos makes the model larger than the plain one.
+A box that few photos see, or that is small in them, must not get so many that it learns those
+photos by heart; one that fills the photos must not make the model larger than the plain one. The
+limit grows with the pixels that the photos show of the box, but more slowly: photos overlap, so
+twice the pixels are not twice the surface. Factor and exponent are empirical (docs/results.md).
 """
 
 from __future__ import annotations
@@ -10,17 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from .config import TrainConfig
 from .densify import box_owner
 from .gaussians import Gaussians
 from .roi import OrientedBox
 from .scene import Camera, PosedImage
 
-# Floats that make up one Gaussian: 3 position, 4 rotation, 3 scale, 1 opacity, 48 colour.
-PARAMETERS = 59
-CHANNELS = 3
+EXPONENT = 0.7
 THUMBNAIL = 256  # pixels; silhouettes are measured at this size
 
 
@@ -46,29 +43,21 @@ def box_capacities(
     rois: Sequence[OrientedBox],
     config: TrainConfig,
 ) -> list[BoxCapacity] | None:
-    """The boxes' capacities, or None when the config sets no limit.
+    """The boxes' capacities, `box_capacity` x pixels^0.7, or None when the config sets no limit.
 
     Args:
         model: what the ROI stage starts from.
-        images: what it trains on.
+        images: what it trains on; pixels count in each of them.
         rois: the boxes.
-        config: `box_capacity` and `box_growth`.
+        config: gives `box_capacity`.
     """
-    if not rois or (config.box_capacity <= 0 and config.box_growth <= 0):
+    if not rois or config.box_capacity <= 0:
         return None
-    owner = box_owner(model, rois).numpy()
-    pixels = np.array([_pixels(roi, images) for roi in rois])
-    budget = config.box_growth * len(model) * pixels / max(pixels.sum(), 1.0)
+    owner = box_owner(model, rois)
     capacities = []
-    for index, seen in enumerate(pixels):
-        inside = int((owner == index).sum())
-        limits = []
-        if config.box_capacity > 0:
-            limits.append(config.box_capacity * CHANNELS * seen / PARAMETERS)
-        if config.box_growth > 0:
-            limits.append(inside + budget[index])
-        end = int(min(limits))
-        capacities.append(BoxCapacity(begin=min(inside, end), end=end))
+    for index, roi in enumerate(rois):
+        end = int(config.box_capacity * _pixels(roi, images) ** EXPONENT)
+        capacities.append(BoxCapacity(begin=min(int((owner == index).sum()), end), end=end))
     return capacities
 
 

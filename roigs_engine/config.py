@@ -38,10 +38,7 @@ class TrainConfig:
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
         box_margin: for densification and its limits, boxes are so many times larger: what stands
             close around an object fills much of its silhouette.
-        box_capacity: most Gaussians in a box per observed value there (pixels x 3 channels over the
-            training photos, divided by the 59 parameters of a Gaussian); 0: no limit.
-        box_growth: most Gaussians that all boxes together may gain, as a share of the model the
-            stage starts from; 0: no limit.
+        box_capacity: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
@@ -69,7 +66,6 @@ class TrainConfig:
     densify_in_boxes: bool = False
     box_margin: float = 1.0
     box_capacity: float = 0.0
-    box_growth: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
@@ -229,18 +225,17 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
         kept_share=1.0,
         scene=TrainConfig(
             steps=scene_steps,
-            densify_until=scene_steps * 3 // 5,
+            densify_until=scene_steps * 5 // 8,
             lr_means_final=middle,
         ),
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=2,
             densify_from=0,
-            densify_until=roi_steps // 2,
+            densify_until=roi_steps // 3,
             densify_in_boxes=True,
             grad_threshold=8e-5,
-            box_capacity=1.0,
-            box_growth=1.05,
+            box_capacity=2.2,
             reset_every=0,
         ),
         roi_order="shuffled",

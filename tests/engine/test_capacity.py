@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.capacity import CHANNELS, PARAMETERS, BoxCapacity, box_capacities
+from roigs_engine.capacity import EXPONENT, BoxCapacity, box_capacities
 from roigs_engine.config import TrainConfig
-from roigs_engine.roi import OrientedBox
 from roigs_engine.scene import SfmScene
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 
 FREE = TrainConfig(steps=100, densify_in_boxes=True)
-SMALL = OrientedBox.axis_aligned("small", [-0.1, -0.1, -0.1], [0.1, 0.1, 0.1])
 
 
 @pytest.fixture(scope="module")
@@ -31,23 +29,19 @@ def test_no_limit_when_none_is_set(scene: SfmScene) -> None:
     assert box_capacities(truth(), scene.images, [BOX], FREE) is None
 
 
-def test_parameters_never_outnumber_observed_values(scene: SfmScene) -> None:
-    config = replace(FREE, box_capacity=1.0)
+def test_the_limit_grows_with_pixels_but_more_slowly(scene: SfmScene) -> None:
+    config = replace(FREE, box_capacity=2.0)
     (all_photos,) = box_capacities(truth(), scene.images, [BOX], config) or []
     (one_photo,) = box_capacities(truth(), scene.images[:1], [BOX], config) or []
     pixels = sum(BOX.silhouette(i.camera, i.world_to_camera).sum() for i in scene.images)
-    assert all_photos.end == pytest.approx(CHANNELS * pixels / PARAMETERS, rel=0.02)
-    assert one_photo.end < all_photos.end / 2
-    assert one_photo.begin <= one_photo.end
+    assert all_photos.end == pytest.approx(2.0 * pixels**EXPONENT, rel=0.02)
+    assert one_photo.end < all_photos.end < 4 * one_photo.end
 
 
-def test_growth_is_a_share_of_the_model_for_all_boxes_together(scene: SfmScene) -> None:
+def test_it_begins_with_what_is_there_or_with_less(scene: SfmScene) -> None:
     model = truth()
-    config = replace(FREE, box_growth=0.5)
-    (alone,) = box_capacities(model, scene.images, [BOX], config) or []
-    assert alone.begin == int(model.in_box(BOX).sum())
-    assert alone.end == alone.begin + len(model) // 2
-    both = box_capacities(model, scene.images, [BOX, SMALL], config) or []
-    gains = [capacity.end - capacity.begin for capacity in both]
-    assert len(model) // 2 - 2 <= sum(gains) <= len(model) // 2
-    assert gains[0] > 3 * gains[1] > 0
+    inside = int(model.in_box(BOX).sum())
+    (roomy,) = box_capacities(model, scene.images, [BOX], replace(FREE, box_capacity=9.0)) or []
+    (tight,) = box_capacities(model, scene.images, [BOX], replace(FREE, box_capacity=0.1)) or []
+    assert roomy.begin == inside < roomy.end
+    assert tight.begin == tight.end < inside
