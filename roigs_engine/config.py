@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .errors import ConfigError
@@ -113,7 +113,6 @@ class RunConfig:
     selected_share: float = 0.5
     test_every: int = 8
     seed: int = 0
-    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
         for name, value, allowed in (

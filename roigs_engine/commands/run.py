@@ -7,7 +7,6 @@ import argparse
 from ..config import COMPARISONS
 from . import train
 from .console import Console
-from .options import boxes, load_scene, run_config
 
 HELP = "do everything: select, train, compare with baselines, evaluate"
 EXAMPLES = """\
@@ -31,20 +30,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Train and evaluate; a folder that holds part of it is gone on with."""
     from ..crops import write_crops
     from ..evaluate import evaluate
-    from ..pipeline import Run
     from ..report import format_markdown, write_report
 
-    rois, config = boxes(args), run_config(args)
-    scene = load_scene(args, console, args.run_dir / "cache")
-    work = Run(
-        args.run_dir, scene, rois, config, emit=console.emit, should_stop=console.should_stop
-    )
-    console.log_to(args.run_dir)
+    work = train.open_run(args, console)
     compare = COMPARISONS if "all" in args.compare else args.compare
     trained = work.train(compare)
-    evaluation = evaluate(trained.models, scene, work.test, rois, emit=console.emit)
+    evaluation = evaluate(trained.models, work.scene, work.test, work.rois, emit=console.emit)
     write_report(evaluation, args.run_dir)
-    write_crops(evaluation, trained.models, scene, rois, args.run_dir)
+    write_crops(evaluation, trained.models, work.scene, work.rois, args.run_dir)
     console.print(format_markdown(evaluation))
     outputs = {"report": "report.md", "pictures": "crops", "result": "result.ply", "rois": "rois"}
     for what, where in outputs.items():

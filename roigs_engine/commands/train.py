@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .console import Console
 from .options import (
@@ -15,6 +16,9 @@ from .options import (
     load_scene,
     run_config,
 )
+
+if TYPE_CHECKING:
+    from ..pipeline import Run
 
 HELP = "train the scene and its boxes to one PLY"
 EXAMPLES = """\
@@ -33,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Train, or go on with the run that is in the folder."""
+def open_run(args: argparse.Namespace, console: Console) -> Run:
+    """The run that the options describe, begun or gone on with; its events go to its folder too."""
     from ..pipeline import Run
 
     rois, config = boxes(args), run_config(args)
@@ -43,5 +47,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         args.run_dir, scene, rois, config, emit=console.emit, should_stop=console.should_stop
     )
     console.log_to(args.run_dir)
-    work.train()
+    return work
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Train, or go on with the run that is in the folder."""
+    open_run(args, console).train()
     return {"result": str(args.run_dir / "result.ply"), "rois": str(args.run_dir / "rois")}
