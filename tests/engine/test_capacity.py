@@ -1,4 +1,4 @@
-"""Limits on the Gaussians of a box: observed values, growth, and their schedule."""
+"""Limits on the Gaussians of a box: what the photos show of it, and the schedule."""
 
 from __future__ import annotations
 
