@@ -132,10 +132,23 @@ def build(
     key = source_key()  # before compiling: an edit meanwhile makes the result count as old
     command, is_zig = _compiler_command(compiler, name)
     with tempfile.TemporaryDirectory(prefix="roigs-build-") as scratch:
-        built = _compile_all(Path(scratch), name, command, is_zig)
+        built = _compile_all(_sources("*.cpp"), Path(scratch), name, command, is_zig)
         for isa, temporary in built.items():
             _install(temporary, library_path(folder, name, isa), key)
     return paths
+
+
+def build_other(
+    sources: Sequence[Path], folder: Path, *, compiler: str = "auto"
+) -> dict[str, Path]:
+    """Compiles sources other than the kernels into `folder`, for this platform, as kernels are.
+
+    Returns instruction set -> library. The benchmarks measure the processor with these. Raises
+    `BuildError`.
+    """
+    name = native_platform()
+    command, is_zig = _compiler_command(compiler, name)
+    return _compile_all(sources, folder, name, command, is_zig)
 
 
 def _sources(*patterns: str) -> list[Path]:
@@ -166,7 +179,9 @@ def _compiler_command(compiler: str, target: str) -> tuple[list[str], bool]:
     raise BuildError("No C++ compiler found: run `pip install ziglang`, or set CXX.")
 
 
-def _compile_all(scratch: Path, target: str, command: list[str], is_zig: bool) -> dict[str, Path]:
+def _compile_all(
+    sources: Sequence[Path], scratch: Path, target: str, command: list[str], is_zig: bool
+) -> dict[str, Path]:
     """Compiles and links all instruction sets in parallel; returns their temporary paths."""
     spec = PLATFORMS[target]
     environment = dict(os.environ)
@@ -191,7 +206,7 @@ def _compile_all(scratch: Path, target: str, command: list[str], is_zig: bool) -
         for isa in spec.isas:
             flags = _isa_flags(isa, spec.isas[isa], is_zig)
             objects[isa] = []
-            for source in _sources("*.cpp"):
+            for source in sources:
                 output = scratch / f"{source.stem}_{isa}.o"
                 objects[isa].append(output)
                 arguments = [*common, *flags, "-c", str(source), "-o", str(output)]

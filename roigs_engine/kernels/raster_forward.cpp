@@ -34,9 +34,9 @@ void transpose_bits(uint64_t (&words)[64]) {
 
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
-// has ended: nothing shines through any more.
+// has ended: nothing shines through any more. What is left in `todo` was not visited then.
 template <bool kDepth, bool kMaxWeight>
-ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t todo, int b, Gathered& gathered,
+ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathered& gathered,
                               Floats* largest) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
@@ -105,6 +105,7 @@ void render_tile(const View& view, int64_t tile, const Images& out) {
     const int64_t end = view.tile_begin[tile + 1];
     Batch batch;
     Floats largest[kMaxWeight ? kBatch : 1];
+    int64_t visits = 0;
     for (int64_t k = view.tile_begin[tile]; k < end && live;) {
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, [](int32_t) {});
         std::fill(batch.blocks + batch.count, batch.blocks + kBatch, 0);
@@ -112,15 +113,18 @@ void render_tile(const View& view, int64_t tile, const Images& out) {
         if (kMaxWeight) std::fill(largest, largest + batch.count, Floats{});
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
-            const uint64_t splats = batch.blocks[b];
+            uint64_t splats = batch.blocks[b];
             if (!splats) continue;
+            visits += __builtin_popcountll(splats);
             if (!blend_block<kDepth, kMaxWeight>(batch, splats, b, gathered, largest))
                 live &= ~(uint64_t(1) << b);
+            visits -= __builtin_popcountll(splats);
         }
         for (int i = 0; kMaxWeight && i < batch.count; ++i)
             view.slot_weights[batch.splats[i].slot] = largest_lane(largest[i]);
     }
     store_tile(view, place, gathered, out);
+    view.tile_visits[tile] = visits;
 }
 
 // Outside the tiles worked on: nothing but background.
@@ -157,6 +161,7 @@ int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth
                      float* max_weight) {
     using namespace roigs;
     const Images out{image, alpha, depth};
+    if (!view->tile_visits.reserve(view->tiles())) return kOutOfMemory;
     if (max_weight) {
         if (!view->slot_weights.reserve(view->intersections)) return kOutOfMemory;
         std::fill_n(view->slot_weights.data(), view->intersections, 0.0f);
@@ -167,4 +172,10 @@ int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth
     parallel_for(view->tiles(), [&](int64_t tile) { render(*view, tile, out); });
     if (max_weight) raise_max_weights(*view, max_weight);
     return 0;
+}
+
+int64_t roigs_pair_evaluations(const roigs::View* view) {
+    int64_t visits = 0;
+    for (int64_t tile = 0; tile < view->tiles(); ++tile) visits += view->tile_visits[tile];
+    return visits * roigs::kLanes;
 }

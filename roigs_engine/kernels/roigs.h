@@ -70,6 +70,10 @@ ROIGS_API int64_t roigs_bin(roigs::View* view);
 ROIGS_API int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth,
                                float* max_weight);
 
+// How many Gaussian and pixel pairs the last roigs_render of this view has evaluated: the lanes of
+// all block visits. For measurements.
+ROIGS_API int64_t roigs_pair_evaluations(const roigs::View* view);
+
 // Gradient of the blending. `image` is what roigs_render wrote, `image_gradient` dL / d(image).
 ROIGS_API int64_t roigs_render_backward(roigs::View* view, const float* image,
                                         const float* image_gradient);

@@ -148,6 +148,7 @@ struct View {
 
     Scratch<SlotGradient> slot_gradients;  // (intersections,)
     Scratch<float> slot_weights;           // (intersections,)
+    Scratch<int64_t> tile_visits;          // (tiles,) visits of a splat to a block, for counting
 
     int tile_columns() const { return camera.tile_x1 - camera.tile_x0; }
     int tile_rows() const { return camera.tile_y1 - camera.tile_y0; }
