@@ -1,0 +1,164 @@
+"""The pieces of benchmarks/ run, and count what they say; nothing is timed for its speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmarks import flops, step, tables
+from benchmarks.measure import COUNTS, StepBenchmark, kernel_calls, optional_outputs, peak_memory
+from benchmarks.results import STAGES, Measurement, Row, growth
+from benchmarks.synthetic import CAMERAS
+from roigs_engine.kernels import build, library
+from roigs_engine.rasterize import rasterize
+
+LANES = {"avx512": 16, "avx2": 8, "generic": 4, "neon": 4}  # simd.h: kLanes
+
+
+@pytest.fixture(scope="module")
+def tiny() -> StepBenchmark:
+    torch.set_num_threads(1)
+    return StepBenchmark(2_000, 64, 48)
+
+
+def counted_pairs(means: torch.Tensor, opacity: float, **options: bool) -> int:
+    """Pair evaluations of tiny round Gaussians, seen by a camera with 16 px per unit at z = 1."""
+    n = len(means)
+    pairs = 0
+
+    def count(view, name, call):  # type: ignore[no-untyped-def]
+        nonlocal pairs
+        result = call()
+        if name == "roigs_render":
+            pairs = view.call("roigs_pair_evaluations")
+        return result
+
+    with kernel_calls(count):
+        rasterize(
+            means,
+            torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(n, 4),
+            torch.full((n, 3), 1e-3),
+            torch.full((n,), opacity),
+            torch.zeros(n, 1, 3),
+            torch.eye(4)[None],
+            torch.tensor([[[16.0, 0, 16], [0, 16.0, 16], [0, 0, 1]]]),
+            32,
+            32,
+            backend="cpu",
+            **options,
+        )
+    return pairs
+
+
+def test_a_step_has_all_stages(tiny: StepBenchmark) -> None:
+    before = {name: tensor.detach().clone() for name, tensor in tiny.tensors.items()}
+    times = tiny.step_times()
+    assert len(times) == CAMERAS
+    assert all(set(t) == set(STAGES) for t in times)
+    wall = [sum(t[stage][0] for stage in STAGES if stage != "step") for t in times]
+    assert wall == pytest.approx([t["step"][0] for t in times])
+    assert all(torch.equal(tiny.tensors[name], tensor) for name, tensor in before.items())
+
+
+def test_counts_do_not_depend_on_threads(tiny: StepBenchmark) -> None:
+    threads = library.threads()
+    try:
+        library.set_threads(1)
+        alone = tiny.counts()
+        library.set_threads(4)
+        assert tiny.counts() == alone
+    finally:
+        library.set_threads(threads)
+    assert set(alone) == set(COUNTS.values())
+    lanes = LANES[library.isa()]
+    assert all(pairs > 0 and pairs % lanes == 0 for pairs in alone["pairs"])
+
+
+def test_pairs_are_lanes_of_visited_blocks() -> None:
+    middle = torch.tensor([[0.06, 0.06, 1.0]])  # px (16.96, 16.96)
+    lanes = LANES[library.isa()]
+    faint = counted_pairs(middle, 0.01)
+    assert faint == lanes
+    assert counted_pairs(middle.expand(10, 3), 0.01) == 10 * lanes
+    assert counted_pairs(torch.tensor([[0.0, 0.0, -1.0]]), 0.9) == 0
+    assert counted_pairs(torch.zeros(0, 3), 0.9) == 0
+
+
+def test_extras_are_what_rasterize_offers(tiny: StepBenchmark) -> None:
+    options = optional_outputs()
+    assert options["plain"] == {}
+    assert options["depth"] == {"with_depth": True}
+    assert options["depth + max_weight"] == {"with_depth": True, "with_max_weight": True}
+    times = tiny.extras_times()
+    assert all(set(t) == set(options) for t in times)
+    assert set(times[0]["plain"]) == {"render", "project", "bin", "raster"}
+
+
+def test_peak(tmp_path: Path) -> None:
+    try:
+        with flops.peak_libraries() as libraries:
+            peak = flops.peak_gflops(libraries[library.isa()])
+            assert set(libraries) == set(build.PLATFORMS[build.native_platform()].isas)
+    except build.BuildError as error:
+        pytest.skip(f"no compiler: {error}")
+    assert 0.1 < peak < 10_000
+
+
+def test_peak_memory() -> None:
+    memory = peak_memory()
+    assert memory is None or memory > 1e7
+
+
+def measurement(gaussians: int, visible: int, pairs: int, milliseconds: float) -> Measurement:
+    """Every stage takes `milliseconds`, seen by one camera in two rounds, the first disturbed."""
+    m = Measurement(
+        Row(gaussians, 100, 10, 1),
+        "this",
+        "avx2",
+        {"visible": [visible], "intersections": [3 * visible], "pairs": [pairs]},
+        peak=100.0,
+        memory=2_000_000,
+    )
+    for slower in (2, 1):
+        times = (milliseconds * slower, milliseconds * slower)
+        m.rounds.append([dict.fromkeys(STAGES, times)])
+        m.extras.append([{"plain": {"raster": times, "render": times}}])
+    return m
+
+
+def test_numbers_of_the_tables() -> None:
+    m = measurement(1_000, 500, 2_000_000, 4.0)
+    assert m.milliseconds("raster", 0) == 4.0
+    assert m.median("raster", 0) == 6.0
+    assert m.nanoseconds_per_pair("raster") == pytest.approx(2.0)
+    assert m.share_of_peak(["raster"]) == pytest.approx(flops.FORWARD / 2.0 / 100)
+    both = (flops.FORWARD + flops.BACKWARD) / 4.0 / 100
+    assert m.share_of_peak(["raster", "raster backward"]) == pytest.approx(both)
+    for table in (tables.stage_table, tables.work_table, tables.ratio_table):
+        lines = table([m, measurement(1_000, 500, 1_000, 8.0)]).splitlines()
+        assert len({line.count("|") for line in lines}) == 1
+    assert "2.000 (2.000)" in lines[-1]
+
+
+def test_growth_tells_linear_from_faster() -> None:
+    sizes = [(100, 10_000), (400, 90_000), (5_000, 300_000), (9_000, 1_000_000)]
+    linear = [measurement(v, v, p, 1e-4 * v + 2e-6 * p) for v, p in sizes]
+    fit = growth(linear)
+    assert fit is not None
+    assert (fit.per_visible, fit.per_pair) == pytest.approx((100.0, 2.0))
+    assert fit.exponent == pytest.approx(1.0)
+    faster = growth([measurement(v, v, p, (1e-4 * v + 2e-6 * p) ** 1.5) for v, p in sizes])
+    assert faster is not None and faster.exponent > 1.3
+    assert growth(linear[:2]) is None
+    assert len(tables.growth_table(linear).splitlines()) == 2 + len(sizes)
+
+
+@pytest.mark.slow
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    tiny_row = ["--gaussians", "2000", "--size", "64x48", "--threads", "1", "--rounds", "1"]
+    step.main([*tiny_row, "--isa", library.isa(), library.available(library.PACKAGE_FOLDER)[0]])
+    assert "Medians relative to" in capsys.readouterr().out
+    step.main([*tiny_row, "--extras"])
+    assert "max_weight" in capsys.readouterr().out
