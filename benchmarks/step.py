@@ -29,13 +29,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Row(gaussians, *size, threads)
         for gaussians, size, threads in product(options.gaussians, options.size, options.threads)
     ]
-    questions = ["extras"] if options.extras else ["step"]
+    question = "extras" if options.extras else "step"
     measurements: list[Measurement] = []
     with engines(options.compare) as folders, peak_libraries() as peaks:
         variants = [Variant(*engine, isa) for engine, isa in product(folders.items(), options.isa)]
         for row in rows:
             print(row, file=sys.stderr)
-            measurements += measure(row, variants, peaks, questions, options.rounds)
+            measurements += measure(row, variants, peaks, question, options.rounds)
 
     print(f"{platform.machine()}, {library.usable_cores()} cores, {options.rounds} rounds")
     if options.extras:
@@ -58,10 +58,10 @@ def measure(
     row: Row,
     variants: Sequence[Variant],
     peak_libraries: dict[str, Path],
-    questions: Sequence[str],
+    question: str,
     rounds: int,
 ) -> list[Measurement]:
-    """Measures a row in all variants, which take turns; `questions` are "step" and "extras"."""
+    """Measures a row in all variants, which take turns; `question`: "step" or "extras"."""
     peaks = {isa: str(path) for isa, path in peak_libraries.items()}
     job = {**asdict(row), "peak_libraries": peaks}
     with ExitStack() as stack:
@@ -72,16 +72,12 @@ def measure(
             Measurement(row, v.name, worker.ask("isa"), worker.ask("counts"))
             for v, worker in zip(variants, workers, strict=True)
         ]
-        for question in questions:
-            for worker in workers:
-                worker.ask(question)  # memory is new, caches are cold
+        for worker in workers:
+            worker.ask(question)  # memory is new, caches are cold
         for _ in range(rounds):
             for m, worker in zip(measurements, workers, strict=True):
                 m.peak = max(m.peak, worker.ask("peak"))
-                if "step" in questions:
-                    m.rounds.append(worker.ask("step"))
-                if "extras" in questions:
-                    m.extras.append(worker.ask("extras"))
+                (m.rounds if question == "step" else m.extras).append(worker.ask(question))
         for m, worker in zip(measurements, workers, strict=True):
             m.memory = worker.ask("memory")
     return measurements
