@@ -55,7 +55,12 @@ class Gaussians:
 
     def rows(self, index: Tensor) -> Gaussians:
         """The Gaussians of a boolean mask (N,) or of row numbers, copied."""
-        return Gaussians(**{name: t.detach()[index].clone() for name, t in self.tensors().items()})
+        rows = index.nonzero()[:, 0] if index.dtype == torch.bool else index
+        # index_select copies whole rows; t[rows] goes element by element, which takes 7 times as
+        # long for sh
+        return Gaussians(
+            **{name: t.detach().index_select(0, rows) for name, t in self.tensors().items()}
+        )
 
     def detached(self) -> Gaussians:
         """A copy that shares nothing and needs no gradient."""

@@ -173,7 +173,7 @@ class VisibleAdam:
                 if len(old) == 0:
                     moments[name] = torch.zeros_like(parameters[name], requires_grad=False)
                 else:
-                    moments[name] = old[source]
+                    moments[name] = old.index_select(0, source)
                     moments[name][fresh] = 0
 
     @torch.no_grad()

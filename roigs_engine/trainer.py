@@ -220,8 +220,9 @@ class Trainer:
         reference = densify.size_reference(now, config, data.rois, data.extent)
         edit = densify.grow(now, chosen, reference, config.split_fraction, rng)
         keep = densify.worth_keeping(edit.gaussians, config, data.extent, self.step)
-        edit = densify.keep_rows(edit, keep)
-        return densify.keep_rows(edit, densify.morton_order(edit.gaussians.means))
+        rows = keep.nonzero()[:, 0]
+        order = densify.morton_order(edit.gaussians.means[rows])
+        return densify.keep_rows(edit, rows[order])
 
     def _apply(self, edit: Edit) -> None:
         """Go on with the edited Gaussians; optimiser state and statistics follow."""
