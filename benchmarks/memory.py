@@ -1,0 +1,137 @@
+"""What a training keeps in memory: `python -m benchmarks.memory` (Linux).
+
+Synthetic Gaussians train on synthetic photos that lie on disk as JPEG files, with the engine's own
+cache and trainer, in a fresh process for each of two settings: one keeps the number of Gaussians,
+the other begins with half of it and densifies every ten steps. Resident memory is the kernel's
+count (VmRSS, VmHWM); the rows below it are what the sizes of the known arrays come to.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+MIB = 1 << 20
+STATUS = Path("/proc/self/status")
+
+
+def resident(field: str = "VmRSS") -> float:
+    """Resident memory in MiB: now, or with `VmHWM` the most there ever was."""
+    lines = STATUS.read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(f"{field}:")) / 1024
+
+
+def write_photos(folder: Path, count: int, width: int, height: int) -> None:
+    """Smooth colours with some noise, as a photo's file would be large."""
+    import numpy as np
+    from PIL import Image
+
+    rng = np.random.default_rng(0)
+    for k in range(count):
+        coarse = Image.fromarray(rng.integers(0, 256, (12, 18, 3), dtype=np.uint8))
+        smooth = np.asarray(coarse.resize((width, height), Image.Resampling.BICUBIC), np.int16)
+        noisy = smooth + rng.integers(-12, 13, smooth.shape)
+        pixels = Image.fromarray(noisy.clip(0, 255).astype(np.uint8))
+        pixels.save(folder / f"{k:03d}.jpg", quality=92)
+
+
+def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
+    """Train in this process, and print one Markdown row per moment and per kind of array."""
+    rows = [("start of Python", resident())]
+    import torch
+
+    rows.append(("torch imported", resident()))
+    from benchmarks.step import ring_cameras, synthetic_gaussians
+    from roigs_engine import sampling
+    from roigs_engine.config import TrainConfig
+    from roigs_engine.images import PhotoCache
+    from roigs_engine.kernels import library
+    from roigs_engine.scene import Camera, PosedImage
+    from roigs_engine.trainer import StageData, Trainer
+
+    library.set_threads(args.threads)
+    rows.append(("engine imported, kernels loaded", resident()))
+    width, height = args.size
+    focal = 0.87 * width
+    camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    poses = ring_cameras().double().numpy()
+    nothing = torch.zeros(0, dtype=torch.int64).numpy()
+    images = [
+        PosedImage(
+            name=path.name,
+            path=path,
+            camera=camera,
+            world_to_camera=poses[k % len(poses)],
+            point_indices=nothing,
+        )
+        for k, path in enumerate(sorted(folder.glob("*.jpg")))
+    ]
+    photos = PhotoCache(images)
+    data = StageData(
+        images=images,
+        photos=photos,
+        photo_at=sampling.shuffled(range(len(images)), 0),
+        extent=5.0,
+    )
+    config = TrainConfig(
+        steps=args.steps,
+        sh_start=3,
+        densify_from=10 if densify else args.steps,
+        densify_until=args.steps,
+        densify_every=10,
+    )
+    count = args.gaussians // 2 if densify else args.gaussians
+    trainer = Trainer(synthetic_gaussians(count), data, config)
+    rows.append(("Gaussians made, trainer ready", resident()))
+    trainer.train_step()
+    rows.append(("after the first step", resident()))
+    trainer.run()
+    rows.append((f"after {trainer.step} steps", resident()))
+    rows.append(("most there ever was", resident("VmHWM")))
+    print(
+        f"\n{len(images)} photos of {width} x {height}, {args.threads} threads, "
+        f"{count:,} Gaussians at first, {len(trainer.gaussians):,} at last\n"
+    )
+    print("| | MiB |\n|---|---|")
+    for name, megabytes in [*rows, *known(trainer, photos.kept_bytes)]:
+        print(f"| {name} | {megabytes:.0f} |")
+
+
+def known(trainer: object, photo_bytes: int) -> list[tuple[str, float]]:
+    """MiB of the arrays whose sizes are known; `trainer` is a `Trainer`."""
+    tensors = list(trainer.gaussians.tensors().values())  # type: ignore[attr-defined]
+    parameters = sum(t.nbytes for t in tensors) / MIB
+    return [
+        ("of it: parameters", parameters),
+        ("of it: their gradients", parameters),
+        ("of it: Adam's moments", 2 * parameters),
+        ("of it: photos, 8 bits", photo_bytes / MIB),
+    ]
+
+
+def main() -> None:
+    """Write the photos, and measure both settings one after the other."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--gaussians", type=int, default=200_000)
+    parser.add_argument("--photos", type=int, default=100)
+    parser.add_argument("--size", type=int, nargs=2, default=[640, 426], metavar=("W", "H"))
+    parser.add_argument("--steps", type=int, default=120)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--train", type=Path, metavar="FOLDER", help=argparse.SUPPRESS)
+    parser.add_argument("--densify", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.train is not None:
+        train(args.train, args, args.densify)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        write_photos(Path(folder), args.photos, *args.size)
+        again = [sys.executable, "-m", "benchmarks.memory", *sys.argv[1:], "--train", folder]
+        for setting in ([], ["--densify"]):
+            subprocess.run([*again, *setting], check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Where a training's time goes: `python -m benchmarks.profile_training SCENE`.
+
+Trains the Full Scene baseline of a preset and takes the time of the training thread: what passes
+inside the compiled kernels, and inside each part of the Python around them. A part's figure leaves
+out the parts and the kernels it calls. Checkpoints are not training and are not written here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import functools
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from roigs_engine import sampling, trainer
+from roigs_engine.colmap import load_colmap
+from roigs_engine.config import PRESETS, preset
+from roigs_engine.densify import DensityStats
+from roigs_engine.gaussians import Gaussians
+from roigs_engine.images import PhotoCache
+from roigs_engine.kernels import library
+from roigs_engine.optimizer import VisibleAdam
+from roigs_engine.trainer import StageData, Trainer
+
+KERNELS = "kernels"
+
+
+class Clock:
+    """Adds up the time of nested parts, each without those inside it.
+
+    Attributes:
+        seconds: part -> [wall-clock time, CPU time of this thread].
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, list[float]] = {}
+        self._taken = [0.0, 0.0]  # of the part that is running
+        self._since = 0.0, 0.0
+
+    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, its time counted for `part`."""
+        taken = self.seconds.setdefault(part, [0.0, 0.0])
+
+        @functools.wraps(function)
+        def run(*arguments: Any, **options: Any) -> Any:
+            outer = self._switch(taken)
+            try:
+                return function(*arguments, **options)
+            finally:
+                self._switch(outer)
+
+        return run
+
+    def _switch(self, following: list[float]) -> list[float]:
+        """Time from here on goes to `following`; returns what it went to before."""
+        now, before, running = (time.perf_counter(), time.thread_time()), self._since, self._taken
+        running[0] += now[0] - before[0]
+        running[1] += now[1] - before[1]
+        self._since, self._taken = now, following
+        return running
+
+    def watch(self, owner: Any, name: str, part: str) -> None:
+        """Count a function or method, wherever it is called from."""
+        setattr(owner, name, self.timed(part, getattr(owner, name)))
+
+
+class TimedKernels:
+    """The kernels' library; every call of a function of it is counted."""
+
+    def __init__(self, kernels: ctypes.CDLL, clock: Clock) -> None:
+        self._kernels, self._clock = kernels, clock
+
+    def __getattr__(self, name: str) -> TimedKernel:
+        kernel = TimedKernel(getattr(self._kernels, name), self._clock)
+        setattr(self, name, kernel)
+        return kernel
+
+
+class TimedKernel:
+    """One function of the library; its signature is set on the function itself."""
+
+    def __init__(self, function: Any, clock: Clock) -> None:
+        self.__dict__["function"] = function
+        self.__dict__["call"] = clock.timed(f"{KERNELS}: {function.__name__}", function)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self.function, name, value)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.call(*arguments)
+
+
+def watch_training() -> Clock:
+    """A clock on the parts of every training step from now on, in this process."""
+    clock = Clock()
+    kernels = TimedKernels(library.load(), clock)
+    library.load = lambda: kernels  # type: ignore[assignment,return-value]
+    clock.watch(Trainer, "_run", "the loop itself")
+    clock.watch(PhotoCache, "prefetch", "photos")
+    clock.watch(PhotoCache, "__getitem__", "photos")
+    clock.watch(trainer, "rasterize", "rasterize")
+    clock.watch(trainer, "photo_loss", "loss")
+    clock.watch(torch.Tensor, "backward", "backward")
+    clock.watch(VisibleAdam, "step", "optimizer")
+    clock.watch(VisibleAdam, "set_lr", "optimizer")
+    clock.watch(DensityStats, "add", "statistics")
+    clock.watch(Trainer, "_observe", "running loss and PSNR")
+    clock.watch(Trainer, "_edit", "densification")
+    return clock
+
+
+def train(folder: Path, max_side: int, preset_name: str, steps: int) -> Trainer:
+    """The first steps of the Full Scene baseline on all photos of a COLMAP project."""
+    scene = load_colmap(folder, max_side=max_side)
+    data = StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=sampling.shuffled(range(len(scene.images)), 0),
+        extent=scene.extent(),
+    )
+    start = Gaussians.from_points(scene.points, scene.colors)
+    work = Trainer(start, data, preset(preset_name).baseline())
+    work.run(should_stop=lambda: work.step >= steps)
+    return work
+
+
+def print_table(clock: Clock, steps: int) -> None:
+    """Parts by their time, most first, and the kernels' share of all."""
+    total = [sum(taken[k] for taken in clock.seconds.values()) for k in (0, 1)]
+    inside = [
+        sum(taken[k] for part, taken in clock.seconds.items() if part.startswith(KERNELS))
+        for k in (0, 1)
+    ]
+    rows = sorted(clock.seconds.items(), key=lambda row: -row[1][0])
+    print("| part | ms a step, wall (CPU) | share, wall (CPU) |")
+    print("|---|---|---|")
+    for part, taken in [*rows, ("all kernels", inside), ("all", total)]:
+        wall, cpu = (1e3 * t / steps for t in taken)
+        share, cpu_share = (100 * taken[k] / total[k] for k in (0, 1))
+        print(f"| {part} | {wall:.3f} ({cpu:.3f}) | {share:.1f} % ({cpu_share:.1f} %) |")
+
+
+def main() -> None:
+    """Train, and print one Markdown row per part."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--max-side", type=int, default=640)
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="draft")
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--threads", type=int, default=library.usable_cores())
+    args = parser.parse_args()
+    library.set_threads(args.threads)
+    clock = watch_training()
+    work = train(args.scene, args.max_side, args.preset, args.steps)
+    print(
+        f"{args.scene.name}, {library.isa()}, {args.threads} threads, {work.step} steps, "
+        f"{len(work.gaussians):,} Gaussians at the end; time of the training thread"
+    )
+    print_table(clock, work.step)
+
+
+if __name__ == "__main__":
+    main()
