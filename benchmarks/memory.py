@@ -44,7 +44,7 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
     import torch
 
     rows.append(("torch imported", resident()))
-    from benchmarks.step import ring_cameras, synthetic_gaussians
+    from benchmarks.synthetic import ring_cameras, synthetic_gaussians
     from roigs_engine import sampling
     from roigs_engine.config import TrainConfig
     from roigs_engine.images import PhotoCache
