@@ -1,14 +1,11 @@
 // Blending front to back (3DGS, eq. 3): C = sum_i c_i alpha_i T_i, T_i = prod_{j<i} (1 - alpha_j).
 #include <cstring>
 
+#include "simd_rows.h"
 #include "tile.h"
 
 namespace roigs {
 namespace {
-
-struct Images {
-    float *image, *alpha, *depth;  // depth may be null
-};
 
 // What a tile's pixels have gathered so far.
 struct Gathered {
@@ -32,12 +29,40 @@ void transpose_bits(uint64_t (&words)[64]) {
     }
 }
 
+// What is asked for of the weights that a batch's splats have, over the blocks blended so far.
+template <bool kMax, bool kSum>
+struct BatchWeights {
+    Floats largest[kMax ? kBatch : 1], sum[kSum ? kBatch : 1];
+
+    void clear(int count) {
+        if (kMax) std::fill(largest, largest + count, Floats{});
+        if (kSum) std::fill(sum, sum + count, Floats{});
+    }
+    // Over the pixels of a block, too, to the splats' slots. Vectors beyond the batch's hold
+    // anything, and what becomes of them is left.
+    void store_to_slots(const View& view, const Batch& batch) const {
+        for (int first = 0; first < batch.count; first += kFolded) {
+            alignas(64) float largest_of[kFolded], sum_of[kFolded];
+            if (kMax) max_lanes(reinterpret_cast<const Floats(&)[kFolded]>(largest[first]), largest_of);
+            if (kSum) sum_lanes(reinterpret_cast<const Floats(&)[kFolded]>(sum[first]), sum_of);
+            for (int i = 0; i < std::min(kFolded, batch.count - first); ++i) {
+                const int32_t slot = batch.splats[first + i].slot;
+                if (kMax) view.slot_max_weights[slot] = largest_of[i];
+                if (kSum) view.slot_weight_sums[slot] = sum_of[i];
+            }
+        }
+    }
+
+private:
+    static constexpr int kFolded = 16;  // vectors at once
+};
+
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
 // has ended: nothing shines through any more.
-template <bool kDepth, bool kMaxWeight>
+template <bool kDepth, bool kMax, bool kSum>
 ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t todo, int b, Gathered& gathered,
-                              Floats* largest) {
+                              BatchWeights<kMax, kSum>& weights, Floats pixel_weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
     Floats red = gathered.red[b], green = gathered.green[b], blue = gathered.blue[b];
@@ -57,7 +82,8 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t todo, int b, Gathered
         green += weight * s.green;
         blue += weight * s.blue;
         if (kDepth) depth += weight * s.depth;
-        if (kMaxWeight) largest[i] = max(largest[i], weight);
+        if (kMax) weights.largest[i] = max(weights.largest[i], weight);
+        if (kSum) weights.sum[i] += weight * pixel_weights;
         alive = any(greater(transmittance, splat(kTransmittanceEnd)));
     } while (todo && __builtin_expect(alive, 1));
     gathered.transmittance[b] = transmittance;
@@ -68,7 +94,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t todo, int b, Gathered
     return alive;
 }
 
-void store_tile(const View& view, const TilePlace& place, const Gathered& g, const Images& out) {
+void store_tile(const View& view, const TilePlace& place, const Gathered& g, const Outputs& out) {
     const int64_t plane = int64_t(place.width) * place.height;
     const float* background = view.camera.background;
     for (int b = 0; b < kBlocks; ++b) {
@@ -86,14 +112,8 @@ void store_tile(const View& view, const TilePlace& place, const Gathered& g, con
     }
 }
 
-float largest_lane(Floats x) {
-    float m = x[0];
-    for (int i = 1; i < kLanes; ++i) m = std::max(m, x[i]);
-    return m;
-}
-
-template <bool kDepth, bool kMaxWeight>
-void render_tile(const View& view, int64_t tile, const Images& out) {
+template <bool kDepth, bool kMax, bool kSum>
+void render_tile(const View& view, int64_t tile, const Outputs& out) {
     const TilePlace place(view, tile);
     Gathered gathered;
     uint64_t live = kAllBlocks;
@@ -104,27 +124,29 @@ void render_tile(const View& view, int64_t tile, const Images& out) {
     }
     const int64_t end = view.tile_begin[tile + 1];
     Batch batch;
-    Floats largest[kMaxWeight ? kBatch : 1];
+    BatchWeights<kMax, kSum> weights;
     for (int64_t k = view.tile_begin[tile]; k < end && live;) {
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, [](int32_t) {});
         std::fill(batch.blocks + batch.count, batch.blocks + kBatch, 0);
         transpose_bits(batch.blocks);
-        if (kMaxWeight) std::fill(largest, largest + batch.count, Floats{});
+        weights.clear(batch.count);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
             const uint64_t splats = batch.blocks[b];
             if (!splats) continue;
-            if (!blend_block<kDepth, kMaxWeight>(batch, splats, b, gathered, largest))
+            const bool weighted = kSum && out.pixel_weights;
+            const Floats pixel_weights =
+                weighted ? place.load_block(out.pixel_weights, b) : splat(1.0f);
+            if (!blend_block<kDepth>(batch, splats, b, gathered, weights, pixel_weights))
                 live &= ~(uint64_t(1) << b);
         }
-        for (int i = 0; kMaxWeight && i < batch.count; ++i)
-            view.slot_weights[batch.splats[i].slot] = largest_lane(largest[i]);
+        if (kMax || kSum) weights.store_to_slots(view, batch);
     }
     store_tile(view, place, gathered, out);
 }
 
 // Outside the tiles worked on: nothing but background.
-void fill_background(const View& view, const Images& out) {
+void fill_background(const View& view, const Outputs& out) {
     const int64_t plane = int64_t(view.camera.width) * view.camera.height;
     for (int c = 0; c < 3; ++c)
         std::fill_n(out.image + c * plane, plane, view.camera.background[c]);
@@ -132,39 +154,67 @@ void fill_background(const View& view, const Images& out) {
     if (out.depth) std::fill_n(out.depth, plane, 0.0f);
 }
 
-void raise_max_weights(const View& view, float* max_weight) {
+// Calls visit(id, values, count) with each splat's slots in `slots`.
+template <class Visit>
+void for_each_splat(const View& view, const Scratch<float>& slots, const Visit& visit) {
     parallel_for(int64_t(view.chunks.size()), [&](int64_t c) {
         for (int i = 0; i < view.chunks[c].visible; ++i) {
             const int32_t splat = int32_t(c * kChunk + i);
-            const float* weights = &view.slot_weights[view.slot(splat)];
-            float& largest = max_weight[view.splats[splat].id];
-            for (int t = 0; t < view.tiles_of[splat].count; ++t)
-                largest = std::max(largest, weights[t]);
+            visit(view.splats[splat].id, &slots[view.slot(splat)], view.tiles_of[splat].count);
         }
     });
 }
 
+void raise_max_weights(const View& view, float* max_weight) {
+    for_each_splat(view, view.slot_max_weights, [&](int32_t id, const float* values, int count) {
+        for (int t = 0; t < count; ++t) max_weight[id] = std::max(max_weight[id], values[t]);
+    });
+}
+
+void add_weight_sums(const View& view, float* weight_sum) {
+    for_each_splat(view, view.slot_weight_sums, [&](int32_t id, const float* values, int count) {
+        double sum = 0.0;  // there may be many thousands
+        for (int t = 0; t < count; ++t) sum += values[t];
+        weight_sum[id] += float(sum);
+    });
+}
+
+// Room for a number per (Gaussian, tile) pair, 0 for those that no block blends.
+bool clear_slots(Scratch<float>& slots, int64_t count) {
+    if (!slots.reserve(count)) return false;
+    std::fill_n(slots.data(), count, 0.0f);
+    return true;
+}
+
+template <bool kDepth>
+auto* tile_renderer(bool max_weight, bool weight_sum) {
+    return max_weight ? (weight_sum ? render_tile<kDepth, true, true>
+                                    : render_tile<kDepth, true, false>)
+                      : (weight_sum ? render_tile<kDepth, false, true>
+                                    : render_tile<kDepth, false, false>);
+}
+
 bool covers_image(const View& view) {
     const Camera& c = view.camera;
-    return c.tile_x0 == 0 && c.tile_y0 == 0 && c.tile_x1 * kTile >= c.width &&
+    return !view.masked && c.tile_x0 == 0 && c.tile_y0 == 0 && c.tile_x1 * kTile >= c.width &&
            c.tile_y1 * kTile >= c.height;
 }
 
 }  // namespace
 }  // namespace roigs
 
-int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth,
-                     float* max_weight) {
+int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
     using namespace roigs;
-    const Images out{image, alpha, depth};
-    if (max_weight) {
-        if (!view->slot_weights.reserve(view->intersections)) return kOutOfMemory;
-        std::fill_n(view->slot_weights.data(), view->intersections, 0.0f);
-    }
+    const Outputs& out = *outputs;
+    if (out.max_weight && !clear_slots(view->slot_max_weights, view->intersections))
+        return kOutOfMemory;
+    if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))
+        return kOutOfMemory;
     if (!covers_image(*view)) fill_background(*view, out);
-    auto* render = max_weight ? (depth ? render_tile<true, true> : render_tile<false, true>)
-                              : (depth ? render_tile<true, false> : render_tile<false, false>);
-    parallel_for(view->tiles(), [&](int64_t tile) { render(*view, tile, out); });
-    if (max_weight) raise_max_weights(*view, max_weight);
+    auto* render = out.depth ? tile_renderer<true>(out.max_weight, out.weight_sum)
+                             : tile_renderer<false>(out.max_weight, out.weight_sum);
+    parallel_for(view->tiles, [&](int64_t tile) { render(*view, tile, out); });
+    if (out.max_weight) raise_max_weights(*view, out.max_weight);
+    if (out.weight_sum) add_weight_sums(*view, out.weight_sum);
     return 0;
 }
