@@ -104,7 +104,7 @@ ROIGS_INLINE void splat_gradient(const LocalSplat& s, uint64_t touched, PixelBlo
         for (uint64_t todo = touched; todo; todo &= todo - 1)
             accumulate(terms[count++], blocks[__builtin_ctzll(todo)], sum);
     }
-    sum_lanes(sum, out.sum);
+    fold_lanes(sum, out.sum, Sum{});
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {

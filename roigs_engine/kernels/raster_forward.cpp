@@ -43,8 +43,8 @@ struct BatchWeights {
     void store_to_slots(const View& view, const Batch& batch) const {
         for (int first = 0; first < batch.count; first += kFolded) {
             alignas(64) float largest_of[kFolded], sum_of[kFolded];
-            if (kMax) max_lanes(reinterpret_cast<const Floats(&)[kFolded]>(largest[first]), largest_of);
-            if (kSum) sum_lanes(reinterpret_cast<const Floats(&)[kFolded]>(sum[first]), sum_of);
+            if (kMax) fold_lanes(sixteen(&largest[first]), largest_of, Larger{});
+            if (kSum) fold_lanes(sixteen(&sum[first]), sum_of, Sum{});
             for (int i = 0; i < std::min(kFolded, batch.count - first); ++i) {
                 const int32_t slot = batch.splats[first + i].slot;
                 if (kMax) view.slot_max_weights[slot] = largest_of[i];
@@ -55,6 +55,8 @@ struct BatchWeights {
 
 private:
     static constexpr int kFolded = 16;  // vectors at once
+    using Sixteen = const Floats (&)[kFolded];
+    static Sixteen sixteen(const Floats* first) { return *(const Floats(*)[kFolded])first; }
 };
 
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
@@ -154,36 +156,52 @@ void fill_background(const View& view, const Outputs& out) {
     if (out.depth) std::fill_n(out.depth, plane, 0.0f);
 }
 
-// Calls visit(id, values, count) with each splat's slots in `slots`.
-template <class Visit>
-void for_each_splat(const View& view, const Scratch<float>& slots, const Visit& visit) {
+// Room for a number per (Gaussian, tile) pair, 0 for those that no block blends, and for a vector
+// that begins at the last one.
+bool clear_slots(Scratch<float>& slots, int64_t count) {
+    if (!slots.reserve(count + kLanes)) return false;
+    std::fill_n(slots.data(), count, 0.0f);
+    return true;
+}
+
+// Combines each splat's slots by `fold`, for which 0 changes nothing, and calls visit(row of the
+// Gaussian, result). Most splats have few slots: a vector holds them all, and there is no loop
+// over them whose end the processor would have to guess.
+template <class Fold, class Visit>
+void fold_slots(const View& view, const Scratch<float>& slots, const Fold& fold,
+                const Visit& visit) {
+    constexpr int kFolded = 16;
     parallel_for(int64_t(view.chunks.size()), [&](int64_t c) {
-        for (int i = 0; i < view.chunks[c].visible; ++i) {
-            const int32_t splat = int32_t(c * kChunk + i);
-            visit(view.splats[splat].id, &slots[view.slot(splat)], view.tiles_of[splat].count);
+        const Splat* splats = &view.splats[c * kChunk];
+        const TileSpan* spans = &view.tiles_of[c * kChunk];
+        const Chunk& chunk = view.chunks[c];
+        for (int first = 0; first < chunk.visible; first += kFolded) {
+            const int count = std::min(kFolded, chunk.visible - first);
+            Floats rows[kFolded];
+            for (int i = 0; i < count; ++i) {
+                const TileSpan span = spans[first + i];
+                const float* values = &slots[chunk.first_slot + span.first];
+                rows[i] = keep(first_lanes(std::min(span.count, kLanes)), load(values));
+                for (int t = kLanes; t < span.count; t += kLanes)
+                    rows[i] = fold(rows[i], keep(first_lanes(std::min(span.count - t, kLanes)),
+                                                 load(values + t)));
+            }
+            alignas(64) float folded[kFolded];
+            fold_lanes(rows, folded, fold);
+            for (int i = 0; i < count; ++i) visit(splats[first + i].id, folded[i]);
         }
     });
 }
 
 void raise_max_weights(const View& view, float* max_weight) {
-    for_each_splat(view, view.slot_max_weights, [&](int32_t id, const float* values, int count) {
-        for (int t = 0; t < count; ++t) max_weight[id] = std::max(max_weight[id], values[t]);
+    fold_slots(view, view.slot_max_weights, Larger{}, [&](int32_t id, float value) {
+        max_weight[id] = std::max(max_weight[id], value);
     });
 }
 
 void add_weight_sums(const View& view, float* weight_sum) {
-    for_each_splat(view, view.slot_weight_sums, [&](int32_t id, const float* values, int count) {
-        double sum = 0.0;  // there may be many thousands
-        for (int t = 0; t < count; ++t) sum += values[t];
-        weight_sum[id] += float(sum);
-    });
-}
-
-// Room for a number per (Gaussian, tile) pair, 0 for those that no block blends.
-bool clear_slots(Scratch<float>& slots, int64_t count) {
-    if (!slots.reserve(count)) return false;
-    std::fill_n(slots.data(), count, 0.0f);
-    return true;
+    fold_slots(view, view.slot_weight_sums, Sum{},
+               [&](int32_t id, float value) { weight_sum[id] += value; });
 }
 
 template <bool kDepth>

@@ -141,14 +141,12 @@ ROIGS_INLINE void store_some(float* p, Floats x, int count) {
 
 #endif
 
-template <int kCount>
-ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
-    fold_lanes(v, out, [](Floats a, Floats b) { return a + b; });
-}
-template <int kCount>
-ROIGS_INLINE void max_lanes(const Floats (&v)[kCount], float* out) {
-    fold_lanes(v, out, [](Floats a, Floats b) { return max(a, b); });
-}
+struct Sum {
+    ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return a + b; }
+};
+struct Larger {
+    ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return max(a, b); }
+};
 
 // Starts fetching a row that will be needed soon. Rows that belong to visible Gaussians follow no
 // pattern that the processor would fetch ahead by.
