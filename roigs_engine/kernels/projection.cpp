@@ -113,6 +113,30 @@ bool number_tiles(View& view) {
     return true;
 }
 
+// Keeps the splats whose boxes meet a tile that the mask wants: colours cost more than this.
+// Returns their number.
+int keep_wanted(const View& view, Splat* splats, int count) {
+    const Camera& camera = view.camera;
+    const auto tile = [](float pixel, int begin, int end) {
+        return int(std::min(std::max(pixel / kTile, float(begin)), float(end - 1))) - begin;
+    };
+    int kept = 0;
+    for (int i = 0; i < count; ++i) {
+        const Splat& s = splats[i];
+        const int left = tile(s.x - s.reach_x, camera.tile_x0, camera.tile_x1);
+        const int right = tile(s.x + s.reach_x, camera.tile_x0, camera.tile_x1);
+        const int bottom = tile(s.y + s.reach_y, camera.tile_y0, camera.tile_y1);
+        bool wanted = false;
+        for (int row = tile(s.y - s.reach_y, camera.tile_y0, camera.tile_y1);
+             row <= bottom && !wanted; ++row) {
+            const int32_t* rank = &view.tile_rank[int64_t(row) * view.tile_columns()];
+            wanted = rank[left] < rank[right + 1];
+        }
+        if (wanted) splats[kept++] = s;
+    }
+    return kept;
+}
+
 // Lists the tiles of a chunk's first `count` splats, and notes what is visible.
 bool list_chunk(View& view, int64_t c, int count, ListBudget& budget, uint8_t* visible) {
     Chunk& chunk = view.chunks[c];
@@ -136,6 +160,7 @@ bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, ListBudget
         if (!any(in_front)) continue;
         count += pack_splats(g, both(exists, in_front), bounds, ids, splats + count);
     }
+    if (view.masked) count = keep_wanted(view, splats, count);
     colour_splats(gaussians, view.camera, splats, count);
     return list_chunk(view, c, count, budget, visible);
 }
