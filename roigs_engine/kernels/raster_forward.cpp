@@ -31,12 +31,24 @@ void transpose_bits(uint64_t (&words)[64]) {
 
 // What is asked for of the weights that a batch's splats have, over the blocks blended so far.
 template <bool kMax, bool kSum>
-struct BatchWeights {
+struct TileWeights {
     Floats largest[kMax ? kBatch : 1], sum[kSum ? kBatch : 1];
+    Floats pixel[kSum ? kBlocks : 1];  // what the pixels of each block count in the sums
 
-    void clear(int count) {
-        if (kMax) std::fill(largest, largest + count, Floats{});
-        if (kSum) std::fill(sum, sum + count, Floats{});
+    TileWeights(const TilePlace& place, const float* pixel_weights) {
+        if (!kSum) return;
+        for (int b = 0; b < kBlocks; ++b) {
+            if (place.block_is_outside(b)) continue;
+            pixel[b] = pixel_weights ? place.load_block(pixel_weights, b) : splat(1.0f);
+        }
+    }
+    // Clears all, and starts fetching the slots, which lie scattered in memory.
+    void begin(const View& view, const Batch& batch) {
+        for (int i = 0; i < batch.count; ++i) {
+            const int32_t slot = batch.splats[i].slot;
+            if (kMax) largest[i] = Floats{}, __builtin_prefetch(&view.slot_max_weights[slot], 1);
+            if (kSum) sum[i] = Floats{}, __builtin_prefetch(&view.slot_weight_sums[slot], 1);
+        }
     }
     // Over the pixels of a block, too, to the splats' slots. Vectors beyond the batch's hold
     // anything, and what becomes of them is left.
@@ -64,11 +76,12 @@ private:
 // has ended: nothing shines through any more.
 template <bool kDepth, bool kMax, bool kSum>
 ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t todo, int b, Gathered& gathered,
-                              BatchWeights<kMax, kSum>& weights, Floats pixel_weights) {
+                              TileWeights<kMax, kSum>& weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
     Floats red = gathered.red[b], green = gathered.green[b], blue = gathered.blue[b];
     Floats depth = kDepth ? gathered.depth[b] : Floats{};
+    const Floats pixel_weight = kSum ? weights.pixel[b] : Floats{};
     bool alive = true;
     do {
         const int i = __builtin_ctzll(todo);
@@ -85,7 +98,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t todo, int b, Gathered
         blue += weight * s.blue;
         if (kDepth) depth += weight * s.depth;
         if (kMax) weights.largest[i] = max(weights.largest[i], weight);
-        if (kSum) weights.sum[i] += weight * pixel_weights;
+        if (kSum) weights.sum[i] += weight * pixel_weight;
         alive = any(greater(transmittance, splat(kTransmittanceEnd)));
     } while (todo && __builtin_expect(alive, 1));
     gathered.transmittance[b] = transmittance;
@@ -126,20 +139,17 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     }
     const int64_t end = view.tile_begin[tile + 1];
     Batch batch;
-    BatchWeights<kMax, kSum> weights;
+    TileWeights<kMax, kSum> weights(place, out.pixel_weights);
     for (int64_t k = view.tile_begin[tile]; k < end && live;) {
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, [](int32_t) {});
         std::fill(batch.blocks + batch.count, batch.blocks + kBatch, 0);
         transpose_bits(batch.blocks);
-        weights.clear(batch.count);
+        if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
             const uint64_t splats = batch.blocks[b];
             if (!splats) continue;
-            const bool weighted = kSum && out.pixel_weights;
-            const Floats pixel_weights =
-                weighted ? place.load_block(out.pixel_weights, b) : splat(1.0f);
-            if (!blend_block<kDepth>(batch, splats, b, gathered, weights, pixel_weights))
+            if (!blend_block<kDepth>(batch, splats, b, gathered, weights))
                 live &= ~(uint64_t(1) << b);
         }
         if (kMax || kSum) weights.store_to_slots(view, batch);

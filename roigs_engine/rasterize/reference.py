@@ -232,8 +232,8 @@ def blend(
     image = request.background.expand(request.height, request.width, 3).clone()
     alpha, depth = image.new_zeros(image.shape[:2]), image.new_zeros(image.shape[:2])
     largest, weight_sum = (image.new_zeros(len(splats.index)) for _ in range(2))
-    rows, columns = pixels_to_work_on(request)
-    for place in zip(rows.split(PIXELS_AT_ONCE), columns.split(PIXELS_AT_ONCE), strict=True):
+    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in pixels_to_work_on(request))
+    for place in zip(*chunks, strict=True):
         weights, left = blending_weights(splats, torch.stack(place[::-1], -1).to(image) + 0.5)
         image[place] = weights @ splats.colour + left[:, None] * request.background
         with torch.no_grad():

@@ -34,7 +34,9 @@ def in_the_corner(count: int) -> list[Tensor]:
     """Gaussians of some pixels' size about the corner of `render_8k`'s image."""
     parameters = gaussians(count, coefficients=1, size=0.003)
     corner = 4.0 * torch.tensor([3810.0 / 7000, 2145.0 / 7000, 1.0])
-    parameters[0] = corner + 0.01 * torch.randn(count, 3, generator=torch.Generator().manual_seed(3))
+    parameters[0] = corner + 0.01 * torch.randn(
+        count, 3, generator=torch.Generator().manual_seed(3)
+    )
     return parameters
 
 
