@@ -56,6 +56,7 @@ def test_8k() -> None:
     assert bool((inputs[3].grad[:60] != 0).any())
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="reads its memory in Linux's units")
 def test_too_many_intersections_are_refused_at_once() -> None:
     """140,000 Gaussians on all of an 8K image's 129,600 tiles; in a process, to see its memory."""
     result = subprocess.run(
