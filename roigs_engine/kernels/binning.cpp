@@ -4,7 +4,6 @@
 // (a counting sort by tile). Both are stable, and both run in parts that keep the order of the
 // result: equal depths stay in the order of the Gaussians at any number of threads.
 #include <cstring>
-#include <limits>
 
 #include "view.h"
 
@@ -99,7 +98,7 @@ void for_each_tile(const View& view, const int32_t* order, Part r, const Visit& 
 }
 
 void deal_to_tiles(View& view, const int32_t* order, int parts) {
-    const int64_t tiles = view.tiles();
+    const int64_t tiles = view.tiles;
     int32_t* counts = view.histograms.data();
     TileEntry* entries = view.entries.data();
     int64_t* begin = view.tile_begin.data();
@@ -126,10 +125,9 @@ void deal_to_tiles(View& view, const int32_t* order, int parts) {
 
 int64_t roigs_bin(roigs::View* view) {
     using namespace roigs;
-    if (view->intersections > std::numeric_limits<int32_t>::max()) return kTooManyIntersections;
     const int parts = part_count(view->visible);
-    bool enough = view->histograms.reserve(parts * std::max<int64_t>(view->tiles(), kDigits)) &&
-                  view->tile_begin.reserve(view->tiles() + 1) &&
+    bool enough = view->histograms.reserve(parts * std::max<int64_t>(view->tiles, kDigits)) &&
+                  view->tile_begin.reserve(view->tiles + 1) &&
                   view->entries.reserve(view->intersections);
     for (int i = 0; i < 2; ++i)
         enough = enough && view->depth_keys[i].reserve(view->visible) &&

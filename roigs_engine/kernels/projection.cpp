@@ -8,6 +8,9 @@
 namespace roigs {
 namespace {
 
+// Tiles listed before all are counted, which bounds the memory that a refused view takes: 512 MiB.
+constexpr int64_t kListedUncounted = 1 << 27;
+
 // Writes the splats of the lanes that can touch a pixel to `out`; returns their number. Colours
 // are left open.
 int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const int32_t* ids,
@@ -93,7 +96,58 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
     }
 }
 
-bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, uint8_t* visible) {
+// Counts the tiles that the camera's mask wants, and numbers them.
+bool number_tiles(View& view) {
+    view.masked = view.camera.tile_mask != nullptr;
+    view.tiles = view.places();
+    if (!view.masked) return true;
+    if (!view.tile_rank.reserve(view.places() + 1) || !view.tile_place.reserve(view.places()))
+        return false;
+    int32_t wanted = 0;
+    for (int32_t place = 0; place < view.places(); ++place) {
+        view.tile_rank[place] = wanted;
+        if (view.camera.tile_mask[place]) view.tile_place[wanted++] = place;
+    }
+    view.tile_rank[view.places()] = wanted;
+    view.tiles = wanted;
+    return true;
+}
+
+// Keeps the splats whose boxes meet a tile that the mask wants: colours cost more than this.
+// Returns their number.
+int keep_wanted(const View& view, Splat* splats, int count) {
+    const Camera& camera = view.camera;
+    const auto tile = [](float pixel, int begin, int end) {
+        return int(std::min(std::max(pixel / kTile, float(begin)), float(end - 1))) - begin;
+    };
+    int kept = 0;
+    for (int i = 0; i < count; ++i) {
+        const Splat& s = splats[i];
+        const int left = tile(s.x - s.reach_x, camera.tile_x0, camera.tile_x1);
+        const int right = tile(s.x + s.reach_x, camera.tile_x0, camera.tile_x1);
+        const int bottom = tile(s.y + s.reach_y, camera.tile_y0, camera.tile_y1);
+        bool wanted = false;
+        for (int row = tile(s.y - s.reach_y, camera.tile_y0, camera.tile_y1);
+             row <= bottom && !wanted; ++row) {
+            const int32_t* rank = &view.tile_rank[int64_t(row) * view.tile_columns()];
+            wanted = rank[left] < rank[right + 1];
+        }
+        if (wanted) splats[kept++] = s;
+    }
+    return kept;
+}
+
+// Lists the tiles of a chunk's first `count` splats, and notes what is visible.
+bool list_chunk(View& view, int64_t c, int count, ListBudget& budget, uint8_t* visible) {
+    Chunk& chunk = view.chunks[c];
+    Splat* splats = &view.splats[c * kChunk];
+    if (!list_tiles(view, splats, &view.tiles_of[c * kChunk], count, budget, chunk)) return false;
+    for (int i = 0; chunk.listed && i < chunk.visible; ++i) visible[splats[i].id] = 1;
+    return true;
+}
+
+bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, ListBudget& budget,
+                   uint8_t* visible) {
     const int64_t begin = c * kChunk, end = std::min(begin + kChunk, gaussians.count);
     const PixelBounds bounds(view.camera);
     Splat* splats = &view.splats[begin];
@@ -106,11 +160,20 @@ bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, uint8_t* v
         if (!any(in_front)) continue;
         count += pack_splats(g, both(exists, in_front), bounds, ids, splats + count);
     }
+    if (view.masked) count = keep_wanted(view, splats, count);
     colour_splats(gaussians, view.camera, splats, count);
-    Chunk& chunk = view.chunks[c];
-    if (!list_tiles(view.camera, splats, &view.tiles_of[begin], count, chunk)) return false;
-    for (int i = 0; i < chunk.visible; ++i) visible[splats[i].id] = 1;
-    return true;
+    return list_chunk(view, c, count, budget, visible);
+}
+
+// Lists the tiles of the chunks that a first budget did not suffice for.
+bool list_remaining(View& view, uint8_t* visible) {
+    std::atomic<bool> failed{false};
+    parallel_for(int64_t(view.chunks.size()), [&](int64_t c) {
+        if (view.chunks[c].listed) return;
+        ListBudget unlimited(std::numeric_limits<int64_t>::max());
+        if (!list_chunk(view, c, view.chunks[c].visible, unlimited, visible)) failed = true;
+    });
+    return !failed;
 }
 
 }  // namespace
@@ -125,18 +188,22 @@ int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gaussians,
     using namespace roigs;
     view->camera = *camera;
     view->visible = view->intersections = 0;
-    const int64_t n = view->tiles() ? gaussians->count : 0, chunk_count = chunks(n, kChunk);
+    if (!number_tiles(*view)) return kOutOfMemory;
+    const int64_t n = view->tiles ? gaussians->count : 0, chunk_count = chunks(n, kChunk);
     view->chunks.resize(chunk_count);
     if (!view->splats.reserve(n) || !view->tiles_of.reserve(n)) return kOutOfMemory;
     std::atomic<bool> failed{false};
+    ListBudget budget(kListedUncounted);
     parallel_for(chunk_count, [&](int64_t c) {
-        if (!project_chunk(*view, *gaussians, c, visible)) failed = true;
+        if (!project_chunk(*view, *gaussians, c, budget, visible)) failed = true;
     });
     if (failed) return kOutOfMemory;
     for (Chunk& chunk : view->chunks) {
         chunk.first_slot = view->intersections;
         view->intersections += chunk.tile_count;
-        view->visible += chunk.visible;
     }
+    if (view->intersections > kMostIntersections) return kTooManyIntersections;
+    if (!list_remaining(*view, visible)) return kOutOfMemory;
+    for (const Chunk& chunk : view->chunks) view->visible += chunk.visible;
     return view->visible;
 }

@@ -104,10 +104,11 @@ ROIGS_INLINE void splat_gradient(const LocalSplat& s, uint64_t touched, PixelBlo
         for (uint64_t todo = touched; todo; todo &= todo - 1)
             accumulate(terms[count++], blocks[__builtin_ctzll(todo)], sum);
     }
-    sum_lanes(sum, out.sum);
+    fold_lanes(sum, out.sum, Sum{});
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
+    if (view.tile_begin[tile] == view.tile_begin[tile + 1]) return;
     const TilePlace place(view, tile);
     PixelBlock blocks[kBlocks];
     load_tile(place, image, gradient, blocks);
@@ -140,7 +141,7 @@ int64_t roigs_render_backward(roigs::View* view, const float* image,
                               const float* image_gradient) {
     using namespace roigs;
     if (!view->slot_gradients.reserve(view->intersections)) return kOutOfMemory;
-    parallel_for(view->tiles(),
+    parallel_for(view->tiles,
                  [&](int64_t tile) { tile_gradient(*view, tile, image, image_gradient); });
     return 0;
 }

@@ -1,14 +1,11 @@
 // Blending front to back (3DGS, eq. 3): C = sum_i c_i alpha_i T_i, T_i = prod_{j<i} (1 - alpha_j).
 #include <cstring>
 
+#include "simd_rows.h"
 #include "tile.h"
 
 namespace roigs {
 namespace {
-
-struct Images {
-    float *image, *alpha, *depth;  // depth may be null
-};
 
 // What a tile's pixels have gathered so far.
 struct Gathered {
@@ -32,16 +29,59 @@ void transpose_bits(uint64_t (&words)[64]) {
     }
 }
 
+// What is asked for of the weights that a batch's splats have, over the blocks blended so far.
+template <bool kMax, bool kSum>
+struct TileWeights {
+    Floats largest[kMax ? kBatch : 1], sum[kSum ? kBatch : 1];
+    Floats pixel[kSum ? kBlocks : 1];  // what the pixels of each block count in the sums
+
+    TileWeights(const TilePlace& place, const float* pixel_weights) {
+        if (!kSum) return;
+        for (int b = 0; b < kBlocks; ++b) {
+            if (place.block_is_outside(b)) continue;
+            pixel[b] = pixel_weights ? place.load_block(pixel_weights, b) : splat(1.0f);
+        }
+    }
+    // Clears all, and starts fetching the slots, which lie scattered in memory.
+    void begin(const View& view, const Batch& batch) {
+        for (int i = 0; i < batch.count; ++i) {
+            const int32_t slot = batch.splats[i].slot;
+            if (kMax) largest[i] = Floats{}, __builtin_prefetch(&view.slot_max_weights[slot], 1);
+            if (kSum) sum[i] = Floats{}, __builtin_prefetch(&view.slot_weight_sums[slot], 1);
+        }
+    }
+    // Over the pixels of a block, too, to the splats' slots. Vectors beyond the batch's hold
+    // anything, and what becomes of them is left.
+    void store_to_slots(const View& view, const Batch& batch) const {
+        for (int first = 0; first < batch.count; first += kFolded) {
+            alignas(64) float largest_of[kFolded], sum_of[kFolded];
+            if (kMax) fold_lanes(sixteen(&largest[first]), largest_of, Larger{});
+            if (kSum) fold_lanes(sixteen(&sum[first]), sum_of, Sum{});
+            for (int i = 0; i < std::min(kFolded, batch.count - first); ++i) {
+                const int32_t slot = batch.splats[first + i].slot;
+                if (kMax) view.slot_max_weights[slot] = largest_of[i];
+                if (kSum) view.slot_weight_sums[slot] = sum_of[i];
+            }
+        }
+    }
+
+private:
+    static constexpr int kFolded = 16;  // vectors at once
+    using Sixteen = const Floats (&)[kFolded];
+    static Sixteen sixteen(const Floats* first) { return *(const Floats(*)[kFolded])first; }
+};
+
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
 // has ended: nothing shines through any more. What is left in `todo` was not visited then.
-template <bool kDepth, bool kMaxWeight>
+template <bool kDepth, bool kMax, bool kSum>
 ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathered& gathered,
-                              Floats* largest) {
+                              TileWeights<kMax, kSum>& weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
     Floats red = gathered.red[b], green = gathered.green[b], blue = gathered.blue[b];
     Floats depth = kDepth ? gathered.depth[b] : Floats{};
+    const Floats pixel_weight = kSum ? weights.pixel[b] : Floats{};
     bool alive = true;
     do {
         const int i = __builtin_ctzll(todo);
@@ -57,7 +97,8 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathere
         green += weight * s.green;
         blue += weight * s.blue;
         if (kDepth) depth += weight * s.depth;
-        if (kMaxWeight) largest[i] = max(largest[i], weight);
+        if (kMax) weights.largest[i] = max(weights.largest[i], weight);
+        if (kSum) weights.sum[i] += weight * pixel_weight;
         alive = any(greater(transmittance, splat(kTransmittanceEnd)));
     } while (todo && __builtin_expect(alive, 1));
     gathered.transmittance[b] = transmittance;
@@ -68,7 +109,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathere
     return alive;
 }
 
-void store_tile(const View& view, const TilePlace& place, const Gathered& g, const Images& out) {
+void store_tile(const View& view, const TilePlace& place, const Gathered& g, const Outputs& out) {
     const int64_t plane = int64_t(place.width) * place.height;
     const float* background = view.camera.background;
     for (int b = 0; b < kBlocks; ++b) {
@@ -86,14 +127,8 @@ void store_tile(const View& view, const TilePlace& place, const Gathered& g, con
     }
 }
 
-float largest_lane(Floats x) {
-    float m = x[0];
-    for (int i = 1; i < kLanes; ++i) m = std::max(m, x[i]);
-    return m;
-}
-
-template <bool kDepth, bool kMaxWeight>
-void render_tile(const View& view, int64_t tile, const Images& out) {
+template <bool kDepth, bool kMax, bool kSum>
+void render_tile(const View& view, int64_t tile, const Outputs& out) {
     const TilePlace place(view, tile);
     Gathered gathered;
     uint64_t live = kAllBlocks;
@@ -104,31 +139,30 @@ void render_tile(const View& view, int64_t tile, const Images& out) {
     }
     const int64_t end = view.tile_begin[tile + 1];
     Batch batch;
-    Floats largest[kMaxWeight ? kBatch : 1];
+    TileWeights<kMax, kSum> weights(place, out.pixel_weights);
     int64_t visits = 0;
     for (int64_t k = view.tile_begin[tile]; k < end && live;) {
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, [](int32_t) {});
         std::fill(batch.blocks + batch.count, batch.blocks + kBatch, 0);
         transpose_bits(batch.blocks);
-        if (kMaxWeight) std::fill(largest, largest + batch.count, Floats{});
+        if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
             uint64_t splats = batch.blocks[b];
             if (!splats) continue;
             visits += __builtin_popcountll(splats);
-            if (!blend_block<kDepth, kMaxWeight>(batch, splats, b, gathered, largest))
+            if (!blend_block<kDepth>(batch, splats, b, gathered, weights))
                 live &= ~(uint64_t(1) << b);
             visits -= __builtin_popcountll(splats);
         }
-        for (int i = 0; kMaxWeight && i < batch.count; ++i)
-            view.slot_weights[batch.splats[i].slot] = largest_lane(largest[i]);
+        if (kMax || kSum) weights.store_to_slots(view, batch);
     }
     store_tile(view, place, gathered, out);
     view.tile_visits[tile] = visits;
 }
 
 // Outside the tiles worked on: nothing but background.
-void fill_background(const View& view, const Images& out) {
+void fill_background(const View& view, const Outputs& out) {
     const int64_t plane = int64_t(view.camera.width) * view.camera.height;
     for (int c = 0; c < 3; ++c)
         std::fill_n(out.image + c * plane, plane, view.camera.background[c]);
@@ -136,46 +170,90 @@ void fill_background(const View& view, const Images& out) {
     if (out.depth) std::fill_n(out.depth, plane, 0.0f);
 }
 
-void raise_max_weights(const View& view, float* max_weight) {
+// Room for a number per (Gaussian, tile) pair, 0 for those that no block blends, and for a vector
+// that begins at the last one.
+bool clear_slots(Scratch<float>& slots, int64_t count) {
+    if (!slots.reserve(count + kLanes)) return false;
+    std::fill_n(slots.data(), count, 0.0f);
+    return true;
+}
+
+// Combines each splat's slots by `fold`, for which 0 changes nothing, and calls visit(row of the
+// Gaussian, result). Most splats have few slots: a vector holds them all, and there is no loop
+// over them whose end the processor would have to guess.
+template <class Fold, class Visit>
+void fold_slots(const View& view, const Scratch<float>& slots, const Fold& fold,
+                const Visit& visit) {
+    constexpr int kFolded = 16;
     parallel_for(int64_t(view.chunks.size()), [&](int64_t c) {
-        for (int i = 0; i < view.chunks[c].visible; ++i) {
-            const int32_t splat = int32_t(c * kChunk + i);
-            const float* weights = &view.slot_weights[view.slot(splat)];
-            float& largest = max_weight[view.splats[splat].id];
-            for (int t = 0; t < view.tiles_of[splat].count; ++t)
-                largest = std::max(largest, weights[t]);
+        const Splat* splats = &view.splats[c * kChunk];
+        const TileSpan* spans = &view.tiles_of[c * kChunk];
+        const Chunk& chunk = view.chunks[c];
+        for (int first = 0; first < chunk.visible; first += kFolded) {
+            const int count = std::min(kFolded, chunk.visible - first);
+            Floats rows[kFolded];
+            for (int i = 0; i < count; ++i) {
+                const TileSpan span = spans[first + i];
+                const float* values = &slots[chunk.first_slot + span.first];
+                rows[i] = keep(first_lanes(std::min(span.count, kLanes)), load(values));
+                for (int t = kLanes; t < span.count; t += kLanes)
+                    rows[i] = fold(rows[i], keep(first_lanes(std::min(span.count - t, kLanes)),
+                                                 load(values + t)));
+            }
+            alignas(64) float folded[kFolded];
+            fold_lanes(rows, folded, fold);
+            for (int i = 0; i < count; ++i) visit(splats[first + i].id, folded[i]);
         }
     });
 }
 
+void raise_max_weights(const View& view, float* max_weight) {
+    fold_slots(view, view.slot_max_weights, Larger{}, [&](int32_t id, float value) {
+        max_weight[id] = std::max(max_weight[id], value);
+    });
+}
+
+void add_weight_sums(const View& view, float* weight_sum) {
+    fold_slots(view, view.slot_weight_sums, Sum{},
+               [&](int32_t id, float value) { weight_sum[id] += value; });
+}
+
+template <bool kDepth>
+auto* tile_renderer(bool max_weight, bool weight_sum) {
+    return max_weight ? (weight_sum ? render_tile<kDepth, true, true>
+                                    : render_tile<kDepth, true, false>)
+                      : (weight_sum ? render_tile<kDepth, false, true>
+                                    : render_tile<kDepth, false, false>);
+}
+
 bool covers_image(const View& view) {
     const Camera& c = view.camera;
-    return c.tile_x0 == 0 && c.tile_y0 == 0 && c.tile_x1 * kTile >= c.width &&
+    return !view.masked && c.tile_x0 == 0 && c.tile_y0 == 0 && c.tile_x1 * kTile >= c.width &&
            c.tile_y1 * kTile >= c.height;
 }
 
 }  // namespace
 }  // namespace roigs
 
-int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth,
-                     float* max_weight) {
+int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
     using namespace roigs;
-    const Images out{image, alpha, depth};
-    if (!view->tile_visits.reserve(view->tiles())) return kOutOfMemory;
-    if (max_weight) {
-        if (!view->slot_weights.reserve(view->intersections)) return kOutOfMemory;
-        std::fill_n(view->slot_weights.data(), view->intersections, 0.0f);
-    }
+    const Outputs& out = *outputs;
+    if (!view->tile_visits.reserve(view->tiles)) return kOutOfMemory;
+    if (out.max_weight && !clear_slots(view->slot_max_weights, view->intersections))
+        return kOutOfMemory;
+    if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))
+        return kOutOfMemory;
     if (!covers_image(*view)) fill_background(*view, out);
-    auto* render = max_weight ? (depth ? render_tile<true, true> : render_tile<false, true>)
-                              : (depth ? render_tile<true, false> : render_tile<false, false>);
-    parallel_for(view->tiles(), [&](int64_t tile) { render(*view, tile, out); });
-    if (max_weight) raise_max_weights(*view, max_weight);
+    auto* render = out.depth ? tile_renderer<true>(out.max_weight, out.weight_sum)
+                             : tile_renderer<false>(out.max_weight, out.weight_sum);
+    parallel_for(view->tiles, [&](int64_t tile) { render(*view, tile, out); });
+    if (out.max_weight) raise_max_weights(*view, out.max_weight);
+    if (out.weight_sum) add_weight_sums(*view, out.weight_sum);
     return 0;
 }
 
 int64_t roigs_pair_evaluations(const roigs::View* view) {
     int64_t visits = 0;
-    for (int64_t tile = 0; tile < view->tiles(); ++tile) visits += view->tile_visits[tile];
+    for (int64_t tile = 0; tile < view->tiles; ++tile) visits += view->tile_visits[tile];
     return visits * roigs::kLanes;
 }

@@ -23,7 +23,7 @@ struct Gaussians {
     const float* scales;       // (N, 3)
     const float* opacities;    // (N,)
     const float* sh;           // (N, sh_coefficients, 3)
-    int64_t count;             // N, below 2^31
+    int64_t count;             // N, at most 2^30
     int32_t sh_coefficients;   // stored per colour: 1, 4, 9 or 16
     int32_t sh_degree;         // evaluated: 0 to 3
     int32_t raw;               // scales are logarithms, opacities are logits
@@ -45,6 +45,17 @@ struct Camera {
     float background[3];
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
+    const uint8_t* tile_mask;  // of these, the ones to work on, row by row; null: all
+};
+
+// What roigs_render writes. A null one of the last four is skipped.
+struct Outputs {
+    float* image;       // (3, H, W)
+    float* alpha;       // (H, W)
+    float* depth;       // (H, W)
+    float* max_weight;  // (N,), raised where this view has a larger weight
+    float* weight_sum;  // (N,), this view's weights are added, each times its pixel's weight:
+    const float* pixel_weights;  // (H, W), read; null: 1 everywhere
 };
 
 // Results below zero are failures.
@@ -65,10 +76,8 @@ ROIGS_API int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gauss
 // Sorts by depth and makes the tiles' lists. Returns the number of (Gaussian, tile) pairs.
 ROIGS_API int64_t roigs_bin(roigs::View* view);
 
-// Blends. `image` (3, H, W) and `alpha` (H, W) are written; `depth` (H, W) too unless null;
-// `max_weight` (N,), unless null, is raised where this view has a larger weight.
-ROIGS_API int64_t roigs_render(roigs::View* view, float* image, float* alpha, float* depth,
-                               float* max_weight);
+// Blends.
+ROIGS_API int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs);
 
 // How many Gaussian and pixel pairs the last roigs_render of this view has evaluated: the lanes of
 // all block visits. For measurements.

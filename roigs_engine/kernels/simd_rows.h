@@ -32,26 +32,26 @@ ROIGS_INLINE void transpose(Floats (&v)[16]) {
     }
 }
 
-// Writes the sums over all lanes of v[0], v[1], .. to out[0], out[1], ..: halves the vectors' width
-// four times, two vectors into one each time. Writes 16 floats.
-template <int kCount>
-ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
+// Writes v[0]'s lanes combined by `fold` (a sum, a maximum) to out[0], v[1]'s to out[1], ..: halves
+// the vectors' width four times, two vectors into one each time. Writes 16 floats.
+template <int kCount, class Fold>
+ROIGS_INLINE void fold_lanes(const Floats (&v)[kCount], float* out, const Fold& fold) {
     static_assert(kCount <= 16, "one output lane for each vector");
     const auto at = [&](int i) { return i < kCount ? v[i] : Floats{}; };
     Floats a[8], b[4], c[2];
     for (int i = 0; i < 8; ++i)
-        a[i] = (Floats)_mm512_shuffle_f32x4(at(i), at(i + 8), 0x44) +
-               (Floats)_mm512_shuffle_f32x4(at(i), at(i + 8), 0xee);
+        a[i] = fold((Floats)_mm512_shuffle_f32x4(at(i), at(i + 8), 0x44),
+                    (Floats)_mm512_shuffle_f32x4(at(i), at(i + 8), 0xee));
     for (int i = 0; i < 4; ++i)
-        b[i] = (Floats)_mm512_shuffle_f32x4(a[i], a[i + 4], 0x88) +
-               (Floats)_mm512_shuffle_f32x4(a[i], a[i + 4], 0xdd);
+        b[i] = fold((Floats)_mm512_shuffle_f32x4(a[i], a[i + 4], 0x88),
+                    (Floats)_mm512_shuffle_f32x4(a[i], a[i + 4], 0xdd));
     for (int i = 0; i < 2; ++i)
-        c[i] = (Floats)_mm512_unpacklo_ps(b[i], b[i + 2]) +
-               (Floats)_mm512_unpackhi_ps(b[i], b[i + 2]);
-    const Floats sums =
-        (Floats)_mm512_unpacklo_ps(c[0], c[1]) + (Floats)_mm512_unpackhi_ps(c[0], c[1]);
-    // 128-bit lanes now hold sums 0-3, 8-11, 4-7, 12-15
-    _mm512_storeu_ps(out, _mm512_shuffle_f32x4(sums, sums, 0xd8));
+        c[i] = fold((Floats)_mm512_unpacklo_ps(b[i], b[i + 2]),
+                    (Floats)_mm512_unpackhi_ps(b[i], b[i + 2]));
+    const Floats folded = fold((Floats)_mm512_unpacklo_ps(c[0], c[1]),
+                               (Floats)_mm512_unpackhi_ps(c[0], c[1]));
+    // 128-bit lanes now hold results 0-3, 8-11, 4-7, 12-15
+    _mm512_storeu_ps(out, _mm512_shuffle_f32x4(folded, folded, 0xd8));
 }
 
 ROIGS_INLINE Floats load_some(const float* p, int count) {
@@ -94,33 +94,40 @@ ROIGS_INLINE void transpose(Floats (&v)[4]) {
 
 #endif
 
+// The lanes of four vectors, combined by `fold`.
 #if defined(__AVX2__)
 
-// The sums over all lanes of four vectors.
-ROIGS_INLINE void sum_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out) {
-    const __m256 sums = _mm256_hadd_ps(_mm256_hadd_ps(a, b), _mm256_hadd_ps(c, d));
-    _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(sums), _mm256_extractf128_ps(sums, 1)));
+template <class Fold>
+ROIGS_INLINE void fold_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out,
+                                  const Fold& fold) {
+    const Floats ab = fold(Floats(_mm256_unpacklo_ps(a, b)), Floats(_mm256_unpackhi_ps(a, b)));
+    const Floats cd = fold(Floats(_mm256_unpacklo_ps(c, d)), Floats(_mm256_unpackhi_ps(c, d)));
+    const Floats abcd = fold(Floats(_mm256_shuffle_ps(ab, cd, 0x44)),
+                             Floats(_mm256_shuffle_ps(ab, cd, 0xee)));
+    const Floats folded = fold(abcd, Floats(_mm256_permute2f128_ps(abcd, abcd, 0x01)));
+    _mm_storeu_ps(out, _mm256_castps256_ps128(folded));
 }
 
 #else
 
-ROIGS_INLINE void sum_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out) {
+template <class Fold>
+ROIGS_INLINE void fold_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out,
+                                  const Fold& fold) {
     Floats v[4] = {a, b, c, d};
     transpose(v);
-    store(out, (v[0] + v[1]) + (v[2] + v[3]));
+    store(out, fold(fold(v[0], v[1]), fold(v[2], v[3])));
 }
 
 #endif
 
-// Writes the sums over all lanes of v[0], v[1], .. to out[0], out[1], .. Writes 16 floats.
-template <int kCount>
-ROIGS_INLINE void sum_lanes(const Floats (&v)[kCount], float* out) {
+// Writes v[0]'s lanes combined by `fold` (a sum, a maximum) to out[0], v[1]'s to out[1], .. Writes
+// 16 floats.
+template <int kCount, class Fold>
+ROIGS_INLINE void fold_lanes(const Floats (&v)[kCount], float* out, const Fold& fold) {
     static_assert(kCount <= 16, "out has 16 places");
     const auto at = [&](int i) { return i < kCount ? v[i] : Floats{}; };
-    sum_four_lanes(at(0), at(1), at(2), at(3), out);
-    sum_four_lanes(at(4), at(5), at(6), at(7), out + 4);
-    sum_four_lanes(at(8), at(9), at(10), at(11), out + 8);
-    sum_four_lanes(at(12), at(13), at(14), at(15), out + 12);
+    for (int i = 0; i < 16; i += 4)
+        fold_four_lanes(at(i), at(i + 1), at(i + 2), at(i + 3), out + i, fold);
 }
 
 ROIGS_INLINE Floats load_some(const float* p, int count) {
@@ -133,6 +140,13 @@ ROIGS_INLINE void store_some(float* p, Floats x, int count) {
 }
 
 #endif
+
+struct Sum {
+    ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return a + b; }
+};
+struct Larger {
+    ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return max(a, b); }
+};
 
 // Starts fetching a row that will be needed soon. Rows that belong to visible Gaussians follow no
 // pattern that the processor would fetch ahead by.

@@ -39,10 +39,13 @@ struct TilePlace {
     int x, y, width, height;  // its corner; the image's size
 
     TilePlace(const View& view, int64_t tile)
-        : x((view.camera.tile_x0 + int(tile % view.tile_columns())) * kTile),
-          y((view.camera.tile_y0 + int(tile / view.tile_columns())) * kTile),
-          width(view.camera.width),
-          height(view.camera.height) {}
+        : TilePlace(view.camera, view.masked ? view.tile_place[tile] : int32_t(tile),
+                    view.tile_columns()) {}
+    TilePlace(const Camera& camera, int32_t place, int columns)
+        : x((camera.tile_x0 + place % columns) * kTile),
+          y((camera.tile_y0 + place / columns) * kTile),
+          width(camera.width),
+          height(camera.height) {}
 
     int block_x(int b) const { return x + (b % kBlockColumns) * kBlockWidth; }
     int block_y(int b) const { return y + (b / kBlockColumns) * kBlockHeight; }

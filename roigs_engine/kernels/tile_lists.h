@@ -4,7 +4,7 @@
 // point are touched, and no others. Batches of splats, one per lane.
 #pragma once
 
-#include <limits>
+#include <atomic>
 
 #include "simd_rows.h"
 #include "view.h"
@@ -68,9 +68,21 @@ struct TileRuns {
 
 ROIGS_INLINE Ints to_ints(Floats x) { return __builtin_convertvector(x, Ints); }
 
+// From places in the camera's rectangle to numbers of tiles, see View.
+ROIGS_INLINE TileRuns wanted_tiles(const View& view, TileRuns places) {
+    for (int i = 0; i < kLanes; ++i) {
+        if (!places.length[i]) continue;
+        const int32_t* rank = &view.tile_rank[places.first[i]];
+        places.length[i] = rank[places.length[i]] - rank[0];
+        places.first[i] = rank[0];
+    }
+    return places;
+}
+
 // The tiles in row rows.first + r of each ellipse.
 ROIGS_INLINE TileRuns runs_in_row(const Ellipses& e, int r, const PixelBounds& bounds,
-                                  const Camera& camera) {
+                                  const View& view) {
+    const Camera& camera = view.camera;
     const Floats row = e.rows.first + float(r), top = row * kTile + 0.5f, low = top - e.y;
     const Floats high = min(top + (kTile - 1), splat(bounds.bottom)) - e.y;
     const Floats left = e.side(-1, low, high), right = e.side(1, low, high);
@@ -80,9 +92,9 @@ ROIGS_INLINE TileRuns runs_in_row(const Ellipses& e, int r, const PixelBounds& b
                                                less(left, splat(bounds.right))));
     const Floats length = max(columns.last - columns.first + 1.0f, Floats{});
     const Floats before = (row - float(camera.tile_y0)) * float(camera.tile_x1 - camera.tile_x0);
-    // as integers: numbers of tiles may be too large for floats to count
-    return {to_ints(before) + to_ints(columns.first - float(camera.tile_x0)),
-            to_ints(keep(touches, length))};
+    const TileRuns places{to_ints(before + (columns.first - float(camera.tile_x0))),
+                          to_ints(keep(touches, length))};
+    return view.masked ? wanted_tiles(view, places) : places;
 }
 
 // Writes first, first + 1, .., and up to a vector's width more than `length` of them.
@@ -95,15 +107,30 @@ ROIGS_INLINE void write_run(uint32_t* out, int32_t first, int32_t length) {
     }
 }
 
-constexpr int64_t kMostTilesInChunk = std::numeric_limits<int32_t>::max();
+// How many tiles may be listed before their number is known. Without a limit, lists that turn out
+// to be too many would have filled the memory before.
+class ListBudget {
+public:
+    explicit ListBudget(int64_t tiles) : left_(tiles) {}
+    bool take(int64_t tiles) {
+        return left_.fetch_sub(tiles, std::memory_order_relaxed) >= tiles;
+    }
+
+private:
+    std::atomic<int64_t> left_;
+};
 
 // Lists the tiles of a chunk's splats and drops the splats that touch none or have no finite
-// colour. Returns false when there is not enough memory.
-inline bool list_tiles(const Camera& camera, Splat* splats, TileSpan* tiles_of, int count,
-                       Chunk& chunk) {
+// colour. Where the budget ends before, it leaves the splats as they are, counts their tiles, and
+// sets chunk.listed to false. Returns false when there is not enough memory.
+inline bool list_tiles(const View& view, Splat* splats, TileSpan* tiles_of, int count,
+                       ListBudget& budget, Chunk& chunk) {
+    constexpr int64_t kTaken = 1 << 12;  // at once: the budget is shared between threads
+    const Camera& camera = view.camera;
     const PixelBounds bounds(camera);
     int32_t kept = 0, used = 0;
-    chunk.visible = chunk.tile_count = 0;
+    int64_t counted = 0, taken = 0;
+    chunk.listed = true;
     for (int first = 0; first < count; first += kLanes) {
         const int lanes = std::min(kLanes, count - first);
         int32_t index[kLanes];
@@ -120,12 +147,17 @@ inline bool list_tiles(const Camera& camera, Splat* splats, TileSpan* tiles_of, 
         auto* runs = reinterpret_cast<TileRuns*>(chunk.runs.data());
         Ints lengths = {};
         for (int r = 0; r < most_rows; ++r) {
-            runs[r] = runs_in_row(ellipses, r, bounds, camera);
+            runs[r] = runs_in_row(ellipses, r, bounds, view);
             lengths += runs[r].length;
         }
-        int64_t wanted = int64_t(used) + kLanes;  // write_run may write past the end
-        for (int i = 0; i < lanes; ++i) wanted += lengths[i];
-        if (wanted > kMostTilesInChunk || !chunk.tiles.extend(wanted, used)) return false;
+        for (int i = 0; i < lanes; ++i) counted += lengths[i];
+        while (chunk.listed && taken < counted) {
+            chunk.listed = budget.take(kTaken);
+            taken += kTaken;
+        }
+        if (!chunk.listed) continue;
+        // write_run may write past the end
+        if (!chunk.tiles.extend(counted + kLanes, used)) return false;
 
         for (int i = 0; i < lanes; ++i) {
             const int32_t begin = used;
@@ -138,8 +170,8 @@ inline bool list_tiles(const Camera& camera, Splat* splats, TileSpan* tiles_of, 
             splats[kept++] = splats[first + i];
         }
     }
-    chunk.visible = kept;
-    chunk.tile_count = used;
+    chunk.visible = chunk.listed ? kept : count;
+    chunk.tile_count = counted;
     return true;
 }
 

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdint>
 #include <cstdlib>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -30,6 +31,7 @@ constexpr float kCullSlack = 1e-3f;
 constexpr float kTransmittanceEnd = 1e-6f;
 
 constexpr int kChunk = 1024;  // Gaussians per task
+constexpr int64_t kMostIntersections = std::numeric_limits<int32_t>::max();  // slots are int32
 
 // Reused memory for plain values: it grows and is never cleared. What is in it is lost when it
 // grows, but for `extend`. False: there is not enough memory; then it is empty.
@@ -120,7 +122,8 @@ struct alignas(64) SlotGradient {
 // on. It packs its visible Gaussians at the front, so what is touched grows with these alone.
 struct Chunk {
     int32_t visible = 0;      // number of splats
-    int32_t tile_count = 0;   // number of (Gaussian, tile) pairs
+    bool listed = false;      // `tiles` holds them all
+    int64_t tile_count = 0;   // number of (Gaussian, tile) pairs
     int64_t first_slot = 0;   // slot of the first pair
     Scratch<uint32_t> tiles;  // tiles touched, splat by splat
     Scratch<int32_t> runs;    // used while they are found, see tile_lists.h
@@ -131,8 +134,14 @@ struct TileSpan {
     int32_t count;
 };
 
+// Tiles have numbers: row by row within the camera's rectangle of tiles, over those that the
+// camera's mask wants. So a run of neighbouring tiles has neighbouring numbers, masked or not.
 struct View {
     Camera camera;
+    bool masked = false;
+    int64_t tiles = 0;            // tiles worked on
+    Scratch<int32_t> tile_rank;   // masked: per place of the rectangle, wanted tiles before it
+    Scratch<int32_t> tile_place;  // masked: per tile, its place in the rectangle
     std::vector<Chunk> chunks;
     Scratch<Splat> splats;
     Scratch<TileSpan> tiles_of;  // per splat
@@ -147,12 +156,13 @@ struct View {
     Scratch<int32_t> histograms;
 
     Scratch<SlotGradient> slot_gradients;  // (intersections,)
-    Scratch<float> slot_weights;           // (intersections,)
+    Scratch<float> slot_max_weights;       // (intersections,)
+    Scratch<float> slot_weight_sums;       // (intersections,)
     Scratch<int64_t> tile_visits;          // (tiles,) visits of a splat to a block, for counting
 
     int tile_columns() const { return camera.tile_x1 - camera.tile_x0; }
     int tile_rows() const { return camera.tile_y1 - camera.tile_y0; }
-    int64_t tiles() const { return int64_t(tile_columns()) * tile_rows(); }
+    int64_t places() const { return int64_t(tile_columns()) * tile_rows(); }
     int64_t slot(int32_t splat) const {
         return chunks[splat / kChunk].first_slot + tiles_of[splat].first;
     }

@@ -17,8 +17,9 @@ from roigs_engine.rasterize.common import (
     RenderRequest,
     background_colour,
     check_inputs,
-    tile_rectangle,
+    check_pixel_weights,
     used_sh_degree,
+    worked_tiles,
 )
 
 __all__ = ["RenderOutput", "rasterize"]
@@ -42,7 +43,9 @@ def rasterize(
     background: Tensor | None = None,  # (3,)
     with_depth: bool = False,
     with_max_weight: bool = False,
-    region: tuple[int, int, int, int] | None = None,
+    with_weight_sum: bool = False,
+    pixel_weights: Tensor | None = None,  # (C, H, W)
+    region: tuple[int, int, int, int] | Tensor | None = None,
     backend: str = "auto",
 ) -> RenderOutput:
     """Renders N Gaussians for C cameras; `image` is differentiable in the first five arguments.
@@ -61,8 +64,12 @@ def rasterize(
         background: colour behind everything; None: black.
         with_depth: also return the mean depth.
         with_max_weight: also return each Gaussian's largest blending weight.
-        region: x0, y0, x1, y1 in pixels, end exclusive. Only the 16x16 tiles that touch it are
-            worked on, forward and backward; other pixels hold the background.
+        with_weight_sum: also return the sum over pixels of each Gaussian's blending weights.
+        pixel_weights: what each pixel counts in `weight_sum`, for example 1 inside a mask and 0
+            outside for the Gaussians' votes; None: 1.
+        region: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16
+            tiles that touch it are worked on, forward and backward; other pixels hold the
+            background.
         backend: "reference", "cpu", or "auto" (cpu for float32 tensors on the CPU).
 
     Gradients. When an input is a leaf whose `.grad` is already allocated, the cpu backend adds to
@@ -71,10 +78,15 @@ def rasterize(
     get dense gradients as from any torch function. Cameras and background get none.
 
     Raises:
-        EngineError: arguments that do not fit together, or too many Gaussians per tile to store.
+        EngineError: arguments that do not fit together.
+        KernelError: more Gaussians and tiles meet than the kernels can count or memory holds.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)
+    if pixel_weights is not None:
+        check_pixel_weights(pixel_weights, with_weight_sum, (len(viewmats), height, width))
+        pixel_weights = pixel_weights.detach().to(means)
+    tiles, tile_mask = worked_tiles(width, height, region)
     request = RenderRequest(
         means=means,
         quats=quats,
@@ -90,7 +102,10 @@ def rasterize(
         background=background_colour(background, means),
         with_depth=with_depth,
         with_max_weight=with_max_weight,
-        tiles=tile_rectangle(width, height, region),
+        with_weight_sum=with_weight_sum,
+        pixel_weights=pixel_weights,
+        tiles=tiles,
+        tile_mask=tile_mask,
     )
     if backend == "auto":
         native = all(p.dtype == torch.float32 and p.device.type == "cpu" for p in parameters)

@@ -12,6 +12,9 @@ from roigs_engine.errors import EngineError
 TILE = 16
 """Side of a pixel tile; culling, binning and `region` work in whole tiles."""
 
+LONGEST_SIDE = 1 << 16
+"""Largest image width and height, px: float32 then places a centre to 1/128 px at least."""
+
 NEAR = 0.01
 """Gaussians whose centre is nearer to the camera plane than this (scene units) are culled."""
 
@@ -43,6 +46,8 @@ class RenderOutput:
             with x scaled by width / 2 and y by height / 2, the statistic that 3DGS densifies by.
         depth: (C, H, W) mean camera depth sum(w z) / sum(w), 0 where nothing was drawn; or None.
         max_weight: (N,) largest weight alpha * T a Gaussian has in any pixel; or None.
+        weight_sum: (N,) sum of its weights over all cameras' pixels, each times the pixel's
+            `pixel_weights` if these are given; or None.
     """
 
     image: Tensor
@@ -51,6 +56,7 @@ class RenderOutput:
     grad2d: Tensor
     depth: Tensor | None
     max_weight: Tensor | None
+    weight_sum: Tensor | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,12 +77,40 @@ class RenderRequest:
     background: Tensor  # (3,)
     with_depth: bool
     with_max_weight: bool
+    with_weight_sum: bool
+    pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
+    tile_mask: Tensor | None  # (rows, columns) bool, which of them to work on; None: all
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The trained tensors, in the order of `rasterize`'s arguments."""
         return self.means, self.quats, self.scales, self.opacities, self.sh
+
+
+def worked_tiles(
+    width: int, height: int, region: tuple[int, int, int, int] | Tensor | None
+) -> tuple[tuple[int, int, int, int], Tensor | None]:
+    """The tiles to work on: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
+
+    `region` is as in `rasterize`. Raises EngineError: a mask that does not fit the image.
+    """
+    if not isinstance(region, Tensor):
+        return tile_rectangle(width, height, region), None
+    if region.dtype != torch.bool or tuple(region.shape) != (height, width):
+        raise EngineError(
+            f"rasterize: region is {region.dtype} of shape {tuple(region.shape)}.",
+            f"Pass a bool mask of shape {(height, width)}, or x0, y0, x1, y1.",
+        )
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    padded = region.new_zeros(rows * TILE, columns * TILE)
+    padded[:height, :width] = region
+    touched = padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
+    ys, xs = touched.any(dim=1).nonzero()[:, 0], touched.any(dim=0).nonzero()[:, 0]
+    if not len(ys):
+        return (0, 0, 0, 0), None
+    x0, y0, x1, y1 = int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1
+    return (x0, y0, x1, y1), touched[y0:y1, x0:x1]
 
 
 def tile_rectangle(
@@ -130,6 +164,23 @@ def check_inputs(
         raise EngineError(f"rasterize: sh has {k} coefficients per colour, not one of {SH_SIZES}.")
     if width < 1 or height < 1:
         raise EngineError(f"rasterize: the image size {width}x{height} is not positive.")
+    if max(width, height) > LONGEST_SIDE:
+        raise EngineError(
+            f"rasterize: the image size {width}x{height} is too large.",
+            f"Render {LONGEST_SIDE} pixels a side at most.",
+        )
+
+
+def check_pixel_weights(
+    pixel_weights: Tensor, with_weight_sum: bool, shape: tuple[int, int, int]
+) -> None:
+    """Raises EngineError unless the weights fit the images and are asked for."""
+    if not with_weight_sum:
+        raise EngineError("rasterize: pixel_weights without with_weight_sum have no effect.")
+    if tuple(pixel_weights.shape) != shape:
+        raise EngineError(
+            f"rasterize: pixel_weights has shape {tuple(pixel_weights.shape)}, expected {shape}."
+        )
 
 
 def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:

@@ -21,6 +21,8 @@ from roigs_engine.kernels import library
 from roigs_engine.kernels.library import pointer
 from roigs_engine.rasterize.common import RenderOutput, RenderRequest
 
+_MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
+
 _OUT_OF_MEMORY, _TOO_MANY_INTERSECTIONS = -1, -2  # roigs.h: Failure
 
 
@@ -52,6 +54,16 @@ class _Camera(ctypes.Structure):
         ("background", ctypes.c_float * 3),
         ("size", ctypes.c_int32 * 2),
         ("tiles", ctypes.c_int32 * 4),
+        ("tile_mask", ctypes.c_void_p),
+    ]
+
+
+class _Outputs(ctypes.Structure):
+    """roigs.h: struct Outputs."""
+
+    _fields_ = [
+        (name, ctypes.c_void_p)
+        for name in ("image", "alpha", "depth", "max_weight", "weight_sum", "pixel_weights")
     ]
 
 
@@ -64,7 +76,7 @@ def _kernels() -> ctypes.CDLL:
         "roigs_view_destroy": (None, [address]),
         "roigs_project": (ctypes.c_int64, [address, address, address, address]),
         "roigs_bin": (ctypes.c_int64, [address]),
-        "roigs_render": (ctypes.c_int64, [address, image, image, image, address]),
+        "roigs_render": (ctypes.c_int64, [address, address]),
         "roigs_render_backward": (ctypes.c_int64, [address, image, image]),
         "roigs_project_backward": (None, [address, address, address, address]),
     }
@@ -139,8 +151,11 @@ class _Cameras:
     height: int
     sh_degree: int
     raw: bool
+    tile_mask: Tensor | None  # kept for the structures that point to it
     with_depth: bool
     with_max_weight: bool
+    with_weight_sum: bool
+    pixel_weights: Tensor | None
 
 
 def render(request: RenderRequest) -> RenderOutput:
@@ -151,18 +166,27 @@ def render(request: RenderRequest) -> RenderOutput:
                 f"rasterize: {name[0]} is {tensor.dtype} on {tensor.device}.",
                 "The cpu backend takes float32 tensors on the CPU.",
             )
-    if request.means.shape[0] >= 2**31:
-        raise KernelError(f"rasterize: {request.means.shape[0]} Gaussians are too many.")
+    if request.means.shape[0] > _MOST_GAUSSIANS:
+        raise KernelError(
+            f"rasterize: {request.means.shape[0]} Gaussians are too many.",
+            f"Render {_MOST_GAUSSIANS} at once at most.",
+        )
+    tile_mask = request.tile_mask
+    tile_mask = None if tile_mask is None else tile_mask.to("cpu", torch.uint8).contiguous()
+    pixel_weights = request.pixel_weights
     cameras = _Cameras(
-        structures=_camera_structures(request),
+        structures=_camera_structures(request, tile_mask),
         width=request.width,
         height=request.height,
         sh_degree=request.sh_degree,
         raw=request.raw,
+        tile_mask=tile_mask,
         with_depth=request.with_depth,
         with_max_weight=request.with_max_weight,
+        with_weight_sum=request.with_weight_sum,
+        pixel_weights=None if pixel_weights is None else pixel_weights.contiguous(),
     )
-    image, alpha, visible, grad2d, depth, max_weight = _Rasterize.apply(  # type: ignore[no-untyped-call]
+    image, alpha, visible, grad2d, depth, max_weight, weight_sum = _Rasterize.apply(  # type: ignore[no-untyped-call]
         cameras, *request.parameters
     )
     return RenderOutput(
@@ -172,10 +196,11 @@ def render(request: RenderRequest) -> RenderOutput:
         grad2d=grad2d,
         depth=depth,
         max_weight=max_weight,
+        weight_sum=weight_sum,
     )
 
 
-def _camera_structures(request: RenderRequest) -> list[_Camera]:
+def _camera_structures(request: RenderRequest, tile_mask: Tensor | None) -> list[_Camera]:
     # in float64: the position is a difference of numbers that may be large
     views = request.viewmats.detach().to("cpu", torch.float64)
     positions = -(views[:, :3, :3].transpose(1, 2) @ views[:, :3, 3:])[:, :, 0]
@@ -191,6 +216,7 @@ def _camera_structures(request: RenderRequest) -> list[_Camera]:
         camera.background[:] = background
         camera.size[:] = [request.width, request.height]
         camera.tiles[:] = request.tiles
+        camera.tile_mask = pointer(tile_mask)
         structures.append(camera)
     return structures
 
@@ -219,29 +245,32 @@ class _Rasterize(torch.autograd.Function):
         visible = torch.zeros(views, count, dtype=torch.bool)
         grad2d = torch.zeros(views, count, dtype=torch.float32)
         max_weight = torch.zeros(count, dtype=torch.float32) if cameras.with_max_weight else None
+        weight_sum = torch.zeros(count, dtype=torch.float32) if cameras.with_weight_sum else None
+        pixel_weights = cameras.pixel_weights
 
         ctx.cameras, ctx.lease, ctx.grad2d = cameras, _Lease(), grad2d
         packed = [p.contiguous() for p in parameters]
         for c in range(views):
             view = View.take()
             _prepare(view, cameras, c, packed, visible[c])
-            view.call(
-                "roigs_render",
+            outputs = _Outputs(
                 pointer(image[c]),
                 pointer(alpha[c]),
                 None if depth is None else pointer(depth[c]),
                 pointer(max_weight),
+                pointer(weight_sum),
+                None if pixel_weights is None else pointer(pixel_weights[c]),
             )
+            view.call("roigs_render", ctypes.byref(outputs))
             if any(ctx.needs_input_grad):
                 ctx.lease.views.append(view)
             else:
                 view.give_back()
         ctx.save_for_backward(image, *parameters)
-        ctx.mark_non_differentiable(
-            *(t for t in (alpha, visible, grad2d, depth, max_weight) if t is not None)
-        )
+        statistics = (alpha, visible, grad2d, depth, max_weight, weight_sum)
+        ctx.mark_non_differentiable(*(t for t in statistics if t is not None))
         ctx.set_materialize_grads(False)
-        return image, alpha, visible, grad2d, depth, max_weight
+        return image, *statistics
 
     @staticmethod
     @once_differentiable

@@ -46,16 +46,17 @@ def render(request: RenderRequest) -> RenderOutput:
     image, alpha, depth = [], [], []
     visible = torch.zeros(cameras, n, dtype=torch.bool, device=means.device)
     grad2d = torch.zeros(cameras, n, dtype=torch.float32, device=means.device)
-    max_weight = means.new_zeros(n)
+    max_weight, weight_sum = means.new_zeros(n), means.new_zeros(n)
     for c in range(cameras):
         splats = project(request, c)
         visible[c, splats.index] = True
         watch_mean2d(splats, grad2d[c], request.width, request.height)
-        colours, opacity, depths, weights = blend(request, splats)
+        colours, opacity, depths, largest, sums = blend(request, splats, c)
         image.append(colours)
         alpha.append(opacity)
         depth.append(depths)
-        max_weight[splats.index] = torch.maximum(max_weight[splats.index], weights)
+        max_weight[splats.index] = torch.maximum(max_weight[splats.index], largest)
+        weight_sum[splats.index] += sums
     # zero, but a function of the parameters: `backward` works where nothing was drawn, too
     nothing = sum(p[:0].sum() for p in request.parameters)
     return RenderOutput(
@@ -65,6 +66,7 @@ def render(request: RenderRequest) -> RenderOutput:
         grad2d=grad2d,
         depth=torch.stack(depth) if request.with_depth else None,
         max_weight=max_weight if request.with_max_weight else None,
+        weight_sum=weight_sum if request.with_weight_sum else None,
     )
 
 
@@ -79,7 +81,8 @@ def project(request: RenderRequest, camera: int) -> Splats:
         index = usable.nonzero()[:, 0]
         mean2d, covariance, opacity = (f[index] for f in fields[:3])
         size = (request.width, request.height)
-        index = index[reaches_a_tile(mean2d, covariance, opacity, request.tiles, size)]
+        tiles = tiles_to_work_on(request)
+        index = index[reaches_a_tile(mean2d, covariance, opacity, tiles, size)]
         index = index[torch.sort(fields[4][index], stable=True).indices]
     # Projected again from the kept rows alone: a culled row's NaN or overflow, multiplied by a
     # zero gradient, would still poison the backward pass.
@@ -183,14 +186,11 @@ def reaches_a_tile(
     mean2d: Tensor,  # (V, 2)
     covariance: Tensor,  # (V, 3)
     opacity: Tensor,  # (V,)
-    tiles: tuple[int, int, int, int],
+    tiles: Tensor,  # (tiles, 2) column, row
     size: tuple[int, int],  # width, height
 ) -> Tensor:
     """(V,) bool: alpha reaches ALPHA_MIN somewhere among the pixel centres' hull of a tile."""
-    x, y = torch.meshgrid(
-        torch.arange(tiles[0], tiles[2]), torch.arange(tiles[1], tiles[3]), indexing="xy"
-    )
-    first = torch.stack([x, y], -1).reshape(-1, 1, 2).to(mean2d) * TILE + 0.5  # (tiles, 1, 2)
+    first = tiles[:, None].to(mean2d) * TILE + 0.5  # (tiles, 1, 2)
     last = torch.minimum(first + (TILE - 1), mean2d.new_tensor(size) - 0.5)
     low, high = first - mean2d, last - mean2d  # (tiles, V, 2)
     # The form is convex: its minimum over the rectangle lies on an edge that faces the centre,
@@ -203,44 +203,58 @@ def reaches_a_tile(
     return (least < torch.log(opacity / ALPHA_MIN)).any(dim=0)
 
 
-def blend(request: RenderRequest, splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def tiles_to_work_on(request: RenderRequest) -> Tensor:
+    """(tiles, 2) column and row of each."""
+    left, top, right, bottom = request.tiles
+    wanted = torch.ones(bottom - top, right - left, dtype=torch.bool)
+    if request.tile_mask is not None:
+        wanted = request.tile_mask.cpu()
+    return wanted.nonzero().flip(1) + torch.tensor([left, top])
+
+
+def pixels_to_work_on(request: RenderRequest) -> tuple[Tensor, Tensor]:
+    """Rows and columns of the pixels in the tiles to work on, (P,) each, row by row."""
+    wanted = torch.zeros(request.height, request.width, dtype=torch.bool)
+    for column, row in (TILE * tiles_to_work_on(request)).tolist():
+        wanted[row : row + TILE, column : column + TILE] = True
+    rows, columns = wanted.nonzero().to(request.means.device).unbind(1)
+    return rows, columns
+
+
+def blend(
+    request: RenderRequest, splats: Splats, camera: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Blends front to back (3DGS eq. 3).
 
-    Returns image (H, W, 3), alpha (H, W), depth (H, W), and each splat's largest weight (V,).
+    Returns image (H, W, 3), alpha (H, W), depth (H, W), and each splat's largest weight and sum
+    of weights, (V,) each.
     """
-    width, height = request.width, request.height
-    x0, y0, x1, y1 = (TILE * t for t in request.tiles)
-    x1, y1 = min(x1, width), min(y1, height)
-    image = request.background.expand(height, width, 3).clone()
-    alpha, depth = image.new_zeros(height, width), image.new_zeros(height, width)
-    largest = image.new_zeros(len(splats.index))
-    rows = max(1, PIXELS_AT_ONCE // max(1, x1 - x0))
-    for top in range(y0, y1, rows):
-        bottom = min(top + rows, y1)
-        weights, left = blending_weights(splats, x0, top, x1, bottom, image)
-        shape = (bottom - top, x1 - x0)
-        colours = weights @ splats.colour + left[:, None] * request.background
-        image[top:bottom, x0:x1] = colours.reshape(*shape, 3)
+    image = request.background.expand(request.height, request.width, 3).clone()
+    alpha, depth = image.new_zeros(image.shape[:2]), image.new_zeros(image.shape[:2])
+    largest, weight_sum = (image.new_zeros(len(splats.index)) for _ in range(2))
+    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in pixels_to_work_on(request))
+    for place in zip(*chunks, strict=True):
+        weights, left = blending_weights(splats, torch.stack(place[::-1], -1).to(image) + 0.5)
+        image[place] = weights @ splats.colour + left[:, None] * request.background
         with torch.no_grad():
             total = 1 - left
-            mean_depth = weights @ splats.depth / torch.where(total > 0, total, 1.0)
-            alpha[top:bottom, x0:x1] = total.reshape(shape)
-            depth[top:bottom, x0:x1] = mean_depth.reshape(shape)
-            if len(splats.index):
+            alpha[place] = total
+            depth[place] = weights @ splats.depth / torch.where(total > 0, total, 1.0)
+            counts = torch.ones_like(left)
+            if request.pixel_weights is not None:
+                counts = request.pixel_weights[camera][place]
+            weight_sum += counts @ weights
+            if len(place[0]):
                 largest = torch.maximum(largest, weights.amax(dim=0))
-    return image, alpha, depth, largest
+    return image, alpha, depth, largest, weight_sum
 
 
-def blending_weights(
-    splats: Splats, x0: int, y0: int, x1: int, y1: int, like: Tensor
-) -> tuple[Tensor, Tensor]:
-    """For the P pixels of a rectangle: weights (P, V), and the transmittance that is left (P,).
+def blending_weights(splats: Splats, pixels: Tensor) -> tuple[Tensor, Tensor]:
+    """For pixel centres (P, 2): weights (P, V), and the transmittance that is left (P,).
 
     A weight is alpha_i prod_{j<i} (1 - alpha_j).
     """
-    x, y = torch.meshgrid(torch.arange(x0, x1), torch.arange(y0, y1), indexing="xy")
-    pixels = torch.stack([x, y], -1).reshape(-1, 1, 2).to(like) + 0.5
-    power = exponent(splats.covariance, pixels - splats.mean2d)
+    power = exponent(splats.covariance, pixels[:, None] - splats.mean2d)
     a = splats.opacity * torch.exp(-power)
     a = torch.where(a >= ALPHA_MIN, a.clamp(max=ALPHA_MAX), 0.0)
     behind = torch.cumprod(1 - a, dim=1)
