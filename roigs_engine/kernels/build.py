@@ -213,10 +213,14 @@ def _compile_all(
                 jobs.append(workers.submit(_run, arguments, environment))
         for job in jobs:
             job.result()
-        libraries = {isa: scratch / f"{isa}{spec.suffix}" for isa in spec.isas}
+        libraries = {isa: library_path(scratch, target, isa) for isa in spec.isas}
         for isa, library in libraries.items():
+            library.parent.mkdir(exist_ok=True)
+            # A macOS library holds its name: without this, that of the scratch folder's file.
+            macos_name = f"-Wl,-install_name,@rpath/{library.name}"
+            name = [macos_name] if target.startswith("macos") else []
             # One after the other: they share what the first one makes zig build.
-            _run([*link, *map(str, objects[isa]), "-o", str(library)], environment)
+            _run([*link, *name, *map(str, objects[isa]), "-o", str(library)], environment)
     return libraries
 
 

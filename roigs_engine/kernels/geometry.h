@@ -30,7 +30,10 @@ ROIGS_INLINE Floats dot3(const Floats* a, const Floats* b) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-ROIGS_INLINE Floats exp(Floats x) { return exp2(1.44269504f * x); }
+// Within the range of float; NaN stays NaN, so that the Gaussian is left out.
+ROIGS_INLINE Floats exp(Floats x) {
+    return exp2(clamp(1.44269504f * x, splat(-126.0f), splat(127.0f)));
+}
 
 // Quaternion to rotation matrix.
 ROIGS_INLINE void rotate(const float* quats, const int32_t* ids, Geometry& g) {

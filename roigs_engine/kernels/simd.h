@@ -157,7 +157,8 @@ ROIGS_INLINE bool any(Mask m) {
 
 #endif
 
-ROIGS_INLINE Floats clamp(Floats x, Floats low, Floats high) { return min(max(x, low), high); }
+// NaN stays NaN: the second operand of min and max is what comes out when one is NaN.
+ROIGS_INLINE Floats clamp(Floats x, Floats low, Floats high) { return min(high, max(low, x)); }
 
 // For |x| below 2^31.
 ROIGS_INLINE Floats floor(Floats x) {
@@ -171,13 +172,13 @@ ROIGS_INLINE Mask is_finite(Floats x) {
     return less(bits_of(x) & 0x7fffffff, Ints{} + 0x7f800000);
 }
 
-// 2^x for x in about [-126, 127], relative error below 3e-7: x = n + f with |f| <= 1/2, a
-// polynomial for 2^f (minimax, 2^0 = 1 exactly), n added to the exponent.
+// 2^x for x in [-126, 127], relative error below 3e-7: x = n + f with |f| <= 1/2, a polynomial for
+// 2^f (minimax, 2^0 = 1 exactly), n added to the exponent. NaN stays NaN; anything may come out for
+// an x outside, and the raster loops, which drop such lanes, are spared a clamp.
 ROIGS_INLINE Floats exp2(Floats x) {
 #if defined(ROIGS_AVX512)
     const Floats f = _mm512_reduce_ps(x, 0x08);
 #else
-    x = clamp(x, splat(-126.0f), splat(127.0f));
     const Ints n = round_to_ints(x);
     const Floats f = x - to_floats(n);
 #endif

@@ -82,6 +82,15 @@ ROIGS_INLINE void transpose(Floats (&v)[8]) {
     }
 }
 
+#elif defined(__aarch64__)
+
+ROIGS_INLINE void transpose(Floats (&v)[4]) {
+    const Floats a = vzip1q_f32(v[0], v[2]), b = vzip1q_f32(v[1], v[3]);
+    const Floats c = vzip2q_f32(v[0], v[2]), d = vzip2q_f32(v[1], v[3]);
+    v[0] = vzip1q_f32(a, b), v[1] = vzip2q_f32(a, b);
+    v[2] = vzip1q_f32(c, d), v[3] = vzip2q_f32(c, d);
+}
+
 #else
 
 ROIGS_INLINE void transpose(Floats (&v)[4]) {
@@ -106,6 +115,12 @@ ROIGS_INLINE void fold_four_lanes(Floats a, Floats b, Floats c, Floats d, float*
                              Floats(_mm256_shuffle_ps(ab, cd, 0xee)));
     const Floats folded = fold(abcd, Floats(_mm256_permute2f128_ps(abcd, abcd, 0x01)));
     _mm_storeu_ps(out, _mm256_castps256_ps128(folded));
+}
+
+#elif defined(__aarch64__)
+
+ROIGS_INLINE void sum_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out) {
+    vst1q_f32(out, vpaddq_f32(vpaddq_f32(a, b), vpaddq_f32(c, d)));
 }
 
 #else

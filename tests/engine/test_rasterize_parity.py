@@ -121,3 +121,17 @@ def test_lower_degree_ignores_the_other_bands() -> None:
     same, _, _ = render_both(fewer, views, intrinsics, 61, 43)
     assert torch.equal(ours.image, same.image)
     assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_nan_is_not_drawn(isa: str, raw: bool) -> None:
+    sound = gaussians(100, raw=raw)
+    broken = [p.clone() for p in sound]
+    for row, p in enumerate(broken):
+        p[row].view(-1)[0] = float("nan")
+    rest = [p[len(broken) :] for p in sound]
+    ours, truth, _ = render_both(broken, *cameras(40, 40), 40, 40, raw=raw)
+    assert not ours.visible[:, : len(broken)].any()
+    assert torch.equal(ours.visible, truth.visible)
+    alone, _, _ = render_both(rest, *cameras(40, 40), 40, 40, raw=raw)
+    assert torch.equal(ours.image, alone.image)
