@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -57,6 +58,8 @@ class BuildKernels(Command):
 
     def run(self) -> None:
         builder = kernel_builder()
+        if not self.editable_mode:  # another platform's from an earlier build would go along
+            shutil.rmtree(self._folder(), ignore_errors=True)
         try:
             builder.build(self._folder(), target=TARGET)
         except builder.BuildError as error:
