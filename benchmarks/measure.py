@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import inspect
 import sys
 import time
@@ -100,7 +99,7 @@ class StepBenchmark:
     def counts(self) -> dict[str, list[int]]:
         """What is counted -> its number for each camera; "pairs" where the engine counts them."""
         found: dict[str, list[int]] = {}
-        can_count_pairs = _declare_pair_counter()
+        can_count_pairs = _counts_pairs()
 
         def count(view: View, name: str, call: Callable[[], int]) -> int:
             result = call()
@@ -192,14 +191,9 @@ def peak_memory() -> int | None:
     return None
 
 
-def _declare_pair_counter() -> bool:
+def _counts_pairs() -> bool:
     """False for a revision of the engine that does not count pairs."""
-    try:
-        function = library.load().roigs_pair_evaluations
-    except AttributeError:
-        return False
-    function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_int64
-    return True
+    return hasattr(library.load(), "roigs_pair_evaluations")
 
 
 def _rotated(items: list[Any], first: int) -> list[Any]:

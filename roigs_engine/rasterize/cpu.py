@@ -77,6 +77,7 @@ def _kernels() -> ctypes.CDLL:
         "roigs_project": (ctypes.c_int64, [address, address, address, address]),
         "roigs_bin": (ctypes.c_int64, [address]),
         "roigs_render": (ctypes.c_int64, [address, address]),
+        "roigs_pair_evaluations": (ctypes.c_int64, [address]),
         "roigs_render_backward": (ctypes.c_int64, [address, image, image]),
         "roigs_project_backward": (None, [address, address, address, address]),
     }
