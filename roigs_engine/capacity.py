@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from .config import TrainConfig
 from .densify import box_owner
+from .events import Check, go_on
 from .gaussians import Gaussians
 from .roi import OrientedBox
 from .scene import Camera, PosedImage
@@ -42,6 +43,7 @@ def box_capacities(
     images: Sequence[PosedImage],
     rois: Sequence[OrientedBox],
     config: TrainConfig,
+    check: Check = go_on,
 ) -> list[BoxCapacity] | None:
     """The boxes' capacities, `box_capacity` x pixels^0.7, or None when the config sets no limit.
 
@@ -50,25 +52,26 @@ def box_capacities(
         images: what it trains on; pixels count in each of them.
         rois: the boxes.
         config: gives `box_capacity`.
+        check: called between photos; may raise to stop.
     """
     if not rois or config.box_capacity <= 0:
         return None
     owner = box_owner(model, rois)
     capacities = []
     for index, roi in enumerate(rois):
-        end = int(config.box_capacity * _pixels(roi, images) ** EXPONENT)
+        end = int(config.box_capacity * _pixels(roi, images, check) ** EXPONENT)
         capacities.append(BoxCapacity(begin=min(int((owner == index).sum()), end), end=end))
     return capacities
 
 
-def _pixels(roi: OrientedBox, images: Sequence[PosedImage]) -> float:
+def _pixels(roi: OrientedBox, images: Sequence[PosedImage], check: Check) -> float:
     """Pixels of all photos that lie in the box's silhouette."""
-    return sum(
-        roi.projected_area(_thumbnail(i.camera), i.world_to_camera)
-        * i.camera.width
-        * i.camera.height
-        for i in images
-    )
+    pixels = 0.0
+    for image in images:
+        check()
+        share = roi.projected_area(_thumbnail(image.camera), image.world_to_camera)
+        pixels += share * image.camera.width * image.camera.height
+    return pixels
 
 
 def _thumbnail(camera: Camera) -> Camera:

@@ -13,6 +13,7 @@ from .errors import RunFolderError
 from .files import atomic_write
 
 FORMAT = 1
+HINT = "Delete it to begin the stage anew, or choose another run folder."
 
 
 def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None:
@@ -29,22 +30,32 @@ def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None
         file.write(buffer.getbuffer())
 
 
+def checkpoint_fingerprint(path: Path) -> str:
+    """The fingerprint in a checkpoint; its tensors stay on disk. RunFolderError as loading."""
+    return str(_record(path, mmap=True)["fingerprint"])
+
+
 def load_checkpoint(path: Path, fingerprint: str) -> dict[str, Any]:
     """The state that `save_checkpoint` wrote.
 
     Raises:
         RunFolderError: the file is damaged, of another version, or of another stage.
     """
-    hint = "Delete it to begin the stage anew, or choose another run folder."
-    try:
-        record = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, ValueError, EOFError, KeyError, pickle.UnpicklingError) as error:
-        raise RunFolderError(f"The checkpoint {path} is damaged.", hint) from error
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise RunFolderError(f"The checkpoint {path} is of another version.", hint)
+    record = _record(path, mmap=False)
     if record.get("fingerprint") != fingerprint:
-        raise RunFolderError(f"The checkpoint {path} belongs to other settings.", hint)
+        raise RunFolderError(f"The checkpoint {path} belongs to other settings.", HINT)
     state = record["state"]
     if not isinstance(state, dict):
-        raise RunFolderError(f"The checkpoint {path} is damaged.", hint)
+        raise RunFolderError(f"The checkpoint {path} is damaged.", HINT)
     return state
+
+
+def _record(path: Path, *, mmap: bool) -> dict[str, Any]:
+    """What the file holds, its version checked."""
+    try:
+        record = torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
+    except (OSError, RuntimeError, ValueError, EOFError, KeyError, pickle.UnpicklingError) as error:
+        raise RunFolderError(f"The checkpoint {path} is damaged.", HINT) from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise RunFolderError(f"The checkpoint {path} is of another version.", HINT)
+    return record

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from . import __version__
-from .commands import compose, evaluate, inspect, render, run, select, train
+from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
 from .errors import ConfigError, EngineError, Stopped
 from .events import Done, Failed
@@ -22,6 +22,7 @@ from .files import read_json
 
 COMMANDS: dict[str, ModuleType] = {
     "inspect": inspect,
+    "export": export,
     "select": select,
     "train": train,
     "compose": compose,
@@ -69,6 +70,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except EngineError as error:
         console.emit(Failed(message=error.message, hint=error.hint))
+        return 2
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith(__package__):
+            raise
+        text = f"`{args.command}` needs {error.name}, which this Python lacks ({sys.executable})."
+        console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
     except Stopped:
         console.emit(Done(outputs={}, stopped=True))

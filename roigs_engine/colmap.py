@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .colmap_files import NO_IDS, Model, count_images, model_suffix, read_model
 from .colmap_photos import FAR, UNPOSED, PhotoLoader, Shrink, photo_name
 from .errors import ConfigError, SceneError
-from .events import Emit, Message, ignore
+from .events import Check, Emit, Message, go_on, ignore
 from .photo_files import PhotoFolder, find_photos
 from .scene import Float64, Int64, SfmScene
 
@@ -25,6 +25,7 @@ def load_colmap(
     max_side: int | None = None,
     pixels: bool = True,
     emit: Emit = ignore,
+    check: Check = go_on,
 ) -> SfmScene:
     """The scene of a COLMAP project.
 
@@ -37,7 +38,10 @@ def load_colmap(
         max_side: longest side in pixels; photos are never enlarged.
         pixels: False when nobody will look at the photos themselves: the cameras are the same,
             but nothing is undistorted (it takes seconds), and `path` names the distorted photo.
+            Works with numpy alone; without pycolmap, cameras with distortion are taken as if they
+            had none, and a warning says so.
         emit: receives messages.
+        check: called between files and photos; may raise to stop.
 
     Raises:
         SceneError: no usable model, points or photos.
@@ -46,11 +50,14 @@ def load_colmap(
     """
     shrink = _shrink(downscale, max_side)
     folder = find_model(Path(path), emit)
-    model = read_model(folder)
+    model = read_model(folder, check)
     ids, points, colors = _points(model, folder, emit)
     photos = find_photos(folder, images, [image.name for image in model.images])
-    loader = PhotoLoader(model, photos, shrink)
-    posed = loader.undistorted(cache, emit) if pixels else loader.posed
+    loader = PhotoLoader(model, photos, shrink, pixels=pixels, check=check)
+    if loader.approximate:
+        text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
+        emit(Message(text=text, level="warning"))
+    posed = loader.undistorted(cache, emit, check) if pixels else loader.posed
     if not posed:
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
@@ -59,7 +66,7 @@ def load_colmap(
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
         level = "info" if reason == UNPOSED else "warning"
         emit(Message(text=f"Photos left out, {reason}: {len(names)} ({first}).", level=level))
-    observed = _observations(model, ids)
+    observed = _observations(model, ids, check)
     used = {image.name: observed.get(image_id, NO_IDS) for image_id, image in posed.items()}
     return SfmScene(
         images=tuple(
@@ -146,7 +153,7 @@ def _points(model: Model, folder: Path, emit: Emit) -> tuple[Int64, Float64, NDA
     return ids, model.points[good][rows], model.colors[good][rows]
 
 
-def _observations(model: Model, ids: Int64) -> dict[int, Int64]:
+def _observations(model: Model, ids: Int64, check: Check) -> dict[int, Int64]:
     """Image id -> ascending rows of the points it observes; ids of no point are ignored.
 
     The photos' side of the observations counts; a model that has only the points' side (tracks)
@@ -158,7 +165,11 @@ def _observations(model: Model, ids: Int64) -> dict[int, Int64]:
         viewers, starts = np.unique(model.track_images[order], return_index=True)
         by_viewer = np.split(model.point_ids[model.track_rows[order]], starts[1:])
         seen = dict(zip((int(viewer) for viewer in viewers), by_viewer, strict=True))
-    return {image_id: _rows(values, ids) for image_id, values in seen.items()}
+    observed = {}
+    for image_id, values in seen.items():
+        check()
+        observed[image_id] = _rows(values, ids)
+    return observed
 
 
 def _rows(values: Int64, ids: Int64) -> Int64:

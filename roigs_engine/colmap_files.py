@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SceneError
+from .events import Check, go_on
 from .scene import Float64, Int64
 
 T = TypeVar("T")
@@ -109,8 +110,10 @@ def model_suffix(folder: Path) -> str | None:
     return None
 
 
-def read_model(folder: Path) -> Model:
+def read_model(folder: Path, check: Check = go_on) -> Model:
     """The model in `folder`, binary files before text ones.
+
+    Args: `check`: called while reading; may raise to stop.
 
     Raises:
         SceneError: a file is missing, unreadable or damaged.
@@ -126,10 +129,10 @@ def read_model(folder: Path) -> Model:
         raise SceneError(f"{folder} holds no {paths[2].name}.", "Export the 3D points as well.")
     binary = suffix == ".bin"
     cameras = _read(paths[0], _cameras_bin if binary else _cameras_txt)
-    images = _read(paths[1], _images_bin if binary else _images_txt)
+    images = _read(paths[1], partial(_images_bin if binary else _images_txt, check=check))
     # Normally the photos tell what they observe; the points' side is read only where they do not.
     tracks = not any((image.point_ids >= 0).any() for image in images)
-    parse = partial(_points_bin if binary else _points_txt, tracks=tracks)
+    parse = partial(_points_bin if binary else _points_txt, tracks=tracks, check=check)
     ids, points, colors, rows, viewers = _read(paths[2], parse)
     return Model(
         cameras=cameras,
@@ -210,10 +213,11 @@ def _cameras_bin(data: bytes) -> dict[int, ModelCamera]:
     return cameras
 
 
-def _images_bin(data: bytes) -> list[ModelImage]:
+def _images_bin(data: bytes, check: Check) -> list[ModelImage]:
     number, offset = _count(data, 0, 73)
     images = []
     for _ in range(number):
+        check()
         (image_id, *pose, camera_id), offset = _unpack(data, offset, "I7dI")
         end = data.index(b"\0", offset)
         name = data[offset:end].decode("utf-8", errors="replace")
@@ -243,14 +247,20 @@ def _image(
 Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]
 
 
-def _points_bin(data: bytes, tracks: bool) -> Points:
+def _points_bin(data: bytes, tracks: bool, check: Check) -> Points:
     number, offset = _count(data, 0, POINT_HEAD.itemsize)
     size, length_at = POINT_HEAD.itemsize, POINT_HEAD.itemsize - 8
     starts = np.empty(number, dtype=np.int64)
+    # Millions of turns, so nothing here that could be left out: a track that ends past the file
+    # makes the next head, or the check below, do so too.
+    length_of = struct.Struct("<Q").unpack_from
     for row in range(number):
         starts[row] = offset
-        length, offset = _count(data, offset + length_at, 8)
-        offset += 8 * length
+        offset += size + 8 * length_of(data, offset + length_at)[0]
+        if not row % 100_000:
+            check()
+    if offset > len(data):
+        raise ValueError(f"it ends after {len(data)} bytes, {number} records announced")
     raw = np.frombuffer(data, dtype=np.uint8)
     heads = raw[starts[:, None] + np.arange(size)].reshape(-1).view(POINT_HEAD)
     ids, points, colors = heads["id"].copy(), heads["xyz"].copy(), heads["rgb"].copy()
@@ -299,9 +309,10 @@ def _cameras_txt(data: bytes) -> dict[int, ModelCamera]:
     return dict(_parsed(line, parse) for line in filter(None, _lines(data)))
 
 
-def _images_txt(data: bytes) -> list[ModelImage]:
+def _images_txt(data: bytes, check: Check) -> list[ModelImage]:
     images = []
     for head, tail in _image_lines(data):
+        check()
         ids = _parsed(tail, lambda words: [int(value) for value in words[2::3]])
         point_ids = np.array(ids, dtype=np.int64)
 
@@ -314,8 +325,9 @@ def _images_txt(data: bytes) -> list[ModelImage]:
     return images
 
 
-def _points_txt(data: bytes, tracks: bool) -> Points:
+def _points_txt(data: bytes, tracks: bool, check: Check) -> Points:
     def parse(words: list[str]) -> tuple[int, list[float], list[int]]:
+        check()
         numbers = [float(value) for value in words[1:7]]
         if len(numbers) != 6 or not np.isfinite(numbers[3:]).all():
             raise ValueError("a point needs a position and a colour")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import time
 from collections import defaultdict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +14,19 @@ import numpy as np
 
 from .colmap_files import NO_IDS, Model, ModelCamera, ModelImage
 from .errors import RunFolderError, SceneError
-from .events import Emit, StageStarted
-from .images import PhotoError, photo_size
+from .events import Check, Emit, StageStarted, go_on, ignore, step_done
 from .photo_files import PhotoFolder
-from .scene import Float64, PosedImage
-from .undistort import Plan, as_pinhole, plan_undistortion, temporary_folder, undistort
+from .photo_headers import PhotoError, photo_size
+from .scene import Camera, Float64, PosedImage
+from .undistort import (
+    Plan,
+    as_pinhole,
+    has_pycolmap,
+    plan_undistortion,
+    temporary_folder,
+    undistort,
+    without_distortion,
+)
 
 MISSING = "missing on disk"
 UNPOSED = "without a pose"
@@ -65,14 +74,27 @@ class PhotoLoader:
     Attributes:
         posed: image id -> photo, with its final camera and the original file.
         skipped: reason -> names.
+        approximate: whether a camera's distortion is ignored, for want of pycolmap.
     """
 
-    def __init__(self, model: Model, photos: PhotoFolder, shrink: Shrink) -> None:
+    def __init__(
+        self,
+        model: Model,
+        photos: PhotoFolder,
+        shrink: Shrink,
+        *,
+        pixels: bool = True,
+        check: Check = go_on,
+    ) -> None:
+        """Args: `pixels`: False where only cameras matter, see `load_colmap`."""
+        self.approximate = False
+        self._pixels = pixels
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.posed: dict[int, PosedImage] = {}
         self._plans: dict[int, Plan] = {}
         names: set[str] = set()
         for image in sorted(model.images, key=lambda image: image.image_id):
+            check()
             reason = DUPLICATE if photo_name(image) in names or image.image_id in self.posed else ""
             reason = reason or self._add(image, model.cameras.get(image.camera_id), photos, shrink)
             names.add(photo_name(image))
@@ -91,51 +113,82 @@ class PhotoLoader:
         if path is None:
             return MISSING
         try:
-            size = photo_size(path)
+            size = photo_size(path) or (camera.width, camera.height)
         except SceneError:
             return UNREADABLE
         if not _same_shape(camera, size):
             return WRONG_SIZE
-        pinhole = as_pinhole(camera)
-        if pinhole is None:
-            try:
-                plan = plan_undistortion(path, camera, size, shrink)
-            except SceneError:
-                return f"{camera.model} cannot be undistorted"
-            self._plans[image.image_id] = plan
-            target = plan.target
-        else:
-            target = pinhole.resized(*shrink(*size))
+        pinhole, distorted = as_pinhole(camera), False
+        try:
+            if pinhole is None:
+                distorted, target = (
+                    True,
+                    self._undistorted_camera(image, path, camera, size, shrink),
+                )
+            else:
+                target = pinhole.resized(*shrink(*size))
+        except SceneError:
+            return f"{camera.model} cannot be undistorted"
         self.posed[image.image_id] = PosedImage(
             name=photo_name(image),
             path=path,
             camera=target,
             world_to_camera=pose,
             point_indices=NO_IDS,
+            distorted=distorted,
         )
         return ""
 
-    def undistorted(self, cache: Path | None, emit: Emit) -> dict[int, PosedImage]:
+    def _undistorted_camera(
+        self,
+        image: ModelImage,
+        path: Path,
+        camera: ModelCamera,
+        size: tuple[int, int],
+        shrink: Shrink,
+    ) -> Camera:
+        """The pinhole of a distorted camera; the photo is noted for undistortion."""
+        if not self._pixels and not has_pycolmap():
+            self.approximate = True
+            return without_distortion(camera).resized(*shrink(*size))
+        plan = plan_undistortion(path, camera, size, shrink)
+        self._plans[image.image_id] = plan
+        return plan.target
+
+    def undistorted(
+        self, cache: Path | None, emit: Emit, check: Check = go_on
+    ) -> dict[int, PosedImage]:
         """Image id -> photo, the distorted ones' undistorted copies made or found in the cache."""
         if not self._plans:
             return self.posed
         folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
-        todo = sum(not (folder / plan.file_name()).is_file() for plan in self._plans.values())
-        if todo:
-            emit(StageStarted(stage="undistort", total=todo))
+        total = len(self._plans)
+        made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
+        report = ignore if made else emit
+        report(StageStarted(stage="undistort", total=total))
+        started = time.monotonic()
         pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="undistort")
         try:
             jobs = {key: pool.submit(undistort, plan, folder) for key, plan in self._plans.items()}
-            for key, job in jobs.items():
+            for step, (key, job) in enumerate(jobs.items(), start=1):
                 image = self.posed[key]
                 try:
-                    self.posed[key] = replace(image, path=job.result())
+                    self.posed[key] = replace(image, path=_waited(job, check), distorted=False)
                 except PhotoError:
                     self.skipped[UNREADABLE].append(image.name)
                     del self.posed[key]
+                report(step_done("undistort", step, total, started))
         finally:
             pool.shutdown(cancel_futures=True)
         return self.posed
+
+
+def _waited(job: Future[Path], check: Check) -> Path:
+    """The job's result, asking now and then whether to stop."""
+    while not wait([job], timeout=0.2).done:
+        check()
+    check()
+    return job.result()
 
 
 def _made(folder: Path) -> Path:

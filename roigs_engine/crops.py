@@ -15,6 +15,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from .evaluate import EvaluatedModel
+from .events import Check, go_on
 from .images import load_photo
 from .metrics import bounding_box
 from .render import render_view, safe_name, save_png, to_uint8
@@ -38,6 +39,7 @@ def write_crops(
     *,
     names: Sequence[str] | None = None,
     views: Sequence[str] | None = None,
+    check: Check = go_on,
 ) -> list[Path]:
     """Write the pictures of all boxes; the files written, box by box.
 
@@ -50,6 +52,7 @@ def write_crops(
         names: the rows to show after the photo; the last one is the result that is compared.
             Default: the baseline and the box's last row.
         views: the photos to show, instead of those with the largest, median and least gain.
+        check: called before every picture; may raise to stop.
     """
     written: list[Path] = []
     for roi in rois:
@@ -63,9 +66,11 @@ def write_crops(
         labels = chosen if views is None else {name: chosen.get(name, "") for name in views}
         folder = Path(run_dir) / "crops" / safe_name(roi.name)
         for name, label in labels.items():
+            check()
             path = folder / f"{safe_name(name)}.png"
             save_png(path, _side_by_side(scene.image(name), roi, panels, label))
             written.append(path)
+        check()
         median = list(chosen)[len(chosen) // 2]
         save_png(folder / "overview.png", _overview(scene.image(median), roi, panels[-1][1]))
         written.append(folder / "overview.png")

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from . import metrics
 from .errors import ConfigError, SceneError
-from .events import Emit, Message, Progress, StageStarted, ignore
+from .events import Check, Emit, Message, StageStarted, go_on, ignore, step_done
 from .gaussians import Gaussians
 from .images import load_photo
 from .render import render_view
@@ -91,6 +91,7 @@ def evaluate(
     rois: Sequence[OrientedBox],
     *,
     emit: Emit = ignore,
+    check: Check = go_on,
     baseline: str = "Full Scene",
 ) -> Evaluation:
     """Measure every model on the held-out photos `test` of `scene` (which holds all photos).
@@ -104,27 +105,26 @@ def evaluate(
         ConfigError: no model, or two of one name for one box.
     """
     images = _checked(models, scene, test)
-    plans = [_plan(roi, images, models, emit) for roi in rois]
+    plans = [_plan(roi, images, models, emit, check) for roi in rois]
     samples: list[dict[str, _Sample]] = [{} for _ in plans]
     image_views: dict[EvaluatedModel, dict[str, float]] = {model: {} for model in models}
     emit(StageStarted(stage="evaluate", total=len(images)))
     started = time.monotonic()
     for step, image in enumerate(images, start=1):
-        whole, measured = _measure_view(models, image, plans)
+        whole, measured = _measure_view(models, image, plans, check)
         for model, value in whole.items():
             image_views[model][image.name] = value
         for store, sample in zip(samples, measured, strict=True):
             if sample is not None:
                 store[image.name] = sample
         emit(
-            Progress(
-                stage="evaluate",
-                step=step,
-                total=len(images),
-                loss=math.nan,
+            step_done(
+                "evaluate",
+                step,
+                len(images),
+                started,
                 psnr=max(whole.values()),
                 gaussians=max(len(model.gaussians) for model in models),
-                seconds_left=(time.monotonic() - started) / step * (len(images) - step),
             )
         )
     tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
@@ -176,9 +176,13 @@ def _plan(
     images: Sequence[PosedImage],
     models: Sequence[EvaluatedModel],
     emit: Emit,
+    check: Check,
 ) -> _Plan:
     """Which of the test views count for the box."""
-    sizes = {i.name: int(roi.silhouette(i.camera, i.world_to_camera).sum()) for i in images}
+    sizes = {}
+    for image in images:
+        check()
+        sizes[image.name] = int(roi.silhouette(image.camera, image.world_to_camera).sum())
     inside = {i.name: roi.camera_inside(i.world_to_camera) for i in images}
     largest = max(sizes.values())
     least = MIN_SILHOUETTE if largest >= MIN_SILHOUETTE else max(1, math.ceil(largest / 2))
@@ -204,7 +208,7 @@ def _plan(
 
 
 def _measure_view(
-    models: Sequence[EvaluatedModel], image: PosedImage, plans: Sequence[_Plan]
+    models: Sequence[EvaluatedModel], image: PosedImage, plans: Sequence[_Plan], check: Check
 ) -> tuple[dict[EvaluatedModel, float], list[_Sample | None]]:
     """Every model on one photo: whole-image PSNR by model, one sample for each box that counts."""
     device = models[0].gaussians.means.device
@@ -219,6 +223,7 @@ def _measure_view(
     errors: dict[int, list[Tensor]] = {index: [] for index in masks}
     objects: dict[int, list[Tensor]] = {index: [] for index in masks}
     for model in models:
+        check()
         wanted = [index for index in masks if model in plans[index].models]
         view = render_view(
             model.gaussians, image.camera, image.world_to_camera, with_depth=bool(wanted)

@@ -9,9 +9,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from .errors import Stopped
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +76,41 @@ Event = StageStarted | Progress | Message | Preview | Done | Failed
 Emit = Callable[[Event], None]
 
 
+# What long work calls every now and then: it raises `Stopped` when somebody asked to stop.
+Check = Callable[[], None]
+
+
 def ignore(event: Event) -> None:
     """The sink for callers who want no events."""
+
+
+def go_on() -> None:
+    """The check of callers who never stop."""
+
+
+def check_of(should_stop: Callable[[], bool]) -> Check:
+    """The check that raises `Stopped` once `should_stop` says so."""
+
+    def check() -> None:
+        if should_stop():
+            raise Stopped
+
+    return check
+
+
+def step_done(
+    stage: str, step: int, total: int, started: float, *, psnr: float = math.nan, gaussians: int = 0
+) -> Progress:
+    """Progress of work that has no loss, begun at `time.monotonic()` = `started`."""
+    return Progress(
+        stage=stage,
+        step=step,
+        total=total,
+        loss=math.nan,
+        psnr=psnr,
+        gaussians=gaussians,
+        seconds_left=(time.monotonic() - started) / step * (total - step),
+    )
 
 
 def to_json(event: Event) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from .errors import SceneError
+from .photo_headers import unreadable
 from .scene import PosedImage
 
 Pixels = NDArray[np.uint8]
@@ -28,23 +28,6 @@ GAP = 2.0
 FALLBACK_MEMORY = 8 << 30  # bytes, where the machine does not tell
 # What Pillow raises on files it cannot decode.
 DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
-
-
-class PhotoError(SceneError):
-    """One photo is missing, damaged or of a kind that cannot be decoded."""
-
-
-def photo_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the file's header, without its orientation tag.
-
-    Raises:
-        PhotoError: not a readable image file.
-    """
-    try:
-        with Image.open(path) as photo:
-            return photo.size
-    except DECODE_ERRORS as error:
-        raise _unreadable(path, error) from error
 
 
 def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
@@ -63,7 +46,7 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
             shrink = _draft_factor(full, photo.size)
             rgb = _to_rgb(photo)
     except DECODE_ERRORS as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     if size is not None and rgb.size != size:
         # The last column and row of a draft may reach past the photo: leave that share out.
         box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
@@ -94,13 +77,6 @@ def _to_rgb(photo: Image.Image) -> Image.Image:
     if photo.mode in ("P", "PA"):
         return photo.convert("RGBA").convert("RGB")
     return photo.convert("RGB")
-
-
-def _unreadable(path: Path, error: Exception) -> PhotoError:
-    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return PhotoError(
-        f"Cannot read photo {path} ({reason}).", "Restore the file, or take it out of the model."
-    )
 
 
 def machine_memory() -> int:

@@ -8,12 +8,16 @@ The run folder:
     scene/ joint/ object-ROI/ full-scene/ full-object-ROI/    stages (see `stages.py`)
     independent/            the other strategy's run, when it is compared with
     result.ply rois/ROI.ply the run's result, whole and per box
+    preview.ply             the Gaussians of the stage that is being trained
+    older/                  what was made for other requests
     report.md report.json crops/    the evaluation
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,19 +29,23 @@ from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
 from .errors import RunFolderError, SceneError
 from .evaluate import EvaluatedModel
-from .events import Emit, ignore
+from .events import Emit, Message, check_of, ignore
 from .files import read_json, write_json
 from .gaussians import Gaussians
 from .images import PhotoCache
+from .older import put_away_parts, take_back_parts
 from .roi import OrientedBox
 from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
 from .selection import CameraSelection, select_cameras, visible_images
+from .selection.given import check_given, given_selection
 from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
 from .trainer import StageData
 
 BASELINE = "Full Scene"
+# What follows from a request as a whole, and not from one stage.
+RESULTS = ("result.ply", "rois", "report.md", "report.json", "crops", "selection")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,21 +71,39 @@ class Run:
         rois: Sequence[OrientedBox],
         config: RunConfig,
         *,
+        given: Mapping[str, Sequence[str]] | None = None,
+        update: bool = False,
+        preview_seconds: float = 0.0,
         emit: Emit = ignore,
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
         """Claim `folder` for this request.
 
+        Args:
+            folder, scene, rois, config: of the run.
+            given: box -> photos, best first, where they are not to be selected.
+            update: take a folder of another request over: what still fits is kept, the rest goes
+                to its folder `older`.
+            preview_seconds: of training between two writings of `preview.ply`; 0: never.
+            emit, should_stop: as everywhere.
+
         Raises:
             RunFolderError: the folder holds a run with other settings.
             SceneError: no photo sees a box, or too few photos are there to test on.
+            ConfigError: `given` names photos that cannot be used.
+            Stopped: `should_stop` said so.
         """
         self.folder, self.scene, self.rois, self.config = folder, scene, list(rois), config
-        self._emit, self._should_stop = emit, should_stop
+        self._emit, self._should_stop, self._check = emit, should_stop, check_of(should_stop)
+        self._update, self._preview_seconds = update, preview_seconds
         if len(scene.points) == 0:
             raise SceneError("The model holds no 3D points.", "Triangulate it in COLMAP first.")
+        self.test = choose_test_views(scene, self.rois, config.test_every, self._check)
+        self.given = {
+            roi: check_given(names, scene, self.test, roi, emit)
+            for roi, names in (given or {}).items()
+        }
         self._claim()
-        self.test = choose_test_views(scene, self.rois, config.test_every)
         write_json(folder / "split.json", {"test": list(self.test)})
         self.train_scene = scene.without(set(self.test))
         self.extent = self.train_scene.extent()
@@ -89,10 +115,16 @@ class Run:
     def selection(self, roi: OrientedBox) -> CameraSelection:
         """The box's photos, best first; computed once and kept in the run folder."""
         if roi.name not in self._selections:
-            chosen = select_cameras(self.train_scene, roi, self.config.selection, self._emit)
+            chosen = self._chosen(roi)
             write_json(self.folder / "selection" / f"{roi.name}.json", chosen.to_dict())
             self._selections[roi.name] = chosen
         return self._selections[roi.name]
+
+    def _chosen(self, roi: OrientedBox) -> CameraSelection:
+        if roi.name in self.given:
+            return given_selection(self.train_scene, roi, self.given[roi.name], self._check)
+        config = self.config.selection
+        return select_cameras(self.train_scene, roi, config, self._emit, self._check)
 
     def _orders(self) -> list[tuple[str, ...]]:
         return [self.selection(roi).names for roi in self.rois]
@@ -117,7 +149,7 @@ class Run:
 
     def full_object(self, roi: OrientedBox) -> StageResult:
         """Baseline: standard 3DGS on every photo that sees the box."""
-        names = list(visible_images(self.train_scene, roi))
+        names = list(visible_images(self.train_scene, roi, self._check))
         return self._train(f"full-object-{roi.name}", names, self.config.baseline())
 
     def object_stage(self, roi: OrientedBox) -> StageResult:
@@ -152,7 +184,7 @@ class Run:
             photo_at=photo_at,
             extent=self.extent,
             rois=margins,
-            capacities=box_capacities(start, images, margins, config),
+            capacities=box_capacities(start, images, margins, config, self._check),
             seed=self.config.seed,
         )
         stage = Stage(
@@ -162,6 +194,8 @@ class Run:
             config=config,
             start=start,
             fingerprint=fingerprint(data, config, start_name, order),
+            update=self._update,
+            preview_seconds=self._preview_seconds,
         )
         return stage.run(self._emit, self._should_stop)
 
@@ -177,7 +211,7 @@ class Run:
                 sampling.shuffled(chosen, config.seed + 1),
                 config.selected_share,
             )
-            return photo_at, ["mixed", config.selected_share, len(chosen), config.seed]
+            return photo_at, ["mixed", config.selected_share, chosen, config.seed]
         if roi_stage and config.roi_order == "ordered":
             return sampling.ordered(every), ["ordered"]
         return sampling.shuffled(every, config.seed), ["shuffled", config.seed]
@@ -186,7 +220,8 @@ class Run:
         """What a stage begins with, and a name for it."""
         if not rois or self.config.roi_init == "points":
             scene = self.train_scene
-            return Gaussians.from_points(scene.points, scene.colors), "points"
+            digest = hashlib.sha256(scene.points.tobytes() + scene.colors.tobytes()).hexdigest()
+            return Gaussians.from_points(scene.points, scene.colors), f"points:{digest}"
         base = self.scene_stage()
         if self.config.roi_init == "box":
             (roi,) = rois
@@ -250,6 +285,9 @@ class Run:
             self.scene,
             self.rois,
             self.config.in_strategy(strategy),
+            given=self.given,
+            update=self._update,
+            preview_seconds=self._preview_seconds,
             emit=self._emit,
             should_stop=self._should_stop,
         )
@@ -262,13 +300,18 @@ class Run:
     # --- the folder ---
 
     def _claim(self) -> None:
-        """Write the request, or check that it is the one this folder was made for."""
+        """Write the request, or check that it is the one this folder was made for.
+
+        To update, the results of another request make room for those of this one.
+        """
         request = {
             "config": self.config.to_dict(),
             "rois": [roi.to_dict() for roi in self.rois],
             "photos": len(self.scene.images),
             "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in self.scene.images}),
         }
+        if self.given:
+            request["given"] = self.given
         path = self.folder / "request.json"
         if not path.exists():
             write_json(path, request)
@@ -276,11 +319,22 @@ class Run:
         before = read_json(path)
         # JSON has no tuples: compare what would be read back.
         difference = _difference(before, _plain(request))
-        if difference:
+        if not difference:
+            return
+        if not self._update:
             raise RunFolderError(
                 f"{self.folder} holds another run ({difference}).",
-                "Choose another --run-dir, or delete that folder.",
+                "Add --update to bring it up to date, or choose another --run-dir.",
             )
+        put_away_parts(self.folder, RESULTS, _digest(before))
+        take_back_parts(self.folder, RESULTS, _digest(_plain(request)))
+        write_json(path, request)
+        self._emit(Message(text=f"{self.folder} is brought up to date ({difference})."))
+
+
+def _digest(request: Any) -> str:
+    """Hash of a request as it comes back from JSON."""
+    return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:

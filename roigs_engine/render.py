@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ from PIL import Image
 from torch import Tensor
 
 from .errors import ConfigError
-from .events import Emit, Preview, StageStarted, ignore
+from .events import Check, Emit, Preview, StageStarted, go_on, ignore, step_done
 from .files import atomic_write
 from .gaussians import Gaussians
 from .rasterize import rasterize
@@ -135,16 +136,24 @@ def _camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
 
 
 def render_sequence(
-    gaussians: Gaussians, cameras: CameraPath, out_dir: Path, emit: Emit = ignore
+    gaussians: Gaussians,
+    cameras: CameraPath,
+    out_dir: Path,
+    emit: Emit = ignore,
+    check: Check = go_on,
 ) -> list[Path]:
     """Render every camera to `out_dir/<name>.png` (8-bit sRGB); the files in the cameras' order."""
     emit(StageStarted(stage="render", total=len(cameras)))
-    written = []
+    started = time.monotonic()
+    written: list[Path] = []
     for name, camera, world_to_camera in cameras:
+        check()
         path = Path(out_dir) / f"{safe_name(name)}.png"
         save_png(path, to_uint8(render_view(gaussians, camera, world_to_camera).image))
         emit(Preview(path=str(path)))
         written.append(path)
+        done, count = len(written), len(gaussians)
+        emit(step_done("render", done, len(cameras), started, gaussians=count))
     return written
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from .errors import RoiError
 from .scene import Camera, Float64
@@ -104,8 +103,8 @@ class OrientedBox:
             return None
         focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
         pixels = visible[:, :2] / visible[:, 2:] * focal + centre
-        hull: Float64 = pixels[ConvexHull(pixels).vertices]
-        return hull
+        hull = _convex_hull(pixels)
+        return hull if len(hull) >= 3 else None  # fewer: seen edge-on, as a line or a point
 
     def camera_inside(self, world_to_camera: Float64) -> bool:
         """Whether the camera's centre lies inside the box."""
@@ -136,6 +135,30 @@ class OrientedBox:
             "world_to_box": self.world_to_box.tolist(),
             "half_extents": self.half_extents.tolist(),
         }
+
+
+def _convex_hull(points: Float64) -> Float64:
+    """(N, 2) -> (M, 2) corners of the convex hull in order (Andrew's monotone chain).
+
+    Corners that stick out by rounding only are left out; points on a line give fewer than three.
+    """
+    order = points[np.lexsort((points[:, 1], points[:, 0]))]
+    slack = 1e-14 * float(np.ptp(points, axis=0).max()) ** 2
+
+    def half(walk: Float64) -> list[Float64]:
+        chain: list[Float64] = []
+        for point in walk:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= slack:
+                chain.pop()
+            chain.append(point)
+        return chain[:-1]
+
+    return np.array(half(order) + half(order[::-1])).reshape(-1, 2)
+
+
+def _turn(a: Float64, b: Float64, c: Float64) -> float:
+    """Twice the signed area of the triangle a, b, c."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def _fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:

@@ -61,6 +61,8 @@ class PosedImage:
         camera: pinhole intrinsics at the resolution used for training.
         world_to_camera: (4, 4) rigid transform, COLMAP's `cam_from_world`.
         point_indices: (M,) rows of `SfmScene.points` that this photo observes, unique, ascending.
+        distorted: the photo at `path` still has the lens distortion that `camera` is without (only
+            where a scene was loaded without its pixels).
     """
 
     name: str
@@ -68,6 +70,7 @@ class PosedImage:
     camera: Camera
     world_to_camera: Float64
     point_indices: Int64
+    distorted: bool = False
 
     @property
     def centre(self) -> Float64:

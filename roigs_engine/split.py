@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from .errors import ConfigError, SceneError
+from .events import Check, go_on
 from .roi import OrientedBox
 from .scene import SfmScene
 from .selection import visible_images
 
 
 def choose_test_views(
-    scene: SfmScene, rois: Sequence[OrientedBox], every: int = 8
+    scene: SfmScene, rois: Sequence[OrientedBox], every: int = 8, check: Check = go_on
 ) -> tuple[str, ...]:
     """Names of the held-out photos, in the scene's order (docs/method.md, evaluation).
 
@@ -23,19 +24,22 @@ def choose_test_views(
     tested. For the second and later boxes the views already taken count: only when fewer than
     ceil(visible / every) of its views are tested, the missing ones are taken at equal steps from
     the rest. Every box is left with at least one photo to train on and has at least one to test on.
+    With `every` = 0 none is held out.
 
     Raises:
-        ConfigError: `every` is below 2.
+        ConfigError: `every` is 1 or negative.
         SceneError: a box is seen by too few photos to hold one out.
     """
+    if every == 0:
+        return ()
     if every < 2:
         raise ConfigError(
-            f"test_every is {every}.", "Hold out every 2nd photo at most; 8 is usual."
+            f"test_every is {every}.", "Hold out every 2nd photo at most; 8 is usual, 0 for none."
         )
     chosen: set[str] = set()
     seen_by: dict[str, list[str]] = {}
     for index, roi in enumerate(rois):
-        views = seen_by[roi.name] = _by_distance(scene, roi)
+        views = seen_by[roi.name] = _by_distance(scene, roi, check)
         if len(views) < 2:
             raise SceneError(
                 f"ROI «{roi.name}» is seen by {len(views)} photo(s): none can be held out.",
@@ -56,9 +60,9 @@ def choose_test_views(
     return tuple(image.name for image in scene.images if image.name in chosen)
 
 
-def _by_distance(scene: SfmScene, roi: OrientedBox) -> list[str]:
+def _by_distance(scene: SfmScene, roi: OrientedBox, check: Check) -> list[str]:
     """Names of the views that see the box, nearest camera first."""
-    visible = set(visible_images(scene, roi))
+    visible = set(visible_images(scene, roi, check))
     distance = {
         image.name: float(np.linalg.norm(image.centre - roi.centre))
         for image in scene.images

@@ -9,16 +9,18 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import checkpoint_fingerprint, load_checkpoint, save_checkpoint
 from .config import TrainConfig
 from .errors import RunFolderError, Stopped
-from .events import Emit, Message, StageStarted
+from .events import Emit, Message, Preview, StageStarted
 from .files import read_json, write_json
 from .gaussians import Gaussians
+from .older import put_away, take_back
 from .trainer import StageData, Trainer
 
 
@@ -70,6 +72,8 @@ class Stage:
         data, config: see `Trainer`.
         start: the Gaussians to start from.
         fingerprint: see `fingerprint`.
+        update: put a stage of another fingerprint away instead of refusing to overwrite it.
+        preview_seconds: of training between two previews; 0: none.
     """
 
     name: str
@@ -78,6 +82,8 @@ class Stage:
     config: TrainConfig
     start: Gaussians
     fingerprint: str
+    update: bool = False
+    preview_seconds: float = 0.0
 
     def run(self, emit: Emit, should_stop: Callable[[], bool]) -> StageResult:
         """Finish the stage, from wherever it is.
@@ -86,6 +92,8 @@ class Stage:
             Stopped: `should_stop` said so; a checkpoint was written.
             RunFolderError: the folder belongs to other settings, or is damaged.
         """
+        if self.update:
+            self._make_room(emit)
         finished = self._finished()
         if finished is not None:
             emit(Message(text=f"{self.name}: done before, {len(finished.gaussians)} Gaussians."))
@@ -97,9 +105,13 @@ class Stage:
             emit=emit,
             should_stop=should_stop,
             on_pause=lambda: self._save(trainer),
+            on_preview=lambda: self._preview(trainer, emit),
+            preview_seconds=self.preview_seconds,
         )
         if not done:
             self._save(trainer)
+            if self.preview_seconds > 0:
+                self._preview(trainer, emit)
             raise Stopped(self.name)
         return self._finish(trainer)
 
@@ -119,6 +131,32 @@ class Stage:
 
     def _save(self, trainer: Trainer) -> None:
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
+
+    def _preview(self, trainer: Trainer, emit: Emit) -> None:
+        """Show the present model; left out when it cannot be written (a reader on Windows)."""
+        path = self.folder.parent / "preview.ply"
+        with suppress(RunFolderError):
+            trainer.gaussians.save_ply(path)
+            emit(Preview(path=str(path)))
+
+    def _make_room(self, emit: Emit) -> None:
+        """Put away what was trained otherwise, and take back what was put away of this."""
+        present = self._present()
+        if present == self.fingerprint:
+            return
+        if present is not None:
+            put_away(self.folder, present)
+            text = f"{self.name}: other settings or photos; the earlier one is in older/."
+            emit(Message(text=text))
+        take_back(self.folder, self.fingerprint)
+
+    def _present(self) -> str | None:
+        """The fingerprint of what is in the folder, finished or not; None: nothing."""
+        finished = self.folder / "stage.json"
+        if finished.exists():
+            record = read_json(finished)
+            return str(record.get("fingerprint")) if isinstance(record, dict) else "damaged"
+        return checkpoint_fingerprint(self._checkpoint) if self._checkpoint.exists() else None
 
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached()
@@ -146,7 +184,7 @@ class Stage:
         if not isinstance(record, dict) or record.get("fingerprint") != self.fingerprint:
             raise RunFolderError(
                 f"{self.folder} was trained with other settings or photos.",
-                "Choose another --run-dir, or delete that folder.",
+                "Add --update to keep it in older/ and train anew, or choose another --run-dir.",
             )
         return StageResult(
             name=self.name,

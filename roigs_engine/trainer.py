@@ -39,6 +39,31 @@ class Photos(Protocol):
     def prefetch(self, indices: Sequence[int]) -> None: ...
 
 
+class _Break:
+    """Something done every so many seconds of training, for at most a tenth of the time.
+
+    Args: `every`: seconds, 0: never; `do`: what.
+    """
+
+    def __init__(self, every: float, do: Callable[[], None]) -> None:
+        self._every, self._do = every, do
+        self._due: float | None = None
+
+    def take_if_due(self, seconds: float) -> float:
+        """Do it if it is due after `seconds` of training; the seconds that it took."""
+        if self._every <= 0:
+            return 0.0
+        if self._due is None:
+            self._due = seconds + self._every
+        if seconds < self._due:
+            return 0.0
+        began = time.perf_counter()
+        self._do()
+        spent = time.perf_counter() - began
+        self._due = seconds + max(self._every, 9 * spent)
+        return spent
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageData:
     """What a stage trains on.
@@ -96,6 +121,8 @@ class Trainer:
         should_stop: Callable[[], bool] = lambda: False,
         on_pause: Callable[[], None] = lambda: None,
         pause_seconds: float = 60.0,
+        on_preview: Callable[[], None] = lambda: None,
+        preview_seconds: float = 0.0,
     ) -> bool:
         """Train until the config's last step; False when `should_stop` ended it before.
 
@@ -105,19 +132,20 @@ class Trainer:
             should_stop: asked before every step.
             on_pause: called every `pause_seconds` of training, to write a checkpoint.
             pause_seconds: see above.
+            on_preview, preview_seconds: the same, to show the present model; 0: never.
         """
+        breaks = [_Break(pause_seconds, on_pause), _Break(preview_seconds, on_preview)]
         with _one_torch_thread():
-            return self._run(stage, emit, should_stop, on_pause, pause_seconds)
+            return self._run(stage, emit, should_stop, breaks)
 
     def _run(
         self,
         stage: str,
         emit: Emit,
         should_stop: Callable[[], bool],
-        on_pause: Callable[[], None],
-        pause_seconds: float,
+        breaks: Sequence[_Break],
     ) -> bool:
-        started = reported = paused = time.perf_counter()
+        started = reported = time.perf_counter()
         before, first = self.seconds, self.step
         while self.step < self.config.steps:
             if should_stop():
@@ -129,11 +157,9 @@ class Trainer:
                 reported = now
                 left = (now - started) / (self.step - first) * (self.config.steps - self.step)
                 emit(self._progress(stage, left))
-            if now - paused > pause_seconds:
-                on_pause()
-                # Writing checkpoints is not training: the clock leaves it out.
-                spent = time.perf_counter() - now
-                started, paused = started + spent, now + spent
+            for one in breaks:
+                # Writing files is not training: the clock leaves it out.
+                started += one.take_if_due(self.seconds)
         return self.step >= self.config.steps
 
     def train_step(self) -> None:

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from .colmap_files import ModelCamera
 from .errors import EngineError, SceneError
 from .files import atomic_write
-from .images import decode
 from .scene import Camera
 
 # Models that are a pinhole once their distortion is all zeros (a fisheye's projection never is).
@@ -68,6 +66,28 @@ def as_pinhole(camera: ModelCamera) -> Camera | None:
     return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
+def without_distortion(camera: ModelCamera) -> Camera:
+    """The pinhole of the camera's focal lengths and principal point, its distortion ignored.
+
+    Raises:
+        SceneError: the model has no focal length (an equirectangular panorama).
+    """
+    if camera.model == "EQUIRECTANGULAR":
+        raise SceneError("An EQUIRECTANGULAR camera cannot be undistorted.")
+    one = camera.model.startswith("SIMPLE_") or camera.model in ("RADIAL", "RADIAL_FISHEYE")
+    fx, fy, cx, cy = (camera.params[:1] if one else ()) + camera.params[: 3 if one else 4]
+    return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def has_pycolmap() -> bool:
+    """Whether distortion can be dealt with here."""
+    try:
+        _pycolmap()
+    except EngineError:
+        return False
+    return True
+
+
 def plan_undistortion(
     photo: Path,
     camera: ModelCamera,
@@ -105,6 +125,10 @@ def undistort(plan: Plan, folder: Path) -> Path:
     path = folder / plan.file_name()
     if path.is_file():
         return path
+    from PIL import Image  # needed for pixels only: cameras are looked at without it
+
+    from .images import decode
+
     pixels = decode(plan.photo, (plan.source.width, plan.source.height))
     colmap = _pycolmap()
     bitmap, _ = colmap.undistort_image(

@@ -20,11 +20,19 @@ ENGINE, ADDON = "roigs_engine", "roigs_addon"
 # A file of the engine imports files of its own layer or of one above in this list, never of one
 # below. A folder stands for all its files. A new file needs a place here and in architecture.md.
 LAYERS: dict[str, tuple[str, ...]] = {
-    "base": ("errors", "events", "files", "kernels"),
+    "base": ("errors", "events", "files", "lock", "older", "kernels"),
     "values": ("scene", "roi", "ply", "gaussians", "sampling", "scores"),
     "parts": (
-        *("photo_files", "images", "colmap_files", "undistort", "colmap_photos", "colmap"),
-        *("inspect", "selection", "split", "config"),
+        *(
+            "photo_files",
+            "photo_headers",
+            "images",
+            "colmap_files",
+            "undistort",
+            "colmap_photos",
+            "colmap",
+        ),
+        *("inspect", "export", "selection", "split", "config"),
         *("rasterize", "losses", "optimizer", "metrics", "render"),
         *("densify", "capacity", "checkpoint", "compose", "report"),
     ),
@@ -33,7 +41,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "command line": ("commands", "cli", "__main__"),
 }
 # Entries that must work, up to their first use of anything else, without torch.
-TORCH_FREE = ("", "cli", "colmap", "config", "inspect", "kernels", "selection", "split")
+TORCH_FREE = ("", "cli", "colmap", "config", "export", "inspect", "kernels", "selection", "split")
 # Where pycolmap may be imported: the one place that needs it.
 PYCOLMAP = {"undistort"}
 # What may write to the terminal: the command line, and the build script that setup.py runs.

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
 from pathlib import Path
 from types import FrameType
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from tqdm import tqdm
-
+from ..errors import Stopped
 from ..events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 
 class Console:
@@ -40,6 +43,11 @@ class Console:
         """Whether a stop was asked for."""
         return self._stop.is_set()
 
+    def check(self) -> None:
+        """Raise `Stopped` if a stop was asked for."""
+        if self._stop.is_set():
+            raise Stopped
+
     def log_to(self, folder: Path) -> None:
         """Also append every event as a JSON line to `folder`/events.jsonl."""
         folder.mkdir(parents=True, exist_ok=True)
@@ -50,20 +58,30 @@ class Console:
         if self._log is not None:
             print(to_json(event), file=self._log, flush=True)
         if self._json_lines:
-            print(to_json(event), flush=True)
+            self._write(to_json(event), sys.stdout)
         else:
             self._show(event)
 
     def print(self, text: str) -> None:
         """Text that is the command's answer: standard output, but never among JSON lines."""
         self.close_bar()
-        print(text, file=sys.stderr if self._json_lines else sys.stdout, flush=True)
+        self._write(text, sys.stderr if self._json_lines else sys.stdout)
 
     def close_bar(self) -> None:
         """End the progress bar, if one is up."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+    def _write(self, text: str, stream: TextIO) -> None:
+        """One line. Nobody reading any more is a request to stop, as the end of input is."""
+        try:
+            print(text, file=stream, flush=True)
+        except OSError:
+            self._stop.set()
+            # What Python flushes when it exits shall not fail again.
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), stream.fileno())
 
     def _show(self, event: Event) -> None:
         match event:
@@ -72,28 +90,44 @@ class Console:
             case StageStarted(stage=stage, total=total):
                 self.close_bar()
                 if total:
-                    self._bar = tqdm(total=total, desc=stage, file=sys.stderr, dynamic_ncols=True)
+                    self._open_bar(stage, total)
             case Message(text=text, level=level):
                 self._line(f"warning: {text}" if level == "warning" else text)
             case Failed(message=message, hint=hint):
                 self.close_bar()
-                print(f"error: {message} {hint}".rstrip(), file=sys.stderr, flush=True)
+                self._write(f"error: {message} {hint}".rstrip(), sys.stderr)
             case Done(stopped=True):
                 self._line("Stopped; the same command goes on from here.")
-            case Done() | Preview():
+            case Done():
                 self.close_bar()
+            case Preview():
+                pass
+
+    def _open_bar(self, stage: str, total: int) -> None:
+        """A progress bar, where tqdm is installed (Blender's own Python has none)."""
+        try:
+            from tqdm import tqdm
+        except ImportError:
+            self._line(f"{stage} …")
+            return
+        self._bar = tqdm(total=total, desc=stage, file=sys.stderr, dynamic_ncols=True)
 
     def _advance(self, event: Progress) -> None:
         if self._bar is None:
             return
-        loss = "" if math.isnan(event.loss) else f"loss {event.loss:.4f}, "
-        self._bar.set_postfix_str(
-            f"{loss}{event.psnr:.2f} dB, {event.gaussians:,} Gaussians", refresh=False
-        )
+        parts = [
+            "" if math.isnan(event.loss) else f"loss {event.loss:.4f}",
+            "" if math.isnan(event.psnr) else f"{event.psnr:.2f} dB",
+            f"{event.gaussians:,} Gaussians" if event.gaussians else "",
+        ]
+        self._bar.set_postfix_str(", ".join(filter(None, parts)), refresh=False)
         self._bar.update(event.step - self._bar.n)
 
     def _line(self, text: str) -> None:
-        tqdm.write(text, file=sys.stderr)
+        if self._bar is not None:
+            self._bar.write(text, file=sys.stderr)
+        else:
+            self._write(text, sys.stderr)
 
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
         if self._stop.is_set():
@@ -102,7 +136,14 @@ class Console:
         self._line("Stopping after this step; once more to leave at once.")
 
     def _read_input(self) -> None:
-        for line in sys.stdin:
-            if line.strip() == "stop":
+        """Until «stop» or the end. Read past `sys.stdin`, whose lock would hold up the exit."""
+        rest = b""
+        while True:
+            try:
+                read = os.read(0, 4096)
+            except OSError:
+                break
+            *lines, rest = (rest + read).split(b"\n")
+            if not read or any(line.strip() == b"stop" for line in lines):
                 break
         self._stop.set()

@@ -56,9 +56,17 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
         loaded = Gaussians.load_ply(Path(path))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
-    evaluation = evaluate(models, scene, test, rois, emit=console.emit, baseline=models[0].name)
+    evaluation = evaluate(
+        models,
+        scene,
+        test,
+        rois,
+        emit=console.emit,
+        check=console.check,
+        baseline=models[0].name,
+    )
     write_report(evaluation, args.out)
-    write_crops(evaluation, models, scene, rois, args.out)
+    write_crops(evaluation, models, scene, rois, args.out, check=console.check)
     console.print(format_markdown(evaluation))
     return {"report": str(args.out / "report.md"), "pictures": str(args.out / "crops")}
 

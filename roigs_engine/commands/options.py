@@ -53,7 +53,10 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--count", type=int, metavar="K", help="photos to select per box")
     group.add_argument("--seed", type=int, help="seed of everything random (default 0)")
     group.add_argument(
-        "--test-every", type=int, metavar="N", help="keep every n-th ROI-visible photo for tests"
+        "--test-every",
+        type=int,
+        metavar="N",
+        help="keep every n-th ROI-visible photo for tests; 0: none",
     )
 
 
@@ -95,6 +98,7 @@ def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = 
         max_side=args.max_side,
         pixels=cache is not None,
         emit=console.emit,
+        check=console.check,
     )
 
 
@@ -137,8 +141,8 @@ def run_config(args: argparse.Namespace) -> RunConfig:
         for name in ("method", "count", "seed")
         if getattr(args, name) is not None
     }
-    if args.test_every is not None and args.test_every < 2:
-        raise ConfigError(f"--test-every is {args.test_every}.", "Use 2 or more.")
+    if args.test_every is not None and args.test_every < 2 and args.test_every != 0:
+        raise ConfigError(f"--test-every is {args.test_every}.", "Use 2 or more, or 0 for none.")
     config = replace(config, **given, selection=replace(config.selection, **selection))
     if args.sh_degree is not None:
         config = replace(

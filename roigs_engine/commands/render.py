@@ -48,5 +48,5 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             raise ConfigError(f"The model has no photo «{unknown[0]}».")
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
-    render_sequence(gaussians, cameras, args.out, console.emit)
+    render_sequence(gaussians, cameras, args.out, console.emit, console.check)
     return {"pictures": str(args.out)}

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 
 from ..config import COMPARISONS
+from ..errors import ConfigError
 from . import train
 from .console import Console
+from .options import run_config
 
 HELP = "do everything: select, train, compare with baselines, evaluate"
 EXAMPLES = """\
@@ -32,12 +34,15 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..evaluate import evaluate
     from ..report import format_markdown, write_report
 
-    work = train.open_run(args, console)
+    if run_config(args).test_every == 0:
+        raise ConfigError("--test-every 0 keeps no photo to compare on.", "Use `train` with it.")
     compare = COMPARISONS if "all" in args.compare else args.compare
-    trained = work.train(compare)
-    evaluation = evaluate(trained.models, work.scene, work.test, work.rois, emit=console.emit)
-    write_report(evaluation, args.run_dir)
-    write_crops(evaluation, trained.models, work.scene, work.rois, args.run_dir)
+    check = console.check
+    with train.open_run(args, console) as work:
+        models, scene, rois = work.train(compare).models, work.scene, work.rois
+        evaluation = evaluate(models, scene, work.test, rois, emit=console.emit, check=check)
+        write_report(evaluation, args.run_dir)
+        write_crops(evaluation, models, scene, rois, args.run_dir, check=check)
     console.print(format_markdown(evaluation))
     outputs = {"report": "report.md", "pictures": "crops", "result": "result.ply", "rois": "rois"}
     for what, where in outputs.items():

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..errors import ConfigError
+from ..lock import locked
+from ..selection.given import load_given
 from .console import Console
 from .options import (
     add_roi_options,
@@ -35,22 +41,59 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--run-dir", type=Path, required=True, metavar="DIR", help="folder of the run"
     )
+    parser.add_argument(
+        "--selection",
+        type=Path,
+        metavar="DIR",
+        help="ROI.json files with the photos of each box, as `select --out` writes them; boxes"
+        " without a file get theirs by --method",
+    )
+    parser.add_argument(
+        "--update",
+        action="store_true",
+        help="a folder made for another request is brought up to date: what still fits is kept,"
+        " the rest moved to its folder «older»",
+    )
+    parser.add_argument(
+        "--preview-seconds",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="write the present Gaussians to preview.ply every S seconds of training",
+    )
 
 
-def open_run(args: argparse.Namespace, console: Console) -> Run:
-    """The run that the options describe, begun or gone on with; its events go to its folder too."""
+@contextmanager
+def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
+    """The run that the options describe, begun or gone on with; its events go to its folder too.
+
+    Its folder is locked as long as the block lasts.
+    """
     from ..pipeline import Run
 
     rois, config = boxes(args), run_config(args)
-    scene = load_scene(args, console, args.run_dir / "cache")
-    work = Run(
-        args.run_dir, scene, rois, config, emit=console.emit, should_stop=console.should_stop
-    )
-    console.log_to(args.run_dir)
-    return work
+    given = load_given(args.selection, rois) if args.selection else {}
+    if not 0 <= args.preview_seconds < math.inf:
+        raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
+    with locked(args.run_dir):
+        scene = load_scene(args, console, args.run_dir / "cache")
+        work = Run(
+            args.run_dir,
+            scene,
+            rois,
+            config,
+            given=given,
+            update=args.update,
+            preview_seconds=args.preview_seconds,
+            emit=console.emit,
+            should_stop=console.should_stop,
+        )
+        console.log_to(args.run_dir)
+        yield work
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Train, or go on with the run that is in the folder."""
-    open_run(args, console).train()
+    with open_run(args, console) as work:
+        work.train()
     return {"result": str(args.run_dir / "result.ply"), "rois": str(args.run_dir / "rois")}

@@ -10,7 +10,7 @@ name order, ties go by name, and everything random has a seed. Nothing here need
 
 from __future__ import annotations
 
-from ..events import Emit, Message, ignore
+from ..events import Check, Emit, Message, go_on, ignore
 from ..roi import OrientedBox
 from ..scene import SfmScene
 from .baselines import order_fvs, order_random
@@ -34,7 +34,11 @@ __all__ = [
 
 
 def select_cameras(
-    scene: SfmScene, roi: OrientedBox, config: SelectionConfig, emit: Emit = ignore
+    scene: SfmScene,
+    roi: OrientedBox,
+    config: SelectionConfig,
+    emit: Emit = ignore,
+    check: Check = go_on,
 ) -> CameraSelection:
     """Choose the photos of a box, best first.
 
@@ -43,16 +47,17 @@ def select_cameras(
         roi: the box.
         config: method and settings.
         emit: gets one warning for each degenerate case met.
+        check: called between photos; may raise to stop.
 
     Raises:
         RoiError: no point lies in the box, or no photo sees one that does.
     """
-    candidates = find_candidates(scene, roi)
-    features = static_features(candidates)
+    candidates = find_candidates(scene, roi, check)
+    features = static_features(candidates, check)
     count = config.resolved_count(len(candidates))
-    picks = _order(candidates, features, config, count)
+    picks = _order(candidates, features, config, count, check)
     if config.method == "coverage":
-        scores = prefix_coverage(candidates, picks.order, config.direction_bins)
+        scores = prefix_coverage(candidates, picks.order, config.direction_bins, check)
     else:
         scores = prefix_scores(candidates, picks.order)
     flags = (
@@ -76,7 +81,11 @@ def select_cameras(
 
 
 def _order(
-    candidates: Candidates, features: StaticFeatures, config: SelectionConfig, count: int
+    candidates: Candidates,
+    features: StaticFeatures,
+    config: SelectionConfig,
+    count: int,
+    check: Check,
 ) -> Picks:
     """Run the configured method."""
     match config.method:
@@ -85,11 +94,11 @@ def _order(
         case "gp6" | "gp9":
             from .gp import order_gp  # scikit-learn takes a second to import
 
-            return order_gp(candidates, features, config, count, config.method == "gp9")
+            return order_gp(candidates, features, config, count, config.method == "gp9", check)
         case "greedy":
-            return order_greedy(candidates, count)
+            return order_greedy(candidates, count, check)
         case "coverage":
-            return order_coverage(candidates, count, config.direction_bins)
+            return order_coverage(candidates, count, config.direction_bins, check)
         case "fvs":
             return order_fvs(candidates, count)
         case _:

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from ..events import Check, go_on
 from ..scene import Float64, Int64
 from .baselines import fill_up
 from .greedy import lazy_greedy
+from .neighbours import nearest_neighbours
 from .records import Candidates, Picks
 from .score import voxel_indices
 
@@ -34,18 +35,19 @@ NORMAL_NEIGHBOURS = 16
 FLATNESS = 0.5
 # A photo observes the point, whatever the estimated normal says: cos(theta) is at least this.
 MIN_COSINE = 0.2
+ROWS = 1 << 16  # observations compared with all directions at once
 
 
 class Coverage:
     """F(S) of a growing set S of photos, as a share of what all candidates give together."""
 
-    def __init__(self, candidates: Candidates, bins: int) -> None:
+    def __init__(self, candidates: Candidates, bins: int, check: Check = go_on) -> None:
         self._starts = candidates.row_starts()
         view, point = candidates.obs_view, candidates.obs_point
         ray = candidates.centres()[view] - candidates.points[point]  # (N, 3) point to camera
         length = np.linalg.norm(ray, axis=1)
         ray /= np.maximum(length, np.finfo(float).tiny)[:, None]
-        density = _pixel_density(candidates) * _cosines(candidates, ray)
+        density = _pixel_density(candidates) * _cosines(candidates, ray, check)
         best = np.percentile(density, RESOLUTION_PERCENTILE) if len(density) else 0.0
         share = np.minimum(1.0, density / best) if best > 0 else np.zeros(len(density))
         voxel = voxel_indices(candidates.points, candidates.roi)
@@ -75,16 +77,18 @@ class Coverage:
         np.maximum.at(self._held, self._slot[part], self._worth[part])
 
 
-def order_coverage(candidates: Candidates, count: int, bins: int) -> Picks:
+def order_coverage(candidates: Candidates, count: int, bins: int, check: Check = go_on) -> Picks:
     """The photos that raise F most, one at a time; then farthest views."""
-    coverage = Coverage(candidates, bins)
-    order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count)
+    coverage = Coverage(candidates, bins, check)
+    order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count, check)
     return fill_up(candidates, order, count)
 
 
-def prefix_coverage(candidates: Candidates, order: tuple[int, ...], bins: int) -> tuple[float, ...]:
+def prefix_coverage(
+    candidates: Candidates, order: tuple[int, ...], bins: int, check: Check = go_on
+) -> tuple[float, ...]:
     """F / F(all candidates) after each pick of `order`."""
-    coverage = Coverage(candidates, bins)
+    coverage = Coverage(candidates, bins, check)
     values = []
     for view in order:
         coverage.add(view)
@@ -103,7 +107,8 @@ def fibonacci_directions(count: int) -> Float64:
 
 def nearest_direction(rays: Float64, directions: Float64) -> Int64:
     """(N, 3) unit rays, (B, 3) unit directions -> (N,) index of the direction nearest to each."""
-    return np.asarray(cKDTree(directions).query(rays)[1], dtype=np.int64)
+    parts = [rays[start : start + ROWS] for start in range(0, len(rays), ROWS)]
+    return np.concatenate([np.argmax(part @ directions.T, axis=1) for part in parts])
 
 
 def _pixel_density(candidates: Candidates) -> Float64:
@@ -120,21 +125,23 @@ def _pixel_density(candidates: Candidates) -> Float64:
     return density
 
 
-def _cosines(candidates: Candidates, rays: Float64) -> Float64:
+def _cosines(candidates: Candidates, rays: Float64, check: Check) -> Float64:
     """(N,) cos(theta) of each observation: 1 where the normal is unknown, >= `MIN_COSINE`."""
-    normals, known = _normals(candidates, rays)
+    normals, known = _normals(candidates, rays, check)
     point = candidates.obs_point
     cosine = np.einsum("ni,ni->n", rays, normals[point])
     return np.where(known[point], np.clip(cosine, MIN_COSINE, 1.0), 1.0)
 
 
-def _normals(candidates: Candidates, rays: Float64) -> tuple[Float64, NDArray[np.bool_]]:
+def _normals(
+    candidates: Candidates, rays: Float64, check: Check
+) -> tuple[Float64, NDArray[np.bool_]]:
     """(P, 3) unit normals by principal components, facing the observers; (P,) which are known."""
     points = candidates.points
     total = len(points)
     if total < NORMAL_NEIGHBOURS:
         return np.zeros((total, 3)), np.zeros(total, dtype=bool)
-    neighbours = points[cKDTree(points).query(points, k=NORMAL_NEIGHBOURS)[1]]  # (P, k, 3)
+    neighbours = points[nearest_neighbours(points, NORMAL_NEIGHBOURS, check)]  # (P, k, 3)
     centred = neighbours - neighbours.mean(axis=1, keepdims=True)
     covariance = np.einsum("pki,pkj->pij", centred, centred) / NORMAL_NEIGHBOURS
     values, vectors = np.linalg.eigh(covariance)  # ascending

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import QhullError
 
-from ..roi import OrientedBox
-from ..scene import Camera, Float64, PosedImage
+from ..events import Check, go_on
+from ..scene import Camera, Float64
 from .records import Candidates
 
 # The silhouette's area is measured on an image of at most this many pixels a side.
@@ -55,24 +54,19 @@ class StaticFeatures:
         }
 
 
-def static_features(candidates: Candidates) -> StaticFeatures:
+def static_features(candidates: Candidates, check: Check = go_on) -> StaticFeatures:
     """The features of every candidate."""
     roi, images = candidates.roi, candidates.images
+    area = []
+    for image in images:
+        check()
+        area.append(roi.projected_area(_reduced(image.camera), image.world_to_camera))
     return StaticFeatures(
         distance=np.linalg.norm(candidates.centres() - roi.centre, axis=1),
-        area=np.array([_area(roi, image) for image in images]),
+        area=np.array(area),
         keypoints=np.bincount(candidates.obs_view, minlength=len(images)).astype(float),
         inside=np.array([roi.camera_inside(image.world_to_camera) for image in images]),
     )
-
-
-def _area(roi: OrientedBox, image: PosedImage) -> float:
-    """Share of the image that the silhouette covers, at reduced resolution."""
-    reduced = _reduced(image.camera)
-    try:
-        return roi.projected_area(reduced, image.world_to_camera)
-    except QhullError:  # the box projects to a line or to a point
-        return 0.0
 
 
 def _reduced(camera: Camera) -> Camera:

@@ -21,6 +21,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
+from ..events import Check, go_on
 from ..scene import Float64
 from .baselines import farthest_first, fill_up, most_keypoints
 from .features import StaticFeatures
@@ -120,6 +121,7 @@ def order_gp(
     config: SelectionConfig,
     count: int,
     extended: bool,
+    check: Check = go_on,
 ) -> Picks:
     """The photos that the GP's acquisition ranks best, one at a time.
 
@@ -142,7 +144,7 @@ def order_gp(
         score.add(view)
     if not names:
         return fill_up(candidates, seeds, count, flags)
-    order = _loop(inputs, score, seeds, gains, config, count)
+    order = _loop(inputs, score, seeds, gains, config, count, check)
     return fill_up(candidates, order, count, flags)
 
 
@@ -153,12 +155,14 @@ def _loop(
     gains: list[float],
     config: SelectionConfig,
     count: int,
+    check: Check,
 ) -> list[int]:
     """`seeds` continued to `count` photos, or to the last one before all gains are zero."""
     surrogate = Surrogate(inputs, config.seed)
     generator = np.random.default_rng(config.seed)
     order = list(seeds)
     while len(order) < count:
+        check()
         present = score.gains()
         taken = set(order)
         rest = [view for view in range(len(inputs)) if view not in taken]

@@ -14,13 +14,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..events import Check, go_on
 from .baselines import fill_up
 from .records import Candidates, Picks
 from .score import DensityOccupancy
 
 
 def lazy_greedy(
-    views: list[int], gain: Callable[[int], float], add: Callable[[int], None], count: int
+    views: list[int],
+    gain: Callable[[int], float],
+    add: Callable[[int], None],
+    count: int,
+    check: Check = go_on,
 ) -> list[int]:
     """Up to `count` views, each with the largest gain given those before it; ties by view id.
 
@@ -34,6 +39,7 @@ def lazy_greedy(
     heapq.heapify(heap)
     order: list[int] = []
     while heap and len(order) < count:
+        check()
         negative, view, measured_at = heapq.heappop(heap)
         if measured_at < len(order):
             heapq.heappush(heap, (-gain(view), view, len(order)))
@@ -45,7 +51,7 @@ def lazy_greedy(
     return order
 
 
-def order_greedy(candidates: Candidates, count: int) -> Picks:
+def order_greedy(candidates: Candidates, count: int, check: Check = go_on) -> Picks:
     """The photos that raise density x occupancy most, one at a time; then farthest views."""
     score = DensityOccupancy(candidates)
     # log f of the empty set is -inf: the first pick is made outside the lazy loop.
@@ -56,5 +62,5 @@ def order_greedy(candidates: Candidates, count: int) -> Picks:
     def log_gain(view: int) -> float:
         return math.log(score.product_with(view)) - math.log(score.product)
 
-    order = [first, *lazy_greedy(others, log_gain, score.add, count - 1)]
+    order = [first, *lazy_greedy(others, log_gain, score.add, count - 1, check)]
     return fill_up(candidates, order, count)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
+from ..events import Check, go_on
 from ..roi import OrientedBox
 from ..scene import Float64, Int64, PosedImage, SfmScene
 from .records import Candidates
@@ -26,7 +27,7 @@ DEPTH_SLACK = 0.1
 MAX_OCCLUDERS = 100_000
 
 
-def find_candidates(scene: SfmScene, roi: OrientedBox) -> Candidates:
+def find_candidates(scene: SfmScene, roi: OrientedBox, check: Check = go_on) -> Candidates:
     """The photos that see the box and their observations of the points in it.
 
     Raises:
@@ -40,7 +41,7 @@ def find_candidates(scene: SfmScene, roi: OrientedBox) -> Candidates:
     if scene.has_tracks:
         seen = _from_tracks(images, rows, len(scene.points))
     else:
-        seen = _from_projection(images, rows, scene.points, roi)
+        seen = _from_projection(images, rows, scene.points, roi, check)
         flags = (
             "The model stores no tracks: which photos see the box is guessed by projecting the"
             " sparse points and testing their depth.",
@@ -62,13 +63,13 @@ def find_candidates(scene: SfmScene, roi: OrientedBox) -> Candidates:
     )
 
 
-def visible_images(scene: SfmScene, roi: OrientedBox) -> tuple[str, ...]:
+def visible_images(scene: SfmScene, roi: OrientedBox, check: Check = go_on) -> tuple[str, ...]:
     """Names of the photos that see the box, in name order.
 
     Raises:
         RoiError: as `find_candidates`.
     """
-    return find_candidates(scene, roi).names
+    return find_candidates(scene, roi, check).names
 
 
 def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int64]:
@@ -80,7 +81,7 @@ def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int6
 
 
 def _from_projection(
-    images: list[PosedImage], rows: Int64, points: Float64, roi: OrientedBox
+    images: list[PosedImage], rows: Int64, points: Float64, roi: OrientedBox, check: Check
 ) -> list[Int64]:
     """As `_from_tracks`, for a model without tracks.
 
@@ -91,7 +92,11 @@ def _from_projection(
     step = -(-len(points) // MAX_OCCLUDERS)
     occluders = points[::step]
     slack = DEPTH_SLACK * roi.diagonal
-    return [_visible_by_depth(image, points[rows], occluders, slack) for image in images]
+    seen = []
+    for image in images:
+        check()
+        seen.append(_visible_by_depth(image, points[rows], occluders, slack))
+    return seen
 
 
 def _visible_by_depth(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 import roigs_engine
 from roigs_engine.cli import COMMANDS, build_parser, main
@@ -39,12 +40,19 @@ def interrupt_handler() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def python(*arguments: object, text: str = "", **options: Any) -> subprocess.CompletedProcess[str]:
-    """The command line as a process of its own."""
+def start(*arguments: object) -> subprocess.Popen[str]:
+    """The command line as a process of its own, its input open."""
     command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=ROOT, input=text, capture_output=True, text=True, timeout=120, **options
-    )
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+
+def python(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command line as a process of its own, to its end; its input stays open until then."""
+    with start(*arguments) as process:
+        assert process.stdout is not None and process.stderr is not None
+        out, err = process.stdout.read(), process.stderr.read()
+        return subprocess.CompletedProcess(process.args, process.wait(120), out, err)
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -221,30 +229,49 @@ def test_select_end_to_end(
     assert all(name in shown for name in selection.names)
 
 
-NO_TORCH = """
+WITHOUT = """
 import sys
 from importlib.abc import MetaPathFinder
 
-class NoTorch(MetaPathFinder):
+class Missing(MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == "torch":
-            raise ImportError("there is no torch here")
+        if name.partition(".")[0] in missing:
+            raise ModuleNotFoundError("it is not here", name=name)
 
-sys.meta_path.insert(0, NoTorch())
+missing, folder, box, out, *methods = sys.argv[1:]
+missing = set(missing.split(","))
+sys.meta_path.insert(0, Missing())
 from roigs_engine.cli import main
-folder, box, *methods = sys.argv[1:]
 for method in methods:
     assert main(["select", folder, "--roi", box, "--method", method, "--test-every", "4"]) == 0
 assert main(["inspect", folder, "--roi", box]) == 0
-assert "torch" not in sys.modules
+assert main(["export", folder, "--out", out]) == 0
+assert not missing & {name.partition(".")[0] for name in sys.modules}
+assert main(["train", folder, "--roi", box, "--run-dir", out]) == 2
 """
+ALL_BUT_NUMPY = "torch,sklearn,scipy,PIL,pycolmap,tqdm"
 
 
-def test_inspect_and_every_selection_need_no_torch(project: Project) -> None:
-    command = [sys.executable, "-c", NO_TORCH, str(project.folder), BOX, *METHODS]
+def without(missing: str, project: Project, out: Path, *methods: str) -> str:
+    """Standard output of selecting, inspecting and exporting in a Python without these."""
+    command = [sys.executable, "-c", WITHOUT, missing, str(project.folder), BOX, str(out), *methods]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    assert all(f"chosen by {method}" in result.stdout for method in METHODS)
+    assert "error: `train` needs torch" in result.stderr
+    return result.stdout
+
+
+def test_inspect_and_every_selection_need_no_torch(project: Project, tmp_path: Path) -> None:
+    shown = without("torch", project, tmp_path / "out", *METHODS)
+    assert all(f"chosen by {method}" in shown for method in METHODS)
+
+
+def test_what_blender_runs_itself_needs_numpy_alone(project: Project, tmp_path: Path) -> None:
+    methods = [method for method in METHODS if not method.startswith("gp")]
+    lean = without(ALL_BUT_NUMPY, project, tmp_path / "a", *methods)
+    assert without("torch", project, tmp_path / "b", *methods).replace("/b", "/a") == lean
+    for name in ("scene.json", "points.npy", "observed.npy"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 def test_test_photos_are_not_selected(project: Project, tmp_path: Path) -> None:
@@ -299,21 +326,93 @@ def test_a_failure_is_an_event(project: Project) -> None:
     assert "Traceback" not in result.stderr
 
 
+def train(project: Project, folder: Path, *options: object) -> subprocess.Popen[str]:
+    """A training run in its first stage, with a preview every moment."""
+    process = start(
+        *("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3),
+        *("--events", "--threads", 1, "--preview-seconds", 0.01, *options),
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if json.loads(line)["event"] == "preview":
+            return process
+    raise AssertionError(process.communicate()[1])
+
+
+def checkpoint_step(folder: Path) -> int:
+    return int(torch.load(folder / "scene" / "checkpoint.pt", weights_only=True)["state"]["step"])
+
+
 @pytest.mark.parametrize("text", ["stop\n", ""])
 def test_a_stop_or_the_end_of_input_stops_training(
     project: Project, tmp_path: Path, text: str
 ) -> None:
     folder = tmp_path / "run"
-    result = python(
-        *("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3),
-        *("--events", "--threads", 1),
-        text=text,
-    )
-    assert result.returncode == 3, result.stderr
-    assert events(result)[-1] == {"event": "done", "outputs": {}, "stopped": True}
-    assert (folder / "scene" / "checkpoint.pt").exists()
+    process = train(project, folder)
+    out, err = process.communicate(text, timeout=60)
+    assert process.returncode == 3, err
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert lines[-1] == {"event": "done", "outputs": {}, "stopped": True}
+    # The last preview shows what the checkpoint holds.
+    assert lines[-2] == {"event": "preview", "path": str(folder / "preview.ply")}
+    assert (folder / "preview.ply").stat().st_size > 0
+    assert checkpoint_step(folder) > 0
     log = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
     assert json.loads(log[-1])["event"] == "done"
+    assert not (folder / "run.lock").exists()
+
+
+def test_a_run_outlives_nobody_and_leaves_a_checkpoint(project: Project, tmp_path: Path) -> None:
+    """Both pipes break at once, as when the parent was killed."""
+    folder = tmp_path / "run"
+    process = train(project, folder)
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        assert pipe is not None
+        pipe.close()
+    assert process.wait(60) == 3
+    assert checkpoint_step(folder) > 0
+
+
+def test_a_second_engine_is_refused(project: Project, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    process = train(project, folder)
+    lock = json.loads((folder / "run.lock").read_text(encoding="utf-8"))
+    assert lock["pid"] == process.pid
+    second = python("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)
+    assert second.returncode == 2
+    assert f"process {process.pid}" in second.stderr
+    assert len(second.stderr.strip().splitlines()) == 1
+    process.kill()
+    process.communicate()
+    assert (folder / "run.lock").exists()
+    # What a dead process has left does not hold up the next one.
+    train(project, folder).communicate("stop\n", timeout=60)
+    assert not (folder / "run.lock").exists()
+
+
+def test_a_stop_while_loading_is_answered(project: Project, tmp_path: Path) -> None:
+    process = start("export", project.folder, "--out", tmp_path / "out", "--events")
+    out, _ = process.communicate("stop\n", timeout=60)
+    assert process.returncode in (0, 3)  # 0: it was done before the line was read
+    assert json.loads(out.splitlines()[-1])["stopped"] == (process.returncode == 3)
+
+
+def test_no_test_photos(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [project.folder, "--roi", BOX, "--run-dir", tmp_path / "run", "--test-every", 0]
+    assert "`train`" in refused(capsys, "run", *arguments)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_selection_folder_without_the_boxes_is_refused(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [project.folder, "--roi", BOX, "--run-dir", tmp_path / "run"]
+    assert "thing.json" in refused(capsys, "train", *arguments, "--selection", tmp_path)
+    (tmp_path / "thing.json").write_text("{}", encoding="utf-8")
+    assert "«names»" in refused(capsys, "train", *arguments, "--selection", tmp_path)
+    assert not (tmp_path / "run").exists()
 
 
 # --- request files ---

@@ -12,7 +12,8 @@ from PIL import Image
 
 import roigs_engine.images as images_module
 from roigs_engine.errors import SceneError
-from roigs_engine.images import PhotoCache, load_photo, machine_memory, photo_size
+from roigs_engine.images import PhotoCache, load_photo, machine_memory
+from roigs_engine.photo_headers import photo_size
 from roigs_engine.scene import Camera, PosedImage
 
 

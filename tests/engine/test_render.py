@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from roigs_engine import render
-from roigs_engine.errors import ConfigError
-from roigs_engine.events import Event, Preview, StageStarted
+from roigs_engine.errors import ConfigError, Stopped
+from roigs_engine.events import Event, Preview, Progress, StageStarted, check_of, to_json
 from roigs_engine.gaussians import SH_C0, Gaussians
 from roigs_engine.rasterize import rasterize
 from roigs_engine.scene import Camera
@@ -92,12 +92,29 @@ def test_sequence_writes_every_camera(tmp_path: Path) -> None:
     written = render.render_sequence(one_gaussian(), cameras, out, events.append)
     assert sorted(out.iterdir()) == sorted(written)
     assert [path.name for path in written][::2] == ["0001.png", "żółw.png"]
-    assert events == [
-        StageStarted(stage="render", total=3),
-        *(Preview(path=str(p)) for p in written),
-    ]
+    assert events[0] == StageStarted(stage="render", total=3)
+    assert events[1::2] == [Preview(path=str(path)) for path in written]
+    steps = [event.step for event in events[2::2] if isinstance(event, Progress)]
+    assert steps == [1, 2, 3]
+    json.loads(to_json(events[2]), parse_constant=pytest.fail)
     expected = render.to_uint8(render.render_view(one_gaussian(), CAMERA, np.eye(4)).image)
     assert np.array_equal(np.asarray(Image.open(written[1])), expected)
+
+
+def test_a_sequence_stops_between_two_pictures(tmp_path: Path) -> None:
+    cameras = render.load_camera_path(
+        path_file(tmp_path, {"cameras": [{**RECORD, "name": name} for name in "abc"]})
+    )
+    events: list[Event] = []
+    with pytest.raises(Stopped):
+        render.render_sequence(
+            one_gaussian(),
+            cameras,
+            tmp_path / "out",
+            events.append,
+            check_of(lambda: len(events) > 1),
+        )
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.png"]
 
 
 @pytest.mark.parametrize(

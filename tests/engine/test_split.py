@@ -88,7 +88,7 @@ def test_a_box_whose_every_photo_would_be_held_out_is_refused() -> None:
         choose_test_views(scene, [box(0), box(1)], every=2)
 
 
-@pytest.mark.parametrize("every", [1, 0, -8])
+@pytest.mark.parametrize("every", [1, -8])
 def test_impossible_share(every: int) -> None:
     with pytest.raises(ConfigError):
         choose_test_views(scene_of([{0}] * 8), [box(0)], every=every)

@@ -1,0 +1,30 @@
+"""`export`: a COLMAP model's cameras and points as JSON and NumPy files; needs numpy alone."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from .console import Console
+from .options import add_scene_options, load_scene
+
+HELP = "write the cameras and points of a COLMAP model as files that any program reads"
+EXAMPLES = """\
+  python -m roigs_engine export garden --out out
+  python -m roigs_engine export garden --max-side 640 --out out --events"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    add_scene_options(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Read, write."""
+    from ..export import write_export
+
+    scene = load_scene(args, console)
+    outputs = write_export(scene, args.out)
+    console.print(f"{len(scene.images)} cameras and {len(scene.points):,} points in {args.out}")
+    return outputs

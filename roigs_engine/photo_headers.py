@@ -1,0 +1,87 @@
+"""The size of a photo from the first bytes of its file, without decoding it.
+
+JPEG and PNG, which nearly all photos are, are read here: looking at a scene needs no Pillow.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+from .errors import SceneError
+
+PNG = b"\x89PNG\r\n\x1a\n"
+# JPEG markers: those that hold the frame's size, and those that have no length.
+FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+BARE = {0x01, *range(0xD0, 0xD8)}
+
+
+class PhotoError(SceneError):
+    """One photo is missing, damaged or of a kind that cannot be decoded."""
+
+
+def photo_size(path: Path) -> tuple[int, int] | None:
+    """(width, height) from the file's header, without its orientation tag.
+
+    None: neither JPEG nor PNG, and Pillow, which reads the other kinds, is not installed.
+
+    Raises:
+        PhotoError: not a readable image file.
+    """
+    try:
+        with open(path, "rb") as file:
+            start = file.read(24)
+            if start.startswith(PNG):
+                width, height = struct.unpack(">II", start[16:])
+            elif start.startswith(b"\xff\xd8"):
+                width, height = _jpeg_size(file)
+            else:
+                return _size_by_pillow(path)
+    except (OSError, ValueError, struct.error) as error:
+        raise unreadable(path, error) from error
+    if not (width and height):
+        raise unreadable(path, ValueError("it has no pixels"))
+    return width, height
+
+
+def unreadable(path: Path, error: Exception) -> PhotoError:
+    """The error for a photo that cannot be opened or decoded."""
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return PhotoError(
+        f"Cannot read photo {path} ({reason}).", "Restore the file, or take it out of the model."
+    )
+
+
+def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
+    """Walk the segments to the frame header; ValueError or struct.error when there is none."""
+    file.seek(2)
+    while True:
+        (lead, marker) = struct.unpack(">BB", file.read(2))
+        if lead != 0xFF:
+            raise ValueError("a damaged JPEG header")
+        while marker == 0xFF:  # padding
+            (marker,) = file.read(1) or (0,)
+        if marker in BARE:
+            continue
+        if marker in FRAMES:
+            height, width = struct.unpack(">3xHH", file.read(7))
+            return width, height
+        if marker in (0xD9, 0xDA):  # the pixels, or the end
+            raise ValueError("a JPEG without a frame header")
+        (length,) = struct.unpack(">H", file.read(2))
+        if length < 2:
+            raise ValueError("a damaged JPEG header")
+        file.seek(length - 2, 1)
+
+
+def _size_by_pillow(path: Path) -> tuple[int, int] | None:
+    try:
+        from PIL import Image
+    except ImportError:
+        return None
+    try:
+        with Image.open(path) as photo:
+            return photo.size
+    except (SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise unreadable(path, error) from error

@@ -1,0 +1,67 @@
+"""The nearest neighbours of every point of a set, exactly, with numpy alone.
+
+The points are cut at medians into leaves of a few dozen. A leaf's own points bound how far its
+neighbours can be, and only leaves within that bound are looked at.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..events import Check, go_on
+from ..scene import Float64, Int64
+
+LEAF = 64  # points; a leaf holds more than half of it, which is how many neighbours there can be
+
+
+def nearest_neighbours(points: Float64, count: int, check: Check = go_on) -> Int64:
+    """(P, 3) points -> (P, count) rows of the nearest ones, in no order, the point itself included.
+
+    `count` is at most P and `LEAF` / 2.
+    """
+    assert count <= min(len(points), LEAF // 2)
+    leaves = _leaves(points)
+    low = np.array([points[leaf].min(axis=0) for leaf in leaves])
+    high = np.array([points[leaf].max(axis=0) for leaf in leaves])
+    found = np.empty((len(points), count), dtype=np.int64)
+    for index, leaf in enumerate(leaves):
+        check()
+        centre = points[leaf].mean(axis=0)  # distances by scalar products are exact near zero
+        own = points[leaf] - centre
+        bound = max(0.0, float(_kth(_squared(own, own), count).max()))
+        gap = np.maximum(np.maximum(low - high[index], low[index] - high), 0.0)
+        # Rounding may not lose a neighbour that is as far as the bound.
+        near = np.flatnonzero((gap**2).sum(axis=1) <= bound * (1 + 1e-9))
+        rows = np.concatenate([leaves[other] for other in near])
+        distance = _squared(own, points[rows] - centre)
+        if len(rows) > count:
+            found[leaf] = rows[np.argpartition(distance, count - 1, axis=1)[:, :count]]
+        else:
+            found[leaf] = rows
+    return found
+
+
+def _leaves(points: Float64) -> list[Int64]:
+    """Rows of the points, in groups of at most `LEAF` that lie together."""
+    todo, leaves = [np.arange(len(points))], []
+    while todo:
+        rows = todo.pop()
+        if len(rows) <= LEAF:
+            leaves.append(rows)
+            continue
+        axis = int(np.ptp(points[rows], axis=0).argmax())
+        middle = len(rows) // 2
+        order = np.argpartition(points[rows, axis], middle)
+        todo += [rows[order[:middle]], rows[order[middle:]]]
+    return leaves
+
+
+def _squared(a: Float64, b: Float64) -> Float64:
+    """(A, 3), (B, 3) -> (A, B) squared distances."""
+    squares: Float64 = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
+    return squares
+
+
+def _kth(distance: Float64, count: int) -> Float64:
+    """(A, B) -> (A,) the count-th smallest of each row."""
+    return np.partition(distance, count - 1, axis=1)[:, count - 1]

@@ -1,0 +1,47 @@
+"""Photo sizes from file headers: what Pillow writes, in the kinds that photos come in."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from roigs_engine.photo_headers import PhotoError, photo_size
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}, {"dpi": (72, 72), "comment": "a"}])
+def test_jpeg(tmp_path: Path, options: dict[str, object]) -> None:
+    exif = Image.Exif()
+    exif[0x010F] = "maker" * 200
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (321, 123)).save(path, exif=exif, icc_profile=b"\xff\xd8" * 900, **options)
+    assert photo_size(path) == (321, 123)
+
+
+@pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "webp", "ppm"])
+def test_other_kinds(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.new("RGB", (321, 123)).save(path)
+    assert photo_size(path) == (321, 123)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    assert photo_size(path) == ((321, 123) if suffix == "png" else None)
+
+
+@pytest.mark.parametrize("cut", [2, 3, 20, 160])
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_cut_files(tmp_path: Path, suffix: str, cut: int) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.new("RGB", (321, 123)).save(path)
+    data = path.read_bytes()[: 20 if suffix == "png" else cut]
+    path.write_bytes(data)
+    with pytest.raises(PhotoError, match="a\\." + suffix):
+        photo_size(path)
+
+
+@pytest.mark.parametrize("data", [b"\xff\xd8" + b"\xff" * 50, b"\xff\xd8\xff\xda\0\x02", b"hello"])
+def test_no_photos(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.jpg").write_bytes(data)
+    with pytest.raises(PhotoError):
+        photo_size(tmp_path / "a.jpg")
