@@ -1,0 +1,121 @@
+"""Points with attributes as Blender objects that show in every render engine.
+
+Point clouds cannot be resized from Python before Blender 5.1, so the points are vertices of a mesh;
+a geometry-nodes modifier turns them into points, with a radius and a material.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+ATTRIBUTE_KEYS = {
+    "FLOAT": "value",
+    "FLOAT_VECTOR": "vector",
+    "FLOAT_COLOR": "color",
+    "BYTE_COLOR": "color",
+    "QUATERNION": "value",
+}
+
+
+def new_points(name: str, positions: NDArray[np.float32]) -> bpy.types.Object:
+    """A mesh object of vertices at `positions` (N, 3), not linked to any collection yet."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(positions))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(positions, np.float32).ravel())
+    return bpy.data.objects.new(name, mesh)
+
+
+def set_attribute(
+    mesh: bpy.types.Mesh, name: str, kind: str, values: NDArray[np.float32]
+) -> bpy.types.Attribute:
+    """Give the vertices an attribute; `values` has a row per vertex."""
+    attribute = mesh.attributes.new(name, kind, "POINT")
+    flat = np.ascontiguousarray(values, np.float32).ravel()
+    attribute.data.foreach_set(ATTRIBUTE_KEYS[kind], flat)
+    return attribute
+
+
+def positions(item: bpy.types.Object) -> NDArray[np.float32]:
+    """(N, 3) of the vertices, in the object's own frame."""
+    vertices = item.data.vertices
+    flat = np.empty(3 * len(vertices), np.float32)
+    vertices.foreach_get("co", flat)
+    return flat.reshape(-1, 3)
+
+
+def show_as_points(
+    item: bpy.types.Object, material: bpy.types.Material, radius: float | str
+) -> None:
+    """Add the modifier: points of a radius, or of the radius that an attribute holds."""
+    group = _points_group(f"{item.name} points", material, radius)
+    modifier = item.modifiers.new("Points", "NODES")
+    modifier.node_group = group
+
+
+def _points_group(
+    name: str, material: bpy.types.Material, radius: float | str
+) -> bpy.types.NodeTree:
+    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    group.is_modifier = True
+    for direction in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    to_points = group.nodes.new("GeometryNodeMeshToPoints")
+    set_material = group.nodes.new("GeometryNodeSetMaterial")
+    set_material.inputs["Material"].default_value = material
+    link = group.links.new
+    if isinstance(radius, str):
+        attribute = group.nodes.new("GeometryNodeInputNamedAttribute")
+        attribute.data_type = "FLOAT"
+        attribute.inputs["Name"].default_value = radius
+        value: Any = next(s for s in attribute.outputs if s.enabled and s.name == "Attribute")
+        link(value, to_points.inputs["Radius"])
+    else:
+        to_points.inputs["Radius"].default_value = radius
+    link(start.outputs[0], to_points.inputs[0])
+    link(to_points.outputs[0], set_material.inputs["Geometry"])
+    link(set_material.outputs[0], end.inputs[0])
+    for x, node in enumerate((start, to_points, set_material, end)):
+        node.location.x = 200 * x
+    return group
+
+
+def colour_material(name: str, opacity: str = "") -> bpy.types.Material:
+    """Shows the attribute «Color» as it is, lit by nothing; see-through as `opacity` says.
+
+    Args:
+        name: of the material.
+        opacity: name of an attribute with 0 to 1; empty for none.
+    """
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes, link = material.node_tree.nodes, material.node_tree.links.new
+    nodes.clear()
+    colour = nodes.new("ShaderNodeAttribute")
+    colour.attribute_name = "Color"
+    light = nodes.new("ShaderNodeEmission")
+    output = nodes.new("ShaderNodeOutputMaterial")
+    link(colour.outputs["Color"], light.inputs["Color"])
+    if opacity:
+        share = nodes.new("ShaderNodeAttribute")
+        share.attribute_name = opacity
+        clear = nodes.new("ShaderNodeBsdfTransparent")
+        mix = nodes.new("ShaderNodeMixShader")
+        link(share.outputs["Fac"], mix.inputs[0])
+        link(clear.outputs[0], mix.inputs[1])
+        link(light.outputs[0], mix.inputs[2])
+        link(mix.outputs[0], output.inputs["Surface"])
+    else:
+        link(light.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def to_linear(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
+    """sRGB values in 0..1 as scene-linear ones, which is what colour attributes hold."""
+    low = srgb / 12.92
+    high = ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4
+    return np.where(srgb <= 0.04045, low, high).astype(np.float32)

@@ -1,0 +1,220 @@
+"""One run of the engine: started, listened to, stopped. No bpy.
+
+The engine writes one JSON line per event on its standard output (docs/files.md, «Events»), text
+for people on standard error, and stops when its standard input says so or ends; the end of input
+also covers the death of Blender, so that no engine outlives it. Threads only queue what arrives;
+whoever owns the job takes it from the queue, on Blender's main thread.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import subprocess
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+KNOWN_EVENTS = ("stagestarted", "progress", "message", "preview", "done", "failed")
+KEPT_LINES = 200
+STOPPED = 3
+"""Exit status of a command that stopped on request (docs/files.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """How to start it: the Python that runs it and the folder that holds `roigs_engine`."""
+
+    python: Path
+    source: Path
+
+    def command(self, arguments: Sequence[str]) -> list[str]:
+        """The full command line of one engine command."""
+        return [str(self.python), "-m", "roigs_engine", *arguments]
+
+    def environment(self) -> dict[str, str]:
+        """This process's variables, without what belongs to Blender's own Python."""
+        kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
+        return kept | {
+            "PYTHONPATH": str(self.source),
+            "PYTHONUNBUFFERED": "1",
+            "PYTHONUTF8": "1",
+            "PYTHONNOUSERSITE": "1",
+        }
+
+
+@dataclass
+class Outcome:
+    """How a job ended: what the last event said, or what can be said without one."""
+
+    status: int
+    outputs: dict[str, str] = field(default_factory=dict)
+    stopped: bool = False
+    message: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is an error to show."""
+        return bool(self.message)
+
+
+class Job:
+    """A running engine command. All methods are for one thread, the owner's."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        arguments: Sequence[str],
+        *,
+        log: Path | None = None,
+        extra_environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start it; `arguments` begin with the command and `--events` is added.
+
+        Raises:
+            OSError: the Python could not be started.
+        """
+        self._events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._said: deque[str] = deque(maxlen=KEPT_LINES)
+        self._final: dict[str, Any] | None = None
+        self.log = log
+        self._log_file: IO[str] | None = None
+        if log is not None:
+            log.parent.mkdir(parents=True, exist_ok=True)
+            self._log_file = log.open("a", encoding="utf-8")
+        hidden = {"creationflags": 0x08000000} if os.name == "nt" else {}  # CREATE_NO_WINDOW
+        self._process = subprocess.Popen(
+            engine.command([*arguments, "--events"]),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=engine.environment() | dict(extra_environment or {}),
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            bufsize=1,
+            **hidden,
+        )
+        self._readers = [
+            threading.Thread(target=self._read_events, daemon=True),
+            threading.Thread(target=self._read_text, daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Of the engine's process."""
+        return self._process.pid
+
+    def events(self) -> list[dict[str, Any]]:
+        """What has arrived since the last call, in order; the last event of a job is kept back."""
+        arrived = []
+        while True:
+            try:
+                event = self._events.get_nowait()
+            except queue.Empty:
+                return arrived
+            if event["event"] in ("done", "failed"):
+                self._final = event
+            else:
+                arrived.append(event)
+
+    def running(self) -> bool:
+        """Whether the process lives or its last lines are still to be read."""
+        return self._process.poll() is None or any(r.is_alive() for r in self._readers)
+
+    def stop(self) -> None:
+        """Ask it to stop; it writes a checkpoint first and then ends."""
+        stdin = self._process.stdin
+        if stdin is None or stdin.closed:
+            return
+        try:
+            stdin.write("stop\n")
+            stdin.close()
+        except OSError:  # it has ended already
+            pass
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for its end; False when that took longer than `timeout` seconds."""
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            return False
+        for reader in self._readers:
+            reader.join(5.0)
+        return True
+
+    def outcome(self) -> Outcome:
+        """How it ended; call once `running` is False."""
+        self.events()
+        self.stop()  # closes the pipe
+        if self._log_file is not None:
+            self._log_file.close()
+            self._log_file = None
+        status, final = self._process.wait(), self._final
+        if final is not None and final["event"] == "done":
+            outputs = final.get("outputs")
+            stopped = bool(final.get("stopped")) or status == STOPPED
+            paths = (
+                {str(k): str(v) for k, v in outputs.items()} if isinstance(outputs, dict) else {}
+            )
+            return Outcome(status=status, outputs=paths, stopped=stopped)
+        if final is not None:
+            parts = (
+                str(final.get("message") or "The engine failed."),
+                str(final.get("hint") or ""),
+            )
+            return Outcome(status=status, message=" ".join(p for p in parts if p))
+        return Outcome(status=status, message=self._unexplained(status))
+
+    def _unexplained(self, status: int) -> str:
+        """What to say when the engine ended without its own words."""
+        if status < 0:
+            return f"The engine was ended from outside (signal {-status}). «Continue» goes on."
+        last = next((line for line in reversed(self._said) if line.strip()), "")
+        reason = f": {last.strip()}" if last else ""
+        return f"The engine ended with status {status}{reason}. The log has more."
+
+    def _read_events(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            event = parse_event(line)
+            if event is None:
+                self._note(line)
+            else:
+                self._events.put(event)
+
+    def _read_text(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self._note(line)
+
+    def _note(self, line: str) -> None:
+        self._said.append(line.rstrip("\n"))
+        log = self._log_file
+        if log is not None:
+            try:
+                log.write(line if line.endswith("\n") else line + "\n")
+                log.flush()
+            except (OSError, ValueError):  # the disk is full, or the job has been closed
+                pass
+
+
+def parse_event(line: str) -> dict[str, Any] | None:
+    """The event on a line, or None when it is none that the add-on knows."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(event, dict) or event.get("event") not in KNOWN_EVENTS:
+        return None
+    return event

@@ -1,0 +1,122 @@
+"""Which Python runs the engine, and what it can do. No bpy."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from .client import Engine
+
+SOURCE = Path(__file__).resolve().parents[2]
+"""The folder that holds `roigs_engine`: the extension's own."""
+
+VARIABLE = "ROIGS_ENGINE_PYTHON"
+"""Environment variable that names the engine's Python: for tests and render farms."""
+
+PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "tqdm", "pycolmap", "torch")
+FOR_TRAINING = PACKAGES
+FOR_READING = ("numpy",)
+OLDEST = (3, 11)
+PROBE_SECONDS = 60.0
+
+_PROBE = (
+    "import importlib.util as u, json, sys;"
+    "print(json.dumps({'version': list(sys.version_info[:2]),"
+    f" 'packages': [n for n in {PACKAGES!r} if u.find_spec(n)]}}))"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ability:
+    """What a Python has.
+
+    Attributes:
+        version: (major, minor); (0, 0) when it does not start.
+        missing: packages of PACKAGES that it lacks.
+        fault: why it does not start; empty when it does.
+    """
+
+    version: tuple[int, int]
+    missing: tuple[str, ...]
+    fault: str = ""
+
+    def lacks(self, packages: tuple[str, ...]) -> str:
+        """What stands in the way of using it, as a phrase; empty when nothing does."""
+        if self.fault:
+            return self.fault
+        if self.version < OLDEST:
+            return f"it is Python {self.version[0]}.{self.version[1]}; 3.11 or later is needed"
+        missing = [name for name in packages if name in self.missing]
+        return f"it lacks {', '.join(missing)}" if missing else ""
+
+
+@functools.lru_cache(maxsize=32)
+def ability(python: Path) -> Ability:
+    """Start a Python once and ask it; `ability.cache_clear()` after an installation."""
+    try:
+        result = subprocess.run(
+            [str(python), "-c", _PROBE],
+            capture_output=True,
+            text=True,
+            timeout=PROBE_SECONDS,
+            env=Engine(python=python, source=SOURCE).environment(),
+            check=False,
+            creationflags=0x08000000 if os.name == "nt" else 0,  # CREATE_NO_WINDOW
+        )
+        found = json.loads(result.stdout.strip().splitlines()[-1])
+        version = (int(found["version"][0]), int(found["version"][1]))
+        there = set(found["packages"])
+    except (OSError, subprocess.TimeoutExpired, ValueError, KeyError, IndexError) as error:
+        return Ability(version=(0, 0), missing=PACKAGES, fault=f"it does not start ({error})")
+    return Ability(version=version, missing=tuple(n for n in PACKAGES if n not in there))
+
+
+def own_python() -> Path:
+    """The Python that Blender carries, as a program."""
+    own = Path(sys.executable)
+    if "python" in own.name.lower():
+        return own
+    folder = Path(sys.prefix) / ("" if os.name == "nt" else "bin")
+    names = ["python.exe"] if os.name == "nt" else [f"python3.{sys.version_info[1]}", "python3"]
+    return next((folder / n for n in names if (folder / n).is_file()), own)
+
+
+def environment_python(environment: Path) -> Path:
+    """The Python of a virtual environment."""
+    if os.name == "nt":
+        return environment / "Scripts" / "python.exe"
+    return environment / "bin" / "python"
+
+
+def candidates(chosen: str, environment: Path) -> list[Path]:
+    """Pythons to try, in order of preference; one that the user named is the only one.
+
+    Args:
+        chosen: by the user, or empty.
+        environment: folder of the environment that «Set up the engine» makes.
+    """
+    named = chosen or os.environ.get(VARIABLE, "")
+    if named:
+        return [Path(named)]
+    made = environment_python(environment)
+    return [*([made] if made.is_file() else []), own_python()]
+
+
+def find(chosen: str, environment: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
+    """The first Python that has what is needed, or why there is none.
+
+    Returns:
+        The engine, or None and a sentence for the user.
+    """
+    reasons = []
+    for python in candidates(chosen, environment):
+        reason = ability(python).lacks(packages)
+        if not reason:
+            return Engine(python=python, source=SOURCE), ""
+        reasons.append(f"{python}: {reason}")
+    return None, f"No Python for the engine ({'; '.join(reasons)})."

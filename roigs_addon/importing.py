@@ -1,0 +1,94 @@
+"""A COLMAP model as Blender objects, from the files that the engine's `export` wrote."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from . import cameras, clouds
+from .errors import AddonError
+from .photo import Photo
+
+ROOT_NAME = "COLMAP"
+# Shares of the cameras' extent.
+CAMERA_SIZE, POINT_RADIUS = 0.02, 0.0015
+
+
+def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, int]:
+    """Bring an exported model into the scene, beside whatever is there.
+
+    Args:
+        scene: gets a collection with root, cameras and points.
+        folder: what `export --out` wrote.
+        name: of the collection.
+
+    Returns:
+        What was imported, and how much of it.
+
+    Raises:
+        AddonError: the folder does not hold an exported model.
+    """
+    record, points, colours = _read(folder)
+    photos = [Photo.from_dict(image) for image in record["images"]]
+    extent = float(record.get("extent") or 1.0)
+    home = bpy.data.collections.new(name)
+    scene.collection.children.link(home)
+    root = _new_root(home, extent)
+    shelf = bpy.data.collections.new(f"{name} Photos")
+    home.children.link(shelf)
+    for photo in photos:
+        item = cameras.new_camera(photo, extent * CAMERA_SIZE)
+        item.parent = root
+        shelf.objects.link(item)
+    if len(points):
+        cloud = _new_cloud(f"{name} Points", points, colours, extent)
+        cloud.parent = root
+        home.objects.link(cloud)
+    scene.roigs.root, scene.roigs.model_cache = root, str(folder)
+    scene.roigs.skipped = skipped_in_words(record.get("skipped") or {})
+    return {"photos": len(photos), "points": len(points)}
+
+
+def skipped_in_words(skipped: dict[str, Any]) -> str:
+    """«3 photos missing on disk, 1 without a pose», or nothing."""
+    return ", ".join(f"{count} {reason}" for reason, count in skipped.items() if count)
+
+
+def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.uint8]]:
+    try:
+        record = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
+        points = np.load(folder / "points.npy", allow_pickle=False)
+        colours = np.load(folder / "colors.npy", allow_pickle=False)
+        record["images"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise AddonError(f"{folder} holds no exported model ({error}). Import again.") from error
+    return record, points.astype(np.float32), colours
+
+
+def _new_root(home: bpy.types.Collection, extent: float) -> bpy.types.Object:
+    root = bpy.data.objects.new(ROOT_NAME, None)
+    root.empty_display_type = "ARROWS"
+    root.empty_display_size = extent * 0.25
+    root.roigs.kind = "ROOT"
+    # COLMAP's first camera looks along +z with y down: stand the scene upright, roughly.
+    root.rotation_euler.x = -np.pi / 2
+    home.objects.link(root)
+    return root
+
+
+def _new_cloud(
+    name: str, points: NDArray[np.float32], colours: NDArray[np.uint8], extent: float
+) -> bpy.types.Object:
+    cloud = clouds.new_points(name, points)
+    rgba = np.ones((len(points), 4), np.float32)
+    rgba[:, :3] = clouds.to_linear(colours[:, :3].astype(np.float32) / 255)
+    clouds.set_attribute(cloud.data, "Color", "FLOAT_COLOR", rgba)
+    material = clouds.colour_material("ROI-GS Points")
+    clouds.show_as_points(cloud, material, extent * POINT_RADIUS)
+    cloud.roigs.kind = "POINTS"
+    return cloud

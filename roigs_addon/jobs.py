@@ -1,0 +1,223 @@
+"""The one engine job that runs at a time: events into properties, its end into results.
+
+In a window, a timer takes the events and the window stays free. In a script or in the background,
+where no timer runs, the same job is waited for.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .engine.client import Engine, Job, Outcome
+from .errors import AddonError
+
+POLL_SECONDS = 0.15
+STOP_SECONDS = 10.0
+"""How long a stopping engine may take before it is ended by force, when Blender cannot wait."""
+
+
+def nothing(*_: Any) -> None:
+    """The default for callbacks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """What to run and what to do with it.
+
+    Attributes:
+        title: what the panel calls it.
+        arguments: the engine's command line, beginning with the command.
+        log: where the engine's text goes.
+        on_preview: called with the path of each preview.
+        on_done: called with the outcome of a job that ended well; may raise AddonError.
+    """
+
+    title: str
+    arguments: list[str]
+    log: Path
+    on_preview: Callable[[Path], None] = nothing
+    on_done: Callable[[Outcome], None] = nothing
+
+
+class Runner:
+    """A job with its work."""
+
+    def __init__(self, engine: Engine, work: Work) -> None:
+        """Start it.
+
+        Raises:
+            AddonError: the engine's Python could not be started.
+        """
+        self.work = work
+        self.stopping = False
+        self.finished = False
+        state = bpy.context.window_manager.roigs
+        state.title, state.stage, state.message, state.error = work.title, "", "", ""
+        state.step = state.total = state.gaussians = 0
+        state.seconds_left = state.loss = state.psnr = 0.0
+        state.log = str(work.log)
+        try:
+            self.job = Job(engine, work.arguments, log=work.log)
+        except OSError as error:
+            raise AddonError(
+                f"The engine's Python cannot be started ({error}). See the add-on's preferences."
+            ) from error
+
+    def poll(self) -> bool:
+        """Take what has arrived; False when the job has ended and its results are in."""
+        running = self.job.running()
+        for event in self.job.events():
+            self._take(event)
+        if not running and not self.finished:
+            self.finished = True
+            self._finish()
+        return running
+
+    def stop(self) -> None:
+        """Ask the engine to stop."""
+        self.stopping = True
+        bpy.context.window_manager.roigs.message = "Stopping …"
+        self.job.stop()
+
+    def _take(self, event: dict[str, Any]) -> None:
+        state = bpy.context.window_manager.roigs
+        match event["event"]:
+            case "stagestarted":
+                state.stage, state.total = str(event.get("stage")), _whole(event.get("total"))
+                state.step = 0
+            case "progress":
+                state.stage = str(event.get("stage"))
+                state.step, state.total = _whole(event.get("step")), _whole(event.get("total"))
+                state.loss, state.psnr = _number(event.get("loss")), _number(event.get("psnr"))
+                state.gaussians = _whole(event.get("gaussians"))
+                state.seconds_left = _number(event.get("seconds_left"))
+            case "message":
+                state.message = str(event.get("text", ""))
+                if bpy.app.background:
+                    print(state.message, file=sys.stderr, flush=True)
+            case "preview":
+                path = Path(str(event.get("path")))
+                if path.is_file():
+                    self.work.on_preview(path)
+
+    def _finish(self) -> None:
+        state = bpy.context.window_manager.roigs
+        self.outcome = self.job.outcome()
+        if not self.outcome.failed:
+            try:
+                self.work.on_done(self.outcome)
+                state.message = "Stopped: «Continue» goes on." if self.outcome.stopped else ""
+            except AddonError as error:
+                self.outcome.message = str(error)
+        state.error = self.outcome.message
+        state.stage = ""
+
+
+current: Runner | None = None
+
+
+def busy() -> bool:
+    """Whether a job is running."""
+    return current is not None and not current.finished
+
+
+def start(engine: Engine, work: Work) -> Runner:
+    """Start a job; in a window, the timer that follows it too.
+
+    Raises:
+        AddonError: one is running already, or this one could not be started.
+    """
+    global current
+    if busy():
+        raise AddonError("The engine is busy. Wait for it, or stop it first.")
+    current = Runner(engine, work)
+    if not bpy.app.background:
+        bpy.app.timers.register(_tick, first_interval=POLL_SECONDS, persistent=True)
+    return current
+
+
+def wait(runner: Runner) -> Outcome:
+    """Follow a job to its end, with its progress on standard error."""
+    last = ""
+    state = bpy.context.window_manager.roigs
+    try:
+        while runner.poll():
+            line = progress_text(state)
+            if line != last and bpy.app.background:
+                print(f"\r{line:78}", end="", file=sys.stderr, flush=True)
+                last = line
+            time.sleep(POLL_SECONDS)
+    except KeyboardInterrupt:
+        runner.stop()
+        runner.job.wait(STOP_SECONDS)
+        raise
+    finally:
+        if last:
+            print(file=sys.stderr)
+    return runner.outcome
+
+
+def progress_text(state: Any) -> str:
+    """One line: where the job is."""
+    if not state.stage:
+        return state.title
+    share = f" {state.step:,} / {state.total:,}" if state.total else ""
+    quality = f", {state.psnr:.1f} dB" if state.psnr else ""
+    size = f", {state.gaussians:,} Gaussians" if state.gaussians else ""
+    return f"{state.stage}{share}{quality}{size}{time_text(state.seconds_left)}"
+
+
+def time_text(seconds: float) -> str:
+    """«, 2 min 05 s left», or nothing."""
+    if seconds <= 0:
+        return ""
+    minutes, rest = divmod(round(seconds), 60)
+    return f", {minutes} min {rest:02} s left" if minutes else f", {rest} s left"
+
+
+def _tick() -> float | None:
+    """Blender's timer: again in so many seconds, or never."""
+    if current is None:
+        return None
+    running = current.poll()
+    redraw()
+    return POLL_SECONDS if running else None
+
+
+def redraw() -> None:
+    """Draw the 3D views again, with their sidebars."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _whole(value: Any) -> int:
+    return min(int(value), 2**31 - 1) if isinstance(value, (int, float)) else 0
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, (int, float)) else 0.0
+
+
+def register() -> None:
+    """Nothing to register: the timer lives as long as a job."""
+
+
+def unregister() -> None:
+    """End a running job; its checkpoint stays."""
+    global current
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    if current is not None and not current.finished:
+        current.job.stop()
+        if not current.job.wait(STOP_SECONDS):
+            current.job.kill()
+    current = None

@@ -1,0 +1,75 @@
+"""Finds the add-on's objects in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+
+from .errors import AddonError
+from .frames import Box, Matrix, ShearedBoxError, box_from_matrix
+from .photo import Photo
+
+
+def of_kind(scene: bpy.types.Scene, kind: str) -> Iterator[bpy.types.Object]:
+    """The scene's objects of a kind, in the order of their names."""
+    found = (o for o in scene.objects if o.roigs.kind == kind)
+    return iter(sorted(found, key=lambda o: o.name))
+
+
+def rois(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The boxes."""
+    return list(of_kind(scene, "ROI"))
+
+
+def active_roi(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The box that is active in the panel's list."""
+    boxes = rois(context.scene)
+    index = context.scene.roigs.active_roi
+    return boxes[index] if 0 <= index < len(boxes) else None
+
+
+def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
+    """Photo name -> camera object."""
+    found = {}
+    for camera in of_kind(scene, "CAMERA"):
+        photo = Photo.from_json(camera.roigs.photo)
+        if photo is not None:
+            found[photo.name] = camera
+    return found
+
+
+def points(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The sparse points."""
+    return next(of_kind(scene, "POINTS"), None)
+
+
+def splats(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The trained Gaussians."""
+    return list(of_kind(scene, "SPLATS"))
+
+
+def matrix_world(item: bpy.types.Object | None) -> Matrix:
+    """An object's `matrix_world`; the identity when there is none."""
+    return np.eye(4) if item is None else np.array(item.matrix_world, dtype=np.float64)
+
+
+def box(roi: bpy.types.Object, scene: bpy.types.Scene) -> Box:
+    """A ROI's box in the COLMAP frame.
+
+    Raises:
+        AddonError: the empty is no box.
+    """
+    try:
+        return box_from_matrix(
+            matrix_world(roi), matrix_world(scene.roigs.root), roi.empty_display_size
+        )
+    except ShearedBoxError as error:
+        raise AddonError(
+            f"«{roi.name}» is slanted: {error}. Scale its root evenly, or clear the box's rotation."
+        ) from error
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise AddonError(
+            f"«{roi.name}» has no volume. Give it a size on all three axes."
+        ) from error

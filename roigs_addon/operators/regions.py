@@ -1,0 +1,103 @@
+"""Step «Regions»: boxes around what is to be sharp."""
+
+from __future__ import annotations
+
+import bpy
+import mathutils
+
+from .. import lookup, regions
+from .base import OperatorResult, available
+
+
+class AddRoi(bpy.types.Operator):
+    """Add a box around the selected vertices or objects, or at the 3D cursor"""
+
+    bl_idname = "roigs.add_roi"
+    bl_label = "Add ROI"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """A cube empty; move, turn and scale it with the usual tools."""
+        scene = context.scene
+        place = self._around_selection(context)
+        if place is None:
+            half = regions.default_size(scene)
+            place = scene.cursor.location.copy(), mathutils.Vector((half, half, half))
+        if context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        roi = regions.new_roi(scene, *place)
+        for item in context.selected_objects:
+            item.select_set(False)
+        roi.select_set(True)
+        context.view_layer.objects.active = roi
+        return {"FINISHED"}
+
+    def _around_selection(self, context: bpy.types.Context):  # noqa: ANN202 - mathutils has no types
+        active = context.active_object
+        if context.mode == "EDIT_MESH" and active is not None:
+            active.update_from_editmode()
+            return regions.around_selected_vertices(active)
+        ours = {"ROI", "CAMERA", "ROOT", "POINTS"}
+        chosen = [
+            o for o in context.selected_objects if o.type == "MESH" and o.roigs.kind not in ours
+        ]
+        return regions.around_objects(chosen) if chosen else None
+
+
+class RemoveRoi(bpy.types.Operator):
+    """Remove the active box; what was trained stays"""
+
+    bl_idname = "roigs.remove_roi"
+    bl_label = "Remove ROI"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be one."""
+        return available(cls, "" if lookup.active_roi(context) else "Add a ROI first")
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Delete the empty."""
+        bpy.data.objects.remove(lookup.active_roi(context))
+        index = min(context.scene.roigs.active_roi, len(lookup.rois(context.scene)) - 1)
+        context.scene.roigs.active_roi = max(index, 0)
+        return {"FINISHED"}
+
+
+class SelectRoi(bpy.types.Operator):
+    """Make this box the active object"""
+
+    bl_idname = "roigs.select_roi"
+    bl_label = "Select ROI"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: bpy.props.StringProperty(description="Name of the box")
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Select it, and nothing else."""
+        names = [roi.name for roi in lookup.rois(context.scene)]
+        if self.name not in names:
+            self.report({"ERROR"}, f"There is no ROI «{self.name}».")
+            return {"CANCELLED"}
+        for item in context.selected_objects:
+            item.select_set(False)
+        roi = context.scene.objects[self.name]
+        roi.select_set(True)
+        context.view_layer.objects.active = roi
+        context.scene.roigs.active_roi = names.index(self.name)
+        return {"FINISHED"}
+
+
+CLASSES = (AddRoi, RemoveRoi, SelectRoi)
+
+
+def register() -> None:
+    """The classes."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """The reverse."""
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,138 @@
+"""Step «Scene»: a COLMAP model comes in; its cameras become the scene's."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import bpy
+from bpy.props import IntProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from .. import cameras, importing, jobs, preferences
+from ..engine.client import Outcome
+from ..engine.python import FOR_READING
+from ..errors import AddonError
+from ..photo import Photo
+from .base import EngineJob, OperatorResult
+
+
+class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
+    """Import the cameras, photos and points of a COLMAP model"""
+
+    bl_idname = "roigs.import_colmap"
+    bl_label = "Import COLMAP"
+    bl_options = {"REGISTER", "UNDO"}
+    packages = FOR_READING
+
+    directory: StringProperty(subtype="DIR_PATH")
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    images: StringProperty(
+        name="Photos", subtype="DIR_PATH", description="Folder of the photos (empty: found)"
+    )
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """One job at a time."""
+        if jobs.busy():
+            cls.poll_message_set("The engine is busy")
+        return not jobs.busy()
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask for the folder, unless it was given; the file browser then calls `execute`."""
+        if self.directory or self.filepath:
+            return EngineJob.invoke(self, context, event)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def work(self, context: bpy.types.Context) -> jobs.Work:
+        """Export the model to the cache, then build objects from that."""
+        folder = Path(bpy.path.abspath(self.directory or self.filepath))
+        if folder.is_file():
+            folder = folder.parent
+        if not folder.is_dir():
+            raise AddonError(f"There is no folder {folder}. Choose the folder of a COLMAP project.")
+        out = export_folder(folder)
+        scene = context.scene
+        arguments = ["export", str(folder), "--out", str(out)]
+        if self.images:
+            arguments += ["--images", bpy.path.abspath(self.images)]
+
+        def build(_: Outcome) -> None:
+            name = folder.parent.name if folder.name.startswith("sparse") else folder.name
+            counts = importing.import_folder(scene, out, name)
+            scene.roigs.colmap, scene.roigs.images = str(folder), self.images
+            skipped = f"; left out: {scene.roigs.skipped}" if scene.roigs.skipped else ""
+            text = f"{counts['photos']:,} photos, {counts['points']:,} points{skipped}"
+            bpy.context.window_manager.roigs.message = text
+
+        return jobs.Work(
+            title="Importing", arguments=arguments, log=out / "engine.log", on_done=build
+        )
+
+
+def export_folder(colmap: Path) -> Path:
+    """Where a model's exported files lie: a folder of the cache for each path."""
+    key = hashlib.sha256(str(colmap.resolve()).encode()).hexdigest()[:16]
+    return preferences.cache_folder() / "models" / key
+
+
+class LookThrough(bpy.types.Operator):
+    """Make this photo's camera the active one, with its resolution and its photo behind it"""
+
+    bl_idname = "roigs.look_through"
+    bl_label = "Look Through"
+    bl_options = {"REGISTER", "UNDO"}
+
+    photo: StringProperty(description="Name of the photo; empty: the active object's")
+    step: IntProperty(description="Go so many photos on from the active camera", default=0)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Activate the camera and look through it."""
+        item = self._camera(context)
+        if item is None:
+            self.report({"ERROR"}, "There is no such photo. Import a COLMAP model first.")
+            return {"CANCELLED"}
+        cameras.activate(context.scene, item)
+        space = context.space_data
+        if space is not None and space.type == "VIEW_3D":
+            space.region_3d.view_perspective = "CAMERA"
+        return {"FINISHED"}
+
+    def _camera(self, context: bpy.types.Context) -> bpy.types.Object | None:
+        from .. import lookup
+
+        found = lookup.cameras(context.scene)
+        if self.photo:
+            return found.get(self.photo)
+        if self.step and found:
+            names = sorted(found)
+            active = context.scene.camera
+            photo = Photo.from_json(active.roigs.photo) if active else None
+            at = names.index(photo.name) + self.step if photo and photo.name in names else 0
+            return found[names[at % len(names)]]
+        item = context.active_object
+        return item if item is not None and item.roigs.kind == "CAMERA" else None
+
+
+def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """File ▸ Import."""
+    menu.layout.operator(ImportColmap.bl_idname, text="COLMAP (ROI-GS)")
+
+
+CLASSES = (ImportColmap, LookThrough)
+
+
+def register() -> None:
+    """Classes and the menu entry."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.TOPBAR_MT_file_import.append(menu_entry)
+
+
+def unregister() -> None:
+    """The reverse."""
+    bpy.types.TOPBAR_MT_file_import.remove(menu_entry)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,151 @@
+"""Step «Train»: the engine refines the boxes; stop, go on, see the log."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty
+
+from .. import jobs, lookup, preferences, requests, splats
+from ..engine.client import Outcome
+from .base import EngineJob, OperatorResult, available
+from .select import blocked
+
+
+class TrainRoi(EngineJob, bpy.types.Operator):
+    """Train the scene and refine the boxes; a training that was stopped goes on"""
+
+    bl_idname = "roigs.train_roi"
+    bl_label = "Train ROI"
+
+    active_only: BoolProperty(name="Active Box Only", default=False)
+    selected_only: BoolProperty(name="Selected Boxes Only", default=False)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A model, a box, and an engine at rest."""
+        return available(cls, blocked(context))
+
+    def work(self, context: bpy.types.Context) -> jobs.Work:
+        """Train in the scene's run folder, then bring the Gaussians back."""
+        scene = context.scene
+        rois = self._rois(context)
+        seconds = getattr(preferences.get(), "preview_seconds", 5.0)
+        request = requests.write_training_request(
+            scene, rois, 0.0 if bpy.app.background else seconds
+        )
+        folder = requests.run_folder(scene)
+
+        def preview(path: Path) -> None:
+            splats.show_preview(scene, path)
+
+        def take(outcome: Outcome) -> None:
+            if not outcome.stopped:
+                splats.show_results(scene, folder)
+
+        return jobs.Work(
+            title="Training",
+            arguments=["train", str(request), "--run-dir", str(folder)],
+            log=folder / "blender" / "engine.log",
+            on_preview=preview,
+            on_done=take,
+        )
+
+    def _rois(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        active, every = lookup.active_roi(context), lookup.rois(context.scene)
+        if self.active_only and active is not None:
+            return [active]
+        if self.selected_only:
+            return [roi for roi in every if roi.select_get()]
+        return every
+
+
+class StopJob(bpy.types.Operator):
+    """Stop the engine; what it has done is kept, and «Train ROI» goes on from there"""
+
+    bl_idname = "roigs.stop"
+    bl_label = "Stop"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Something must be running."""
+        return available(cls, "" if jobs.busy() else "Nothing is running")
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Ask the engine."""
+        assert jobs.current is not None
+        jobs.current.stop()
+        return {"FINISHED"}
+
+
+class ShowLog(bpy.types.Operator):
+    """Open the engine's log in the text editor"""
+
+    bl_idname = "roigs.show_log"
+    bl_label = "Show Log"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be one."""
+        return available(cls, "" if log_path(context) else "There is no log yet")
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Load it as a text, in an editor when one is open."""
+        path = log_path(context)
+        assert path is not None
+        old = bpy.data.texts.get("ROI-GS log")
+        text = old or bpy.data.texts.new("ROI-GS log")
+        text.from_string(path.read_text(encoding="utf-8", errors="replace"))
+        for area in context.screen.areas if context.screen else ():
+            if area.type == "TEXT_EDITOR":
+                area.spaces.active.text = text
+                break
+        else:
+            self.report(
+                {"INFO"}, "The log is the text «ROI-GS log»; open a Text Editor to read it."
+            )
+        return {"FINISHED"}
+
+
+def log_path(context: bpy.types.Context) -> Path | None:
+    """The log of the last job, or of the run folder's."""
+    named = context.window_manager.roigs.log
+    path = Path(named) if named else requests.run_folder(context.scene) / "blender" / "engine.log"
+    return path if path.is_file() else None
+
+
+def unfinished(scene: bpy.types.Scene) -> str:
+    """The stage at which the run folder's training was left, or nothing."""
+    folder = requests.run_folder(scene)
+    left = [path.parent.name for path in folder.glob("*/checkpoint.pt")]
+    return left[0] if left else ""
+
+
+def finished(scene: bpy.types.Scene) -> list[str]:
+    """The stages that are done in the run folder."""
+    folder = requests.run_folder(scene)
+    done = []
+    for path in folder.glob("*/stage.json"):
+        try:
+            json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        done.append(path.parent.name)
+    return sorted(done)
+
+
+CLASSES = (TrainRoi, StopJob, ShowLog)
+
+
+def register() -> None:
+    """The classes."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """The reverse."""
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

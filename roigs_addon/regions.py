@@ -1,0 +1,130 @@
+"""ROIs: cube empties, the boxes that they are in the COLMAP frame, and what is in these boxes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from . import lookup
+from .errors import AddonError
+
+COLOUR = (1.0, 0.55, 0.1, 1.0)
+FORBIDDEN = '/\\:*?"<>|\0'  # ROI names become file names
+
+
+def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.types.Object:
+    """A box in world space, its axes along the root's so that it stays a box when the root is
+    scaled unevenly."""
+    root = scene.roigs.root
+    item = bpy.data.objects.new(_free_name(scene), None)
+    item.empty_display_type = "CUBE"
+    item.empty_display_size = 1.0
+    item.show_name = True
+    item.color = COLOUR
+    item.roigs.kind = "ROI"
+    home = root.users_collection[0] if root and root.users_collection else scene.collection
+    home.objects.link(item)
+    matrix = Matrix.LocRotScale(centre, None, half_sides)
+    if root is not None:
+        item.parent = root
+        item.matrix_parent_inverse = Matrix.Identity(4)
+        matrix = _along(root.matrix_world, centre, half_sides)
+        item.matrix_local = root.matrix_world.inverted_safe() @ matrix
+    else:
+        item.matrix_world = matrix
+    scene.roigs.active_roi = lookup.rois(scene).index(item)
+    return item
+
+
+def _along(root: Matrix, centre: Vector, half_sides: Vector) -> Matrix:
+    """A box with the root's axes that holds the world-aligned box."""
+    rotation = root.to_quaternion().to_matrix()
+    turned = Vector(
+        sum(abs(rotation[world][axis]) * half_sides[world] for world in range(3))
+        for axis in range(3)
+    )
+    return Matrix.LocRotScale(centre, rotation.to_quaternion(), turned)
+
+
+def _free_name(scene: bpy.types.Scene) -> str:
+    taken = {o.name for o in scene.objects} | {o.name for o in bpy.data.objects}
+    number = 1
+    while (name := f"ROI {number}") in taken:
+        number += 1
+    return name
+
+
+def default_size(scene: bpy.types.Scene) -> float:
+    """Half the side of a box that is added at the cursor: a tenth of what the cameras stand on."""
+    centres = [lookup.matrix_world(camera)[:3, 3] for camera in lookup.of_kind(scene, "CAMERA")]
+    if len(centres) < 2:
+        return 1.0
+    spread = np.ptp(np.array(centres), axis=0).max()
+    return float(spread) * 0.1 or 1.0
+
+
+def around_objects(items: list[bpy.types.Object]) -> tuple[Vector, Vector] | None:
+    """Centre and half sides of the world-aligned box around objects; None when it is flat."""
+    corners = [item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box]
+    return _around(np.array([tuple(corner) for corner in corners])) if corners else None
+
+
+def around_selected_vertices(item: bpy.types.Object) -> tuple[Vector, Vector] | None:
+    """The same around the vertices that are selected in a mesh (the sparse points, say)."""
+    mesh = item.data
+    chosen = np.zeros(len(mesh.vertices), bool)
+    mesh.vertices.foreach_get("select", chosen)
+    flat = np.empty(3 * len(chosen), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    points = flat.reshape(-1, 3)[chosen]
+    if not len(points):
+        return None
+    world = lookup.matrix_world(item)
+    return _around(points @ world[:3, :3].T + world[:3, 3])
+
+
+def _around(points: Any) -> tuple[Vector, Vector] | None:
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = (high - low) / 2
+    if not (half > 0).any():
+        return None
+    half = np.maximum(half, half.max() * 0.05)
+    return Vector((low + high) / 2), Vector(half * 1.05)
+
+
+def to_dict(roi: bpy.types.Object, scene: bpy.types.Scene) -> dict[str, Any]:
+    """A ROI as `rois.json` has it (files.md).
+
+    Raises:
+        AddonError: it is no box, or its name cannot be that of a file.
+    """
+    if any(c in FORBIDDEN for c in roi.name) or not roi.name.strip(" ."):
+        raise AddonError(
+            f'«{roi.name}» cannot name a file. Rename the ROI without / \\ : * ? " < > |'
+        )
+    box = lookup.box(roi, scene)
+    return {
+        "name": roi.name,
+        "world_to_box": box.world_to_box.tolist(),
+        "half_extents": box.half_extents.tolist(),
+    }
+
+
+def box_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """Changes when the box does, against its root; two decimals less than Blender's precision."""
+    box = lookup.box(roi, scene)
+    numbers = [*box.world_to_box[:3].ravel(), *box.half_extents]
+    return " ".join(f"{value:.5g}" for value in numbers)
+
+
+def write(folder: Path, rois: list[bpy.types.Object], scene: bpy.types.Scene) -> Path:
+    """Write `rois.json` for the engine; returns its path."""
+    path = folder / "rois.json"
+    records = [to_dict(roi, scene) for roi in rois]
+    path.write_text(json.dumps({"rois": records}, indent=1, ensure_ascii=False), encoding="utf-8")
+    return path

@@ -1,0 +1,122 @@
+"""What the add-on asks of the engine: request files and command lines from a scene's properties."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import preferences, regions
+from .errors import AddonError
+
+
+def run_folder(scene: bpy.types.Scene) -> Path:
+    """Where this scene's training lives: chosen, or beside the .blend, or in the cache."""
+    chosen = scene.roigs.run_dir
+    if chosen:
+        return Path(bpy.path.abspath(chosen))
+    if bpy.data.filepath:
+        blend = Path(bpy.data.filepath)
+        return blend.with_name(f"{blend.stem}_roigs")
+    return preferences.cache_folder() / "unsaved" / _plain(scene.roigs.colmap or scene.name)
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in Path(text).name) or "scene"
+
+
+def request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> dict[str, Any]:
+    """The settings of selection and training, as a request file has them (docs/files.md).
+
+    Raises:
+        AddonError: something is missing.
+    """
+    settings = scene.roigs
+    if not settings.colmap:
+        raise AddonError("No COLMAP model is imported. Import one first.")
+    if not Path(settings.colmap).is_dir():
+        raise AddonError(f"The COLMAP folder {settings.colmap} is gone. Set its new place.")
+    if not rois:
+        raise AddonError("There is no ROI. Add one around the object.")
+    threads = getattr(preferences.get(), "threads", 0)
+    values: dict[str, Any] = {
+        "scene": settings.colmap,
+        "images": bpy.path.abspath(settings.images) or None,
+        "max_side": settings.max_side,
+        "method": settings.method,
+        "count": settings.count or None,
+        "seed": settings.seed,
+        "threads": threads or None,
+        "test_every": settings.test_every,
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def write_selection_request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> Path:
+    """Files for `select`; returns the request's path."""
+    values = request(scene, rois)
+    if not values["test_every"]:
+        del values["test_every"]
+    return _write(scene, "select.json", rois, values)
+
+
+def write_training_request(
+    scene: bpy.types.Scene, rois: list[bpy.types.Object], preview_seconds: float
+) -> Path:
+    """Files for `train`; returns the request's path."""
+    values = request(scene, rois) | {
+        "preset": scene.roigs.preset,
+        "strategy": scene.roigs.strategy,
+        "selection": str(_write_selections(scene, rois)),
+        "preview_seconds": preview_seconds,
+        "update": True,
+    }
+    return _write(scene, "train.json", rois, values)
+
+
+def _write(
+    scene: bpy.types.Scene, name: str, rois: list[bpy.types.Object], values: dict[str, Any]
+) -> Path:
+    folder = _folder(scene)
+    values["rois"] = str(regions.write(folder, rois, scene))
+    path = folder / name
+    path.write_text(json.dumps(values, indent=1, ensure_ascii=False), encoding="utf-8")
+    return path
+
+
+def _folder(scene: bpy.types.Scene) -> Path:
+    """Files that the add-on gives to the engine, inside the run folder."""
+    folder = run_folder(scene) / "blender"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AddonError(
+            f"The run folder {folder.parent} cannot be made ({error.strerror}). Choose another."
+        ) from error
+    return folder
+
+
+def _write_selections(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> Path:
+    """The photos of each box that has a list of its own; the engine selects for the others."""
+    folder = _folder(scene) / "selection"
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob("*.json"):
+        old.unlink()
+    for roi in rois:
+        if len(roi.roigs.selection):
+            names = [item.name for item in roi.roigs.selection]
+            (folder / f"{roi.name}.json").write_text(
+                json.dumps({"roi": roi.name, "names": names}, ensure_ascii=False),
+                encoding="utf-8",
+            )
+    return folder
+
+
+def selection_is_stale(roi: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    """Whether the box was moved after its photos were selected."""
+    try:
+        return roi.roigs.selected_box not in ("", regions.box_key(roi, scene))
+    except AddonError:
+        return True

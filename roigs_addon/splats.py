@@ -1,0 +1,163 @@
+"""Trained Gaussians as Blender objects: what every render engine shows, and what the viewport draws.
+
+Each object is a mesh of points with the attributes of docs/conventions.md. In the viewport, the
+add-on draws the Gaussians themselves (viewport/); the points then give way, by a modifier that is
+off in renders.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from . import clouds, lookup
+from .errors import AddonError
+from .gaussian_ply import SplatCloud, read_ply
+
+COLLECTION = "ROI-GS Gaussians"
+HIDE = "Drawn as Gaussians"
+SH_C0 = 0.28209479177387814
+MATERIAL = "ROI-GS Gaussians"
+
+
+def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
+    """Bring a run's Gaussians in: the surroundings, and each box refined and coarse.
+
+    Objects of an earlier result are replaced; boxes that were not trained this time keep theirs.
+
+    Raises:
+        AddonError: a file is missing or damaged.
+    """
+    remove(scene, "PREVIEW")
+    shown = [_show(scene, folder / "surroundings.ply", "RESULT", "")]
+    for path in sorted((folder / "rois").glob("*.ply")):
+        shown.append(_show(scene, path, "ROI", path.stem))
+        coarse = folder / "coarse" / path.name
+        if coarse.is_file():
+            item = _show(scene, coarse, "SCENE", path.stem)
+            item.hide_set(True)
+            item.hide_render = True
+            shown.append(item)
+    return shown
+
+
+def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
+    """Draw the model in training; the results of before are hidden meanwhile."""
+    item = _of(scene, "PREVIEW", "")
+    if item is None:
+        item = _new_object(scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3))))
+        item.roigs.level = "PREVIEW"
+        for other in lookup.splats(scene):
+            if other != item:
+                other.hide_set(True)
+    item.roigs.ply = str(path)
+    return item
+
+
+def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
+    """Show a box refined, or as the coarse model has it."""
+    for item in lookup.splats(scene):
+        if item.roigs.roi == roi and item.roigs.level in ("ROI", "SCENE"):
+            hidden = (item.roigs.level == "ROI") != fine
+            item.hide_set(hidden)
+            item.hide_render = hidden
+
+
+def set_points(scene: bpy.types.Scene, points: bool) -> None:
+    """Show points in the viewport in place of Gaussians."""
+    for item in lookup.splats(scene):
+        modifier = item.modifiers.get(HIDE)
+        if modifier is not None:
+            modifier.show_viewport = not points
+
+
+def remove(scene: bpy.types.Scene, level: str) -> None:
+    """Take the Gaussians of one level out of the scene; what was hidden for them comes back."""
+    for item in lookup.splats(scene):
+        if item.roigs.level == level:
+            mesh = item.data
+            bpy.data.objects.remove(item)
+            if not mesh.users:
+                bpy.data.meshes.remove(mesh)
+    if level == "PREVIEW":
+        for item in lookup.splats(scene):
+            item.hide_set(item.roigs.level == "SCENE")
+
+
+def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None:
+    for item in lookup.splats(scene):
+        if item.roigs.level == level and item.roigs.roi == roi:
+            return item
+    return None
+
+
+def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types.Object:
+    try:
+        cloud = read_ply(path)
+    except (OSError, ValueError) as error:
+        raise AddonError(f"{path} cannot be read ({error}). Train again.") from error
+    name = {"RESULT": "Surroundings", "SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}[level]
+    fresh = clouds.new_points(name, cloud.means)
+    add_attributes(fresh.data, cloud)
+    old = _of(scene, level, roi)
+    if old is None:
+        item = _new_object(scene, name, fresh)
+    else:  # keeps its name, place and whatever the user did with it
+        item, before = old, old.data
+        item.data = fresh.data
+        bpy.data.objects.remove(fresh)
+        if not before.users:
+            bpy.data.meshes.remove(before)
+    item.roigs.level, item.roigs.roi, item.roigs.ply = level, roi, str(path)
+    return item
+
+
+def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
+    item.name = name
+    item.roigs.kind = "SPLATS"
+    item.parent = scene.roigs.root
+    shelf = scene.collection.children.get(COLLECTION)
+    if shelf is None:
+        shelf = bpy.data.collections.new(COLLECTION)
+        scene.collection.children.link(shelf)
+    shelf.objects.link(item)
+    material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
+    clouds.show_as_points(item, material, "radius")
+    item.modifiers.new(HIDE, "NODES").node_group = _nothing_group()
+    item.modifiers[HIDE].show_render = False
+    return item
+
+
+def _nothing_group() -> bpy.types.NodeTree:
+    """A geometry-nodes group that gives no geometry."""
+    group = bpy.data.node_groups.get(HIDE)
+    if group is None:
+        group = bpy.data.node_groups.new(HIDE, "GeometryNodeTree")
+        group.is_modifier = True
+        for direction in ("INPUT", "OUTPUT"):
+            group.interface.new_socket(
+                "Geometry", in_out=direction, socket_type="NodeSocketGeometry"
+            )
+        group.nodes.new("NodeGroupOutput")
+    return group
+
+
+def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
+    """What docs/conventions.md lists for Gaussians, and what the points' material reads."""
+    base = cloud.sh[:, 0]
+    colour = np.ones((len(base), 4), np.float32)
+    colour[:, :3] = clouds.to_linear(np.clip(0.5 + SH_C0 * base, 0, 1))
+    columns = {
+        "Color": ("FLOAT_COLOR", colour),
+        "opacity": ("FLOAT", cloud.opacities),
+        "radius": ("FLOAT", np.cbrt(cloud.scales.prod(axis=1))),
+        "scale": ("FLOAT_VECTOR", cloud.scales),
+        "rotation": ("QUATERNION", cloud.quats),
+        "radiance:base": ("FLOAT_VECTOR", base),
+    }
+    for index in range(1, cloud.sh.shape[1]):
+        columns[f"radiance:sh_{index}"] = ("FLOAT_VECTOR", cloud.sh[:, index])
+    for name, (kind, values) in columns.items():
+        clouds.set_attribute(mesh, name, kind, values)
