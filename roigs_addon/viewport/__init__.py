@@ -1,0 +1,31 @@
+"""Draws Gaussians in the 3D viewport.
+
+| module | what |
+|---|---|
+| `worker` | a thread that does the newest task of each name |
+| `sorting` | back-to-front order |
+| `packing` | several clouds as one set of texel arrays |
+| `objects` | which objects are drawn |
+| `shaders` | the GPU programs, from `shaders/` |
+| `targets` | pictures on the GPU: the splats' own, and the scene's depth |
+| `painter` | keeps the sets and orders on the GPU, and draws them |
+| `draw` | the handler in the viewport, `draw_view` for any other picture |
+
+The first three need numpy alone. Nothing of `gpu` is built before the first picture.
+"""
+
+from __future__ import annotations
+
+
+def register() -> None:
+    """Start to draw; nothing in background mode."""
+    from . import draw
+
+    draw.register()
+
+
+def unregister() -> None:
+    """Stop to draw and free everything."""
+    from . import draw
+
+    draw.unregister()

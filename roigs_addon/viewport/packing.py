@@ -1,0 +1,86 @@
+"""Several clouds as one set of texel arrays, laid out as `shaders/splat.vert.glsl` reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussian_ply import SplatCloud
+
+Float32 = NDArray[np.float32]
+
+ROW = 8192
+"""Texels in a row of every texture; all of Blender's GPUs can do twice that."""
+
+GEOMETRY_TEXELS = 3
+"""Texels of a Gaussian's shape: mean and opacity; quaternion; scales and its object's number."""
+
+INDEX_MARK = np.uint32(0x40000000)
+"""Set in every stored index.
+
+Blender's Python can fill textures with floats alone, so the bits of an index travel as a float.
+As float32 numbers, indices above 2^24 would be rounded; as bare bits, small ones would be
+denormal, which GPUs may take for 0. With this bit, every index below 2^29 is a normal float.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class PackedSet:
+    """N Gaussians of several clouds, one cloud after another.
+
+    Attributes:
+        means: (N, 3), each in its object's frame.
+        ranges: first and end row of each cloud.
+        extent: root of the mean squared distance of the means from their objects' origins.
+        geometry: (rows, ROW, 4), `GEOMETRY_TEXELS` texels per Gaussian.
+        colours: (rows, ROW, 4), 3 * `sh_texels` texels per Gaussian: the coefficients of red, of
+            green, of blue, each filled up with zeros to whole texels.
+        sh_texels: 1, 3 or 4.
+    """
+
+    means: Float32
+    ranges: tuple[tuple[int, int], ...]
+    extent: float
+    geometry: Float32
+    colours: Float32
+    sh_texels: int
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
+    """The clouds as one set; the k-th belongs to object k."""
+    ends = np.cumsum([0, *(len(cloud) for cloud in clouds)]).tolist()
+    ranges = tuple(zip(ends[:-1], ends[1:], strict=True))
+    count = ends[-1]
+    sh_texels = max((-(-cloud.sh.shape[1] // 4) for cloud in clouds), default=1)
+    geometry, by_gaussian = _texels(count, GEOMETRY_TEXELS)
+    colours, sh = _texels(count, 3 * sh_texels)
+    sh = sh.reshape(count, 3, 4 * sh_texels)
+    for number, (cloud, (start, stop)) in enumerate(zip(clouds, ranges, strict=True)):
+        part = by_gaussian[start:stop]
+        part[:, 0, :3], part[:, 0, 3] = cloud.means, cloud.opacities
+        part[:, 1] = cloud.quats
+        part[:, 2, :3], part[:, 2, 3] = cloud.scales, number
+        sh[start:stop, :, : cloud.sh.shape[1]] = cloud.sh.transpose(0, 2, 1)
+    means = np.ascontiguousarray(by_gaussian[:, 0, :3])
+    extent = float(np.sqrt(np.square(means).sum(axis=1).mean(dtype=float))) if count else 1.0
+    return PackedSet(means, ranges, extent, geometry, colours, sh_texels)
+
+
+def pack_order(order: NDArray[np.uint32]) -> Float32:
+    """Indices as texels (rows, ROW), marked with `INDEX_MARK`."""
+    texels = np.zeros((max(1, -(-len(order) // ROW)), ROW), np.uint32)
+    texels.reshape(-1)[: len(order)] = order | INDEX_MARK
+    return texels.view(np.float32)
+
+
+def _texels(count: int, each: int) -> tuple[Float32, Float32]:
+    """An array of whole rows of texels, and a view of it as (count, each, 4)."""
+    rows = max(1, -(-count * each // ROW))
+    texels = np.zeros((rows, ROW, 4), np.float32)
+    return texels, texels.reshape(-1, 4)[: count * each].reshape(count, each, 4)

@@ -1,0 +1,32 @@
+"""Gaussians for the tests of the add-on's viewport."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from roigs_engine.ply import write_ply
+
+
+def random_arrays(count: int, seed: int, coefficients: int = 16) -> dict[str, np.ndarray]:
+    """Arrays of `write_ply`: Gaussians of many shapes in a ball of radius 1 about the origin."""
+    random = np.random.default_rng(seed)
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    sh = random.normal(size=(count, coefficients, 3)) * 0.25
+    sh[:, 0] = random.uniform(-1.5, 1.5, (count, 3))
+    arrays = {
+        "means": direction * random.uniform(size=(count, 1)) ** (1 / 3),
+        "quats": random.normal(size=(count, 4)),
+        "log_scales": random.uniform(np.log(0.004), np.log(0.12), (count, 3)),
+        "logit_opacities": random.uniform(-3, 5, count),
+        "sh": sh,
+    }
+    return {name: values.astype(np.float32) for name, values in arrays.items()}
+
+
+def random_ply(path: Path, count: int, seed: int = 0, coefficients: int = 16) -> Path:
+    """`random_arrays` as a file."""
+    write_ply(path, random_arrays(count, seed, coefficients))
+    return path
