@@ -52,6 +52,11 @@ class Worker:
         with self._changed:
             return name in self._waiting or name == self._running
 
+    def pending(self, name: Hashable) -> bool:
+        """Is there anything of that name: waiting, running, or done and not taken?"""
+        with self._changed:
+            return name in self._waiting or name == self._running or name in self._done
+
     def idle(self) -> bool:
         """True when nothing waits or runs."""
         with self._changed:

@@ -1,0 +1,308 @@
+"""Keeps Gaussians and their orders on the GPU, and draws them."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix, Vector
+
+from ..gaussian_ply import SplatCloud, read_splats
+from . import shaders, targets
+from .objects import FileKey, SplatObject
+from .packing import PackedSet, pack, pack_order
+from .sorting import Segment, View, back_to_front
+from .worker import Worker
+
+Files = tuple[FileKey, ...]
+
+NEAR = 0.01
+"""Gaussians nearer to the eye than this (units of their object) are not drawn, as in the engine."""
+
+VIEWS = 8
+"""So many viewports keep an order of their own."""
+
+
+@dataclass(frozen=True, eq=False)
+class GpuSet:
+    """A set of Gaussians on the GPU; `files` has one entry per object in it."""
+
+    files: Files
+    means: np.ndarray
+    ranges: tuple[tuple[int, int], ...]
+    extent: float
+    sh_texels: int
+    geometry: gpu.types.GPUTexture
+    colours: gpu.types.GPUTexture
+
+    @classmethod
+    def upload(cls, files: Files, packed: PackedSet) -> GpuSet:
+        """Copy to the GPU; shapes in full precision, colours in half."""
+        return cls(
+            files,
+            packed.means,
+            packed.ranges,
+            packed.extent,
+            packed.sh_texels,
+            targets.texture(packed.geometry, "RGBA32F"),
+            targets.texture(packed.colours, "RGBA16F"),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """Back to front, on the GPU, for one view of one set."""
+
+    gaussians: GpuSet
+    view: View
+    count: int
+    texture: gpu.types.GPUTexture
+
+
+class Painter:
+    """Draws splat objects, all in one order.
+
+    Reading and sorting happen in threads; until they are done, the last order of a viewport stays
+    in use. Where `wait` is given, they are waited for instead.
+    """
+
+    def __init__(self) -> None:
+        self.problems: dict[str, str] = {}  # path -> why it cannot be drawn
+        self._reader, self._sorter = Worker("splat reader"), Worker("splat sorter")
+        self._set: GpuSet | None = None
+        self._asked: Files = ()
+        self._clouds: dict[FileKey, SplatCloud] = {}
+        self._broken: set[FileKey] = set()
+        self._orders: OrderedDict[Hashable, Order] = OrderedDict()
+        self._sorting: dict[Hashable, tuple[GpuSet, View]] = {}
+        self._picture = targets.SplatPicture()
+        self._tools: Tools | None = None
+
+    def draw(
+        self,
+        things: Sequence[SplatObject],
+        view: Matrix,
+        projection: Matrix,
+        size: tuple[int, int],
+        *,
+        key: Hashable,
+        depth: gpu.types.GPUTexture | None = None,
+        linear_target: bool = False,
+        wait: bool = False,
+    ) -> None:
+        """Draw over the bound framebuffer.
+
+        Args:
+            things: what there is, hidden or not.
+            view: world -> camera, OpenGL's axes.
+            projection: camera -> clip space.
+            size: width and height in pixels.
+            key: which viewport this is.
+            depth: what hides splats, 0 to 1 per pixel; None for nothing.
+            linear_target: whether the framebuffer turns linear light into sRGB as it is written.
+            wait: for files and order.
+        """
+        self._update_set(things, wait)
+        order = self._update_order(things, view, key, wait)
+        if order is None or not order.count:
+            return
+        tools = self._tools = self._tools or Tools()
+        files = order.gaussians.files
+        matrices = targets.texture(object_texels(files, things, view, projection), "RGBA32F")
+        with self._picture.cleared(*size).bind():
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            gpu.state.blend_set("ALPHA_PREMULT")
+            shader = tools.splat
+            shader.bind()
+            shader.uniform_float("projection", projection)
+            shader.uniform_float("view_size", size)
+            shader.uniform_int("sh_texels", order.gaussians.sh_texels)
+            shader.uniform_sampler("order", order.texture)
+            shader.uniform_sampler("geometry", order.gaussians.geometry)
+            shader.uniform_sampler("colours", order.gaussians.colours)
+            shader.uniform_sampler("objects", matrices)
+            shader.uniform_sampler("scene_depth", depth or tools.no_depth)
+            tools.quad.draw_instanced(shader, instance_count=order.count)
+        shader = tools.composite
+        shader.bind()
+        shader.uniform_int("origin", gpu.state.viewport_get()[:2])
+        shader.uniform_bool("linear_target", [linear_target])
+        shader.uniform_sampler("picture", self._picture.texture)
+        tools.quad.draw(shader)
+        gpu.state.blend_set("NONE")
+
+    def pending(self, key: Hashable) -> bool:
+        """Will that viewport look better when it is drawn again?"""
+        return self._reader.pending("set") or self._sorter.pending(key)
+
+    def idle(self) -> bool:
+        """True while nothing is being read or sorted."""
+        return self._reader.idle() and self._sorter.idle()
+
+    def forget(self) -> None:
+        """Free what belongs to files; for when no object asks for any."""
+        self._reader.forget("set")
+        self._set, self._asked = None, ()
+        self._clouds, self._broken, self.problems = {}, set(), {}
+        self._orders.clear()
+        self._sorting.clear()
+
+    def close(self) -> None:
+        """Free everything and end the threads."""
+        self.forget()
+        self._reader.close()
+        self._sorter.close()
+        self._picture, self._tools = targets.SplatPicture(), None
+
+    def _update_set(self, things: Sequence[SplatObject], wait: bool) -> None:
+        """Have the visible objects' files on the GPU; hidden ones stay while they are there."""
+        there = self._set.files if self._set else ()
+        files = tuple(
+            thing.file
+            for thing in things
+            if (thing.visible or thing.file in there) and thing.file not in self._broken
+        )
+        if files != self._asked:
+            self._asked = files
+            known = dict(self._clouds)
+            if wait:
+                self._reader.forget("set")
+                self._take_set(*read_set(files, known))
+            else:
+                self._reader.submit("set", lambda: read_set(files, known))
+        outcome = self._reader.take("set")
+        if outcome is not None:
+            if outcome.error:
+                raise outcome.error
+            self._take_set(*outcome.value)
+
+    def _take_set(
+        self,
+        files: Files,
+        packed: PackedSet,
+        clouds: dict[FileKey, SplatCloud],
+        problems: dict[FileKey, str],
+    ) -> None:
+        self._set = GpuSet.upload(files, packed)
+        self._clouds = clouds
+        self._broken |= problems.keys()
+        self.problems = {key.path: text for key, text in problems.items()}
+        self._asked = files
+
+    def _update_order(
+        self, things: Sequence[SplatObject], view: Matrix, key: Hashable, wait: bool
+    ) -> Order | None:
+        """The newest order of a viewport; a better one is asked for where it is not good enough."""
+        if not wait:
+            outcome = self._sorter.take(key)
+            if outcome is not None:
+                if outcome.error:
+                    raise outcome.error
+                self._orders[key] = upload_order(*outcome.value)
+        if self._set is not None:
+            wanted = sorting_view(self._set, things, view)
+            held = self._orders.get(key)
+            good = held and held.gaussians is self._set and not held.view.differs(wanted)
+            if not good and wait:
+                self._orders[key] = upload_order(*sort_set(self._set, wanted))
+            elif not good and not self._sorter.busy(key):
+                gaussians = self._set
+                self._sorter.submit(key, lambda: sort_set(gaussians, wanted))
+        if key in self._orders:
+            self._orders.move_to_end(key)
+        while len(self._orders) > VIEWS:
+            old, _ = self._orders.popitem(last=False)
+            self._sorter.forget(old)
+        return self._orders.get(key)
+
+
+class Tools:
+    """What every picture needs, made with the first one."""
+
+    def __init__(self) -> None:
+        self.splat = shaders.splat_shader()
+        self.composite = shaders.composite_shader()
+        self.no_depth = targets.no_depth()
+        corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
+        self.quad = batch_for_shader(self.splat, "TRI_STRIP", {"corner": corners})
+
+
+def read_set(
+    files: Files, known: dict[FileKey, SplatCloud]
+) -> tuple[Files, PackedSet, dict[FileKey, SplatCloud], dict[FileKey, str]]:
+    """Read what is not known yet, and pack all that can be read.
+
+    Returns the files that could be read, the set, their clouds, and why others could not.
+    """
+    clouds, problems = {}, {}
+    for key in files:
+        if key in clouds or key in problems:
+            continue
+        try:
+            clouds[key] = known[key] if key in known else read_splats(key.path)
+        except ValueError as error:
+            problems[key] = str(error)
+    good = tuple(key for key in files if key in clouds)
+    return good, pack([clouds[key] for key in good]), clouds, problems
+
+
+def sort_set(gaussians: GpuSet, view: View) -> tuple[GpuSet, View, int, np.ndarray]:
+    """Everything an order needs but the GPU."""
+    order = back_to_front(gaussians.means, view)
+    return gaussians, view, len(order), pack_order(order)
+
+
+def upload_order(gaussians: GpuSet, view: View, count: int, texels: np.ndarray) -> Order:
+    """A sorted order on the GPU."""
+    return Order(gaussians, view, count, targets.texture(texels, "R32F"))
+
+
+def objects_of(files: Files, things: Sequence[SplatObject]) -> list[SplatObject | None]:
+    """For each file of a set the object that stands for it.
+
+    Told by paths, in order: while a file that has changed is read, the Gaussians of its last state
+    go with the object.
+    """
+    by_path: dict[str, list[SplatObject]] = {}
+    for thing in things:
+        by_path.setdefault(thing.file.path, []).append(thing)
+    return [by_path[f.path].pop(0) if by_path.get(f.path) else None for f in files]
+
+
+def sorting_view(gaussians: GpuSet, things: Sequence[SplatObject], view: Matrix) -> View:
+    """Depth along the camera's axis, for the objects that are visible."""
+    segments = []
+    for range_, thing in zip(gaussians.ranges, objects_of(gaussians.files, things), strict=True):
+        if thing is not None and thing.visible:
+            row = np.array((view @ thing.matrix)[2])
+            segments.append(Segment(*range_, axis=-row[:3], offset=float(-row[3])))
+    return View(tuple(segments), gaussians.extent)
+
+
+def object_texels(
+    files: Files, things: Sequence[SplatObject], view: Matrix, projection: Matrix
+) -> np.ndarray:
+    """(objects, 4, 4): object -> camera as three rows; eye or direction of sight, least depth."""
+    texels = np.zeros((max(1, len(files)), 4, 4), np.float32)
+    texels[:, 3, 3] = np.inf  # nothing is that far: an object that is gone is not drawn
+    perspective = projection[3][3] == 0.0
+    for texel, thing in zip(texels, objects_of(files, things), strict=False):
+        if thing is None or not thing.visible:
+            continue
+        matrix = view @ thing.matrix
+        scale = abs(matrix.to_3x3().determinant()) ** (1 / 3)
+        if not scale:
+            continue
+        back = matrix.inverted()
+        texel[:3] = np.array(matrix)[:3]
+        if perspective:
+            texel[3] = (*back.translation, NEAR * scale)
+        else:
+            sight = (back.to_3x3() @ Vector((0, 0, -1))).normalized()
+            texel[3] = (*sight, -np.inf)
+    return texels

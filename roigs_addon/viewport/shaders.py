@@ -1,0 +1,50 @@
+"""The GPU programs. Their text lies in `shaders/`; here stands what they are given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gpu
+
+from .packing import INDEX_MARK, ROW
+
+FOLDER = Path(__file__).parent / "shaders"
+
+
+def text(name: str) -> str:
+    """One file of GLSL."""
+    return (FOLDER / name).read_text(encoding="utf-8")
+
+
+def splat_shader() -> gpu.types.GPUShader:
+    """Draws Gaussians: one per instance of a quad with corners (-1, -1) to (1, 1)."""
+    passed = gpu.types.GPUStageInterfaceInfo("roigs_splat")
+    passed.smooth("VEC2", "local")
+    passed.flat("VEC4", "paint")
+    info = gpu.types.GPUShaderCreateInfo()
+    info.define("ROW", f"{ROW}u")
+    info.define("INDEX_BITS", f"{int(INDEX_MARK) - 1}u")
+    info.push_constant("MAT4", "projection")
+    info.push_constant("VEC2", "view_size")
+    info.push_constant("INT", "sh_texels")
+    for slot, name in enumerate(("order", "geometry", "colours", "objects", "scene_depth")):
+        info.sampler(slot, "FLOAT_2D", name)
+    info.vertex_in(0, "VEC2", "corner")
+    info.vertex_out(passed)
+    info.fragment_out(0, "VEC4", "colour")
+    info.vertex_source(text("splat.vert.glsl"))
+    info.fragment_source(text("splat.frag.glsl"))
+    return gpu.shader.create_from_info(info)
+
+
+def composite_shader() -> gpu.types.GPUShader:
+    """Lays the splats' picture over the bound framebuffer; given the same quad."""
+    info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("IVEC2", "origin")
+    info.push_constant("BOOL", "linear_target")
+    info.sampler(0, "FLOAT_2D", "picture")
+    info.vertex_in(0, "VEC2", "corner")
+    info.fragment_out(0, "VEC4", "colour")
+    info.vertex_source(text("composite.vert.glsl"))
+    info.fragment_source(text("composite.frag.glsl"))
+    return gpu.shader.create_from_info(info)
