@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class PackedSet:
 def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
     """The clouds as one set; the k-th belongs to object k."""
     ends = np.cumsum([0, *(len(cloud) for cloud in clouds)]).tolist()
-    ranges = tuple(zip(ends[:-1], ends[1:], strict=True))
+    ranges = tuple(pairwise(ends))
     count = ends[-1]
     sh_texels = max((-(-cloud.sh.shape[1] // 4) for cloud in clouds), default=1)
     geometry, by_gaussian = _texels(count, GEOMETRY_TEXELS)

@@ -43,9 +43,14 @@ class View:
         Sliding or scaling everything changes no order, so only the axes' directions count, and the
         objects' depths relative to one another.
         """
-        if [(s.start, s.stop) for s in self.segments] != [(s.start, s.stop) for s in other.segments]:
+        if [(s.start, s.stop) for s in self.segments] != [
+            (s.start, s.stop) for s in other.segments
+        ]:
             return True
         return bool(np.abs(self._shape() - other._shape()).max(initial=0.0) > TURN)
+
+    def _rows(self) -> list[tuple[int, int]]:
+        return [(s.start, s.stop) for s in self.segments]
 
     def _shape(self) -> NDArray[np.float64]:
         if not self.segments:
@@ -59,8 +64,7 @@ class View:
 def depths(means: Float32, segments: Sequence[Segment]) -> Float32:
     """Depths of the segments' rows, one segment after another."""
     parts = [
-        means[s.start : s.stop] @ s.axis.astype(np.float32) + np.float32(s.offset)
-        for s in segments
+        means[s.start : s.stop] @ s.axis.astype(np.float32) + np.float32(s.offset) for s in segments
     ]
     return np.concatenate(parts) if parts else np.zeros(0, np.float32)
 

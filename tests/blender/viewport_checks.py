@@ -1,0 +1,183 @@
+"""What the viewport's splats must do besides looking like the engine's; run as viewport_parity.py.
+
+    blender -b --factory-startup --python viewport_checks.py -- FOLDER
+
+FOLDER holds two Gaussian PLYs, `a.ply` and `b.ply`, within a distance of 1.2 about the origin.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from math import radians
+from pathlib import Path
+
+import bpy
+import gpu
+import numpy as np
+from mathutils import Matrix, Vector
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from roigs_addon.gaussian_ply import read_splats
+from roigs_addon.viewport import draw, targets
+from roigs_addon.viewport.objects import marked
+from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
+
+SIDE = 96
+DISTANCE = 4.0
+FOLDER = Path(sys.argv[-1])
+TURN = Matrix.Rotation(radians(40), 4, "Y") @ Matrix.Rotation(radians(25), 4, "X")
+
+
+def splats(name: str, path: Path) -> bpy.types.Object:
+    """An object that stands for a PLY."""
+    thing = bpy.data.objects.new(name, None)
+    bpy.context.scene.collection.objects.link(thing)
+    thing["roigs_splats"] = str(path)
+    return thing
+
+
+def seen(*things: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
+    """Things about the origin, which fills the picture, from a distance."""
+    focal = 0.4 * SIDE * distance
+    camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2 + 3}
+    clip = perspective({**camera, "cy": SIDE / 2}, distance / 100, distance * 10)
+    view = Matrix.Translation((0, 0, -distance)) @ TURN
+    return picture(list(things), view, clip, SIDE, SIDE)
+
+
+def check_orthographic(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """Parallel light is what a far telephoto lens sees."""
+    far = seen(a, b, distance=3000.0)
+    clip = Matrix.Diagonal((0.8, 0.8, -0.1, 1.0))
+    clip[0][3] = 6 / SIDE
+    view = Matrix.Translation((0, 0, -DISTANCE)) @ TURN
+    flat = picture([a, b], view, clip, SIDE, SIDE)
+    assert psnr(flat, far) > 40, psnr(flat, far)
+    assert psnr(seen(a, b), far) < 35, "the same as from near: nothing was compared"
+
+
+def check_one_order_for_all(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """Objects inside one another are sorted together, whichever comes first."""
+    both = seen(a, b)
+    assert psnr(both, seen(b, a)) > 60
+    over = seen(b) + (1 - seen(b)[..., 3:]) * seen(a)
+    assert psnr(both, over) < 40, "one over the other: they were not mixed"
+
+
+def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """Marks and visibility are obeyed; a path that leads nowhere is passed over."""
+    alone = seen(a)
+    assert psnr(alone, seen(a, b)) < 40
+    b["roigs_hidden_splats"] = True
+    assert (seen(a, b) == alone).all()
+    del b["roigs_hidden_splats"]
+    b.hide_viewport = True
+    assert (seen(a, b) == alone).all()
+    b.hide_viewport = False
+    path, b["roigs_splats"] = b["roigs_splats"], str(FOLDER / "nothing.ply")
+    assert (seen(a, b) == alone).all()
+    (FOLDER / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
+    b["roigs_splats"] = str(FOLDER / "broken.ply")
+    assert (seen(a, b) == alone).all()
+    assert "ascii" in draw.problems()[b["roigs_splats"]]
+    b["roigs_splats"] = path
+    assert not (seen(a, b) == alone).all() and not draw.problems()
+
+
+def check_changed_file(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """A file that is replaced is read again."""
+    path = FOLDER / "changing.ply"
+    shutil.copyfile(a["roigs_splats"], path)
+    c = splats("c", path)
+    assert (seen(c) == seen(a)).all()
+    shutil.copyfile(b["roigs_splats"], path.with_suffix(".part"))
+    os.replace(path.with_suffix(".part"), path)
+    assert (seen(c) == seen(b)).all()
+    bpy.data.objects.remove(c)
+
+
+def check_stretched(a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """A stretched object covers what its stretched covariances cover."""
+    stretch = np.array([1.0, 0.4, 1.6])
+    a.matrix_world = Matrix.LocRotScale(None, None, Vector(stretch))
+    got = seen(a)[..., 3]
+    a.matrix_world = Matrix()
+    cloud = read_splats(a["roigs_splats"])
+    focal, view = 0.4 * SIDE * DISTANCE, np.array(Matrix.Translation((0, 0, -DISTANCE)) @ TURN)
+    left = np.ones((SIDE, SIDE))
+    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    for mean, quat, scale, opacity in zip(
+        cloud.means, cloud.quats, cloud.scales, cloud.opacities, strict=True
+    ):
+        w, *v = (float(value) for value in quat)
+        cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+        axes = np.eye(3) + 2 * w * cross + 2 * cross @ cross  # Rodrigues
+        t = view[:3, :3] @ (stretch * mean) + view[:3, 3]
+        depth = -t[2]
+        jacobian = focal / depth * np.array([[1, 0, t[0] / depth], [0, 1, t[1] / depth]])
+        shape = jacobian @ view[:3, :3] @ (stretch[:, None] * axes * scale)
+        inverse = np.linalg.inv(shape @ shape.T + 0.3 * np.eye(2))
+        dx = x - (focal * t[0] / depth + SIDE / 2 + 3)
+        dy = (SIDE - y) - (focal * t[1] / depth + SIDE / 2)
+        power = inverse[0, 0] * dx * dx + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy * dy
+        alpha = np.minimum(0.999, opacity * np.exp(-0.5 * power))
+        left *= np.where(alpha < 1 / 255, 1, 1 - alpha)
+    assert psnr(got, 1 - left) > 45, psnr(got, 1 - left)
+
+
+def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """What lies in front hides splats, pixel by pixel, and only those behind it."""
+    view = Matrix.Translation((0, 0, -DISTANCE)) @ TURN
+    focal = 0.4 * SIDE * DISTANCE
+    camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal}
+    clip = perspective({**camera, "cx": SIDE / 2, "cy": SIDE / 2}, 0.1, 100)
+    middle = clip @ Vector((0, 0, -DISTANCE, 1))
+    wall = np.ones((SIDE, SIDE), np.float32)
+    wall[:, : SIDE // 2] = 0.5 + 0.5 * middle.z / middle.w
+    pictures = {}
+    for name, depth in {"free": None, "wall": wall, "shut": 0 * wall}.items():
+        offscreen = gpu.types.GPUOffScreen(SIDE, SIDE, format="RGBA32F")
+        with offscreen.bind():
+            gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
+            held = None if depth is None else targets.texture(depth, "R32F")
+            size = (SIDE, SIDE)
+            draw.painter().draw(marked([a]), view, clip, size, key=0, depth=held, wait=True)
+            data = offscreen.texture_color.read()
+        data.dimensions = SIDE * SIDE * 4
+        pictures[name] = np.array(data).reshape(SIDE, SIDE, 4)
+        offscreen.free()
+    half = SIDE // 2
+    assert not pictures["shut"].any()
+    assert (pictures["wall"][:, half:] == pictures["free"][:, half:]).all()
+    covered, free = pictures["wall"][:, :half, 3], pictures["free"][:, :half, 3]
+    assert (covered <= free + 1e-3).all() and 0.3 < covered.sum() / free.sum() < 0.95
+
+
+def check_freed(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """Nothing stays behind; drawing begins anew."""
+    before = seen(_a)
+    draw.unregister()
+    draw.unregister()
+    draw.register()  # in background mode there is nothing to register
+    assert (seen(_a) == before).all()
+    draw.painter().forget()
+    assert (seen(_a) == before).all()
+
+
+def main() -> bool:
+    """All checks, each on its own."""
+    a, b = splats("a", FOLDER / "a.ply"), splats("b", FOLDER / "b.ply")
+    for check in (value for name, value in globals().items() if name.startswith("check_")):
+        check(a, b)
+        print(check.__name__, "passed", flush=True)
+    return True
+
+
+if __name__ == "__main__":
+    try:
+        passed = with_gpu(main)
+    finally:
+        draw.unregister()
+    sys.exit(0 if passed else 1)
