@@ -1,5 +1,5 @@
-// The splats were blended in sRGB values. A framebuffer that encodes what it is given is given linear
-// light, so that the values arrive in it as they are.
+// The splats were blended among themselves in sRGB values. The viewport's framebuffer takes linear light
+// and shows it as sRGB, untouched by the view transform; it blends over the scene in linear light, too.
 
 vec3 linear_light(vec3 srgb)
 {
@@ -13,6 +13,8 @@ void main()
   if (value.a == 0.0) {
     discard;
   }
-  value.rgb = min(value.rgb, vec3(1.0));
-  colour = linear_target ? vec4(linear_light(value.rgb), value.a) : value;
+  if (linear_target) {
+    value.rgb = linear_light(min(value.rgb / value.a, vec3(1.0))) * value.a;
+  }
+  colour = value;
 }
