@@ -36,8 +36,8 @@ class _Model:
         self.points = clouds.positions(cloud) if cloud else np.zeros((0, 3), np.float32)
         self.observations = self.offsets = None
         try:
-            self.observations = np.load(Path(folder) / "observations.npy", mmap_mode="r")
-            self.offsets = np.load(Path(folder) / "offsets.npy", mmap_mode="r")
+            self.observations = np.load(Path(folder) / "observed.npy", mmap_mode="r")
+            self.offsets = np.load(Path(folder) / "observed_starts.npy", mmap_mode="r")
         except (OSError, ValueError):  # the cache was emptied: points can still be counted
             pass
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import clouds, lookup
 from .errors import AddonError
-from .gaussian_ply import SplatCloud, read_ply
+from .gaussian_ply import SplatCloud, read_splats
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
@@ -95,7 +95,7 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None
 
 def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types.Object:
     try:
-        cloud = read_ply(path)
+        cloud = read_splats(path)
     except (OSError, ValueError) as error:
         raise AddonError(f"{path} cannot be read ({error}). Train again.") from error
     name = {"RESULT": "Surroundings", "SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}[level]

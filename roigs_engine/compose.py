@@ -37,6 +37,11 @@ def cut(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) -> 
     return gaussians.rows(owners(gaussians, rois) == names.index(roi.name))
 
 
+def surroundings(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Gaussians:
+    """The Gaussians that belong to none of the boxes: what `cut` leaves of them."""
+    return gaussians.rows(owners(gaussians, rois) == -1)
+
+
 def replace(scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]]) -> Gaussians:
     """The scene model with each box's inside taken from that box's object model.
 
@@ -45,7 +50,7 @@ def replace(scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]]) 
     spherical-harmonics bands get zeros, and everything comes to lie on the scene model's device.
     """
     rois = [roi for roi, _ in objects]
-    parts = [scene.rows(owners(scene, rois) == -1)]
+    parts = [surroundings(scene, rois)]
     for index, (_, model) in enumerate(objects):
         parts.append(model.rows(owners(model, rois) == index))
     bands = max(part.sh.shape[1] for part in parts)

@@ -7,7 +7,8 @@ The run folder:
     selection/ROI.json      ordered photos of each box
     scene/ joint/ object-ROI/ full-scene/ full-object-ROI/    stages (see `stages.py`)
     independent/            the other strategy's run, when it is compared with
-    result.ply rois/ROI.ply the run's result, whole and per box
+    result.ply              the run's result
+    surroundings.ply rois/ROI.ply coarse/ROI.ply    it in parts; Scene-GS in each box
     preview.ply             the Gaussians of the stage that is being trained
     older/                  what was made for other requests
     report.md report.json crops/    the evaluation
@@ -24,7 +25,7 @@ from typing import Any
 
 from . import sampling
 from .capacity import box_capacities
-from .compose import cut
+from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
 from .errors import RunFolderError, SceneError
@@ -293,9 +294,13 @@ class Run:
         )
 
     def _write_result(self, result: Gaussians) -> None:
+        """The result whole, in parts, and the coarse model's Gaussians in each box beside them."""
+        coarse = self.scene_stage().gaussians
         result.save_ply(self.folder / "result.ply")
+        surroundings(result, self.rois).save_ply(self.folder / "surroundings.ply")
         for roi in self.rois:
-            cut(result, roi, self.rois).save_ply(self.folder / "rois" / f"{roi.name}.ply")
+            for model, home in ((result, "rois"), (coarse, "coarse")):
+                cut(model, roi, self.rois).save_ply(self.folder / home / f"{roi.name}.ply")
 
     # --- the folder ---
 
