@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import jobs, panels, preferences, properties
+from . import jobs, panels, preferences, properties, viewport
 from .operators import OPERATORS
 
 # Modules with `register()` and `unregister()`; a later one may use what an earlier one registered.
@@ -17,6 +17,7 @@ MODULES: tuple[ModuleType, ...] = (
     properties,
     jobs,
     *OPERATORS,
+    viewport,
     panels,
 )
 

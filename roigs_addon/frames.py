@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
-# OpenCV's camera axes (x right, y down, z forward) to Blender's (y up, z backward). Its own inverse.
+# OpenCV's camera axes (x right, y down, z forward) to Blender's (y up, z backward), and back.
 FLIP: Matrix = np.diag([1.0, -1.0, -1.0, 1.0])
 
 SENSOR_WIDTH = 36.0

@@ -8,6 +8,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Quaternion, Vector
 from numpy.typing import NDArray
 
 from . import cameras, clouds
@@ -39,6 +40,8 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, 
     home = bpy.data.collections.new(name)
     scene.collection.children.link(home)
     root = _new_root(home, extent)
+    root.rotation_mode = "QUATERNION"
+    root.rotation_quaternion = upright(photos)
     shelf = bpy.data.collections.new(f"{name} Photos")
     home.children.link(shelf)
     for photo in photos:
@@ -75,10 +78,16 @@ def _new_root(home: bpy.types.Collection, extent: float) -> bpy.types.Object:
     root.empty_display_type = "ARROWS"
     root.empty_display_size = extent * 0.25
     root.roigs.kind = "ROOT"
-    # COLMAP's first camera looks along +z with y down: stand the scene upright, roughly.
-    root.rotation_euler.x = -np.pi / 2
     home.objects.link(root)
     return root
+
+
+def upright(photos: list[Photo]) -> Quaternion:
+    """Turns the COLMAP frame, whose axes mean nothing, so that the photographer stands upright."""
+    up = -np.sum([photo.pose[1, :3] for photo in photos], axis=0) if photos else np.zeros(3)
+    if np.linalg.norm(up) < 1e-6 * max(len(photos), 1):
+        return Quaternion()
+    return Vector(up).rotation_difference(Vector((0, 0, 1)))
 
 
 def _new_cloud(

@@ -109,7 +109,7 @@ class PhotoList(bpy.types.UIList):
 
     def draw_item(
         self, context, layout, data, item, icon, active_data, active_property, index=0, flt_flag=0
-    ) -> None:  # noqa: ANN001 - Blender's signature
+    ) -> None:
         """Name, score, and a button that looks through the camera."""
         row = layout.row(align=True)
         row.label(text=f"{index + 1}  {item.name}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.props import (
+    BoolProperty,
     CollectionProperty,
     EnumProperty,
     FloatProperty,
@@ -62,6 +63,7 @@ class RoigsObject(bpy.types.PropertyGroup):
     selected_box: StringProperty(description="ROI: the box that the photos were selected for")
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
     level: EnumProperty(items=LEVELS, description="Gaussians: which model they are from")
+    as_points: BoolProperty(description="Gaussians: the viewport shows points in their place")
     roi: StringProperty(description="Gaussians: name of the box they are in")
 
 

@@ -1,4 +1,4 @@
-"""Trained Gaussians as Blender objects: what every render engine shows, and what the viewport draws.
+"""Trained Gaussians as Blender objects: for every render engine, and for the viewport.
 
 Each object is a mesh of points with the attributes of docs/conventions.md. In the viewport, the
 add-on draws the Gaussians themselves (viewport/); the points then give way, by a modifier that is
@@ -68,6 +68,7 @@ def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
 def set_points(scene: bpy.types.Scene, points: bool) -> None:
     """Show points in the viewport in place of Gaussians."""
     for item in lookup.splats(scene):
+        item.roigs.as_points = points
         modifier = item.modifiers.get(HIDE)
         if modifier is not None:
             modifier.show_viewport = not points

@@ -32,7 +32,7 @@ class AddRoi(bpy.types.Operator):
         context.view_layer.objects.active = roi
         return {"FINISHED"}
 
-    def _around_selection(self, context: bpy.types.Context):  # noqa: ANN202 - mathutils has no types
+    def _around_selection(self, context: bpy.types.Context):
         active = context.active_object
         if context.mode == "EDIT_MESH" and active is not None:
             active.update_from_editmode()

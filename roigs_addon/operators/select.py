@@ -162,7 +162,7 @@ class EditSelection(bpy.types.Operator):
         mark_chosen(context.scene)
         return {"FINISHED"}
 
-    def _add(self, context: bpy.types.Context, chosen) -> None:  # noqa: ANN001 - a bpy collection
+    def _add(self, context: bpy.types.Context, chosen) -> None:
         names = [self.photo] if self.photo else []
         if not names:
             records = (Photo.from_json(o.roigs.photo) for o in context.selected_objects)

@@ -47,14 +47,14 @@ def marked(
     """Those of `objects` that stand for a PLY that exists; visible in `space`, if one is given."""
     found = []
     for thing in objects:
-        path = thing.get("roigs_splats")
-        if not path:
+        if thing.roigs.kind != "SPLATS" or not thing.roigs.ply:
             continue
+        path = thing.roigs.ply
         try:
             state = os.stat(path)
         except OSError:
             continue
-        hidden = bool(thing.get("roigs_hidden_splats"))
+        hidden = thing.roigs.as_points
         found.append(
             SplatObject(
                 FileKey(path, state.st_mtime_ns, state.st_size),
