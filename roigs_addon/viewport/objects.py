@@ -37,8 +37,11 @@ class SplatObject:
 
 
 def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
-    """All objects of the view layer that stand for a PLY, hidden ones too."""
-    return marked(context.view_layer.objects, context.space_data)
+    """All objects of the file that stand for a PLY, whether this context shows them or not.
+
+    Those that another window shows belong to the set on the GPU, too.
+    """
+    return marked(bpy.data.objects, context.space_data)
 
 
 def marked(

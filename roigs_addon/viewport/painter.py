@@ -62,6 +62,11 @@ class Order:
     count: int
     texture: gpu.types.GPUTexture
 
+    @classmethod
+    def upload(cls, gaussians: GpuSet, view: View, count: int, texels: np.ndarray) -> Order:
+        """Copy an order's texels to the GPU."""
+        return cls(gaussians, view, count, targets.texture(texels, "R32F"))
+
 
 class Painter:
     """Draws splat objects, all in one order.
@@ -78,7 +83,6 @@ class Painter:
         self._clouds: dict[FileKey, SplatCloud] = {}
         self._broken: set[FileKey] = set()
         self._orders: OrderedDict[Hashable, Order] = OrderedDict()
-        self._sorting: dict[Hashable, tuple[GpuSet, View]] = {}
         self._picture = targets.SplatPicture()
         self._tools: Tools | None = None
 
@@ -150,7 +154,6 @@ class Painter:
         self._set, self._asked = None, ()
         self._clouds, self._broken, self.problems = {}, set(), {}
         self._orders.clear()
-        self._sorting.clear()
 
     def close(self) -> None:
         """Free everything and end the threads."""
@@ -167,14 +170,13 @@ class Painter:
             for thing in things
             if (thing.visible or thing.file in there) and thing.file not in self._broken
         )
-        if files != self._asked:
+        if wait and files != there:
+            self._reader.forget("set")
+            self._take_set(*read_set(files, self._clouds))
+        elif not wait and files != self._asked:
             self._asked = files
             known = dict(self._clouds)
-            if wait:
-                self._reader.forget("set")
-                self._take_set(*read_set(files, known))
-            else:
-                self._reader.submit("set", lambda: read_set(files, known))
+            self._reader.submit("set", lambda: read_set(files, known))
         outcome = self._reader.take("set")
         if outcome is not None:
             if outcome.error:
@@ -198,21 +200,24 @@ class Painter:
         self, things: Sequence[SplatObject], view: Matrix, key: Hashable, wait: bool
     ) -> Order | None:
         """The newest order of a viewport; a better one is asked for where it is not good enough."""
-        if not wait:
-            outcome = self._sorter.take(key)
-            if outcome is not None:
-                if outcome.error:
-                    raise outcome.error
-                self._orders[key] = upload_order(*outcome.value)
-        if self._set is not None:
-            wanted = sorting_view(self._set, things, view)
+        gaussians = self._set
+        outcome = None if wait else self._sorter.take(key)
+        if outcome is not None:
+            if outcome.error:
+                raise outcome.error
+            means, *order = outcome.value
+            if gaussians is not None and means is gaussians.means:
+                self._orders[key] = Order.upload(gaussians, *order)
+        if gaussians is not None:
+            wanted = sorting_view(gaussians, things, view)
             held = self._orders.get(key)
-            good = held and held.gaussians is self._set and not held.view.differs(wanted)
+            good = held and held.gaussians is gaussians and not held.view.differs(wanted)
+            # The thread gets nothing of the GPU's: what it drops last would be freed there.
+            means = gaussians.means
             if not good and wait:
-                self._orders[key] = upload_order(*sort_set(self._set, wanted))
+                self._orders[key] = Order.upload(gaussians, *sort_means(means, wanted)[1:])
             elif not good and not self._sorter.busy(key):
-                gaussians = self._set
-                self._sorter.submit(key, lambda: sort_set(gaussians, wanted))
+                self._sorter.submit(key, lambda: sort_means(means, wanted))
         if key in self._orders:
             self._orders.move_to_end(key)
         while len(self._orders) > VIEWS:
@@ -251,15 +256,10 @@ def read_set(
     return good, pack([clouds[key] for key in good]), clouds, problems
 
 
-def sort_set(gaussians: GpuSet, view: View) -> tuple[GpuSet, View, int, np.ndarray]:
-    """Everything an order needs but the GPU."""
-    order = back_to_front(gaussians.means, view)
-    return gaussians, view, len(order), pack_order(order)
-
-
-def upload_order(gaussians: GpuSet, view: View, count: int, texels: np.ndarray) -> Order:
-    """A sorted order on the GPU."""
-    return Order(gaussians, view, count, targets.texture(texels, "R32F"))
+def sort_means(means: np.ndarray, view: View) -> tuple[np.ndarray, View, int, np.ndarray]:
+    """What was given, the number of Gaussians in the order, and its texels."""
+    order = back_to_front(means, view)
+    return means, view, len(order), pack_order(order)
 
 
 def objects_of(files: Files, things: Sequence[SplatObject]) -> list[SplatObject | None]:

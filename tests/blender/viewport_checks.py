@@ -21,7 +21,7 @@ from mathutils import Matrix, Vector
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from roigs_addon.gaussian_ply import read_splats
 from roigs_addon.viewport import draw, targets
-from roigs_addon.viewport.objects import marked
+from roigs_addon.viewport.objects import marked, splat_objects
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
 SIDE = 96
@@ -155,15 +155,28 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     assert (covered <= free + 1e-3).all() and 0.3 < covered.sum() / free.sum() < 0.95
 
 
-def check_freed(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
+def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """A scene shows its own objects; those of another stay at hand."""
+    alone = seen(a)
+    other = bpy.data.scenes.new("other")
+    bpy.context.scene.collection.objects.unlink(b)
+    other.collection.objects.link(b)
+    assert [thing.visible for thing in splat_objects(bpy.context)] == [True, False]
+    assert (seen(a, b) == alone).all()
+    other.collection.objects.unlink(b)
+    bpy.context.scene.collection.objects.link(b)
+    bpy.data.scenes.remove(other)
+
+
+def check_freed(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     """Nothing stays behind; drawing begins anew."""
-    before = seen(_a)
+    before = seen(a)
     draw.unregister()
     draw.unregister()
     draw.register()  # in background mode there is nothing to register
-    assert (seen(_a) == before).all()
+    assert (seen(a) == before).all()
     draw.painter().forget()
-    assert (seen(_a) == before).all()
+    assert (seen(a) == before).all()
 
 
 def main() -> bool:
