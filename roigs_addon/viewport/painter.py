@@ -115,6 +115,7 @@ class Painter:
         if order is None or not order.count:
             return
         tools = self._tools = self._tools or Tools()
+        depth = depth or tools.no_depth
         files = order.gaussians.files
         matrices = targets.texture(object_texels(files, things, view, projection), "RGBA32F")
         with self._picture.cleared(*size).bind():
@@ -130,13 +131,14 @@ class Painter:
             shader.uniform_sampler("geometry", order.gaussians.geometry)
             shader.uniform_sampler("colours", order.gaussians.colours)
             shader.uniform_sampler("objects", matrices)
-            shader.uniform_sampler("scene_depth", depth or tools.no_depth)
+            shader.uniform_sampler("scene_depth", depth)
             tools.quad.draw_instanced(shader, instance_count=order.count)
         shader = tools.composite
         shader.bind()
         shader.uniform_int("origin", gpu.state.viewport_get()[:2])
         shader.uniform_bool("linear_target", [linear_target])
         shader.uniform_sampler("picture", self._picture.texture)
+        shader.uniform_sampler("scene_depth", depth)
         tools.quad.draw(shader)
         gpu.state.blend_set("NONE")
 
@@ -190,6 +192,10 @@ class Painter:
         clouds: dict[FileKey, SplatCloud],
         problems: dict[FileKey, str],
     ) -> None:
+        if packed.rows > gpu.capabilities.max_texture_size_get():
+            text = f"{len(packed)} Gaussians are more than this GPU's textures hold."
+            problems = {**problems, **dict.fromkeys(files, text)}
+            files, packed, clouds = (), pack([]), {}
         self._set = GpuSet.upload(files, packed)
         self._clouds = clouds
         self._broken |= problems.keys()
