@@ -24,10 +24,9 @@ def rois(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def active_roi(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The box that is active in the panel's list."""
-    boxes = rois(context.scene)
-    index = context.scene.roigs.active_roi
-    return boxes[index] if 0 <= index < len(boxes) else None
+    """The box that is active in the panel's list; the first one when none was made so."""
+    boxes, active = rois(context.scene), context.scene.roigs.active_roi
+    return active if active in boxes else next(iter(boxes), None)
 
 
 def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:

@@ -68,6 +68,7 @@ def write_training_request(
     """Files for `train`; returns the request's path."""
     values = request(scene, rois) | {
         "preset": scene.roigs.preset,
+        "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
         "selection": str(_write_selections(scene, rois)),
         "preview_seconds": preview_seconds,

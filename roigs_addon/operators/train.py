@@ -41,9 +41,8 @@ class TrainRoi(EngineJob, bpy.types.Operator):
         def preview(path: Path) -> None:
             splats.show_preview(scene, path)
 
-        def take(outcome: Outcome) -> None:
-            if not outcome.stopped:
-                splats.show_results(scene, folder)
+        def take(_: Outcome) -> None:
+            splats.show_results(scene, folder)
 
         return jobs.Work(
             title="Training",
