@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +107,7 @@ class Runner:
             case "preview":
                 path = Path(str(event.get("path")))
                 if path.is_file():
-                    self.work.on_preview(path)
+                    _guarded(self.work.on_preview, path)
 
     def _finish(self) -> None:
         state = bpy.context.window_manager.roigs
@@ -115,12 +116,21 @@ class Runner:
             state.message = "Stopped: «Continue» goes on."
         elif not self.outcome.failed:
             state.message = ""
-            try:
-                self.work.on_done(self.outcome)
-            except AddonError as error:
-                self.outcome.message = str(error)
+            self.outcome.message = _guarded(self.work.on_done, self.outcome)
         state.error = self.outcome.message
         state.stage = ""
+
+
+def _guarded(callback: Callable[[Any], None], value: Any) -> str:
+    """Call it; what went wrong, for the panel. An exception would end the timer without a word."""
+    try:
+        callback(value)
+    except AddonError as error:
+        return str(error)
+    except Exception as error:
+        traceback.print_exc()
+        return f"Blender could not take this in: {error}"
+    return ""
 
 
 current: Runner | None = None

@@ -49,9 +49,13 @@ class SelectCameras(EngineJob, bpy.types.Operator):
         request = requests.write_selection_request(scene, rois)
         out = request.parent / "selected"
 
+        names, find = {roi.name for roi in rois}, requests.finder(scene)
+
         def take(_: Outcome) -> None:
-            for roi in rois:
-                _take_selection(roi, scene, out / f"{roi.name}.json")
+            if now := find():
+                for roi in lookup.rois(now):
+                    if roi.name in names:
+                        _take_selection(roi, now, out / f"{roi.name}.json")
 
         return jobs.Work(
             title="Selecting",

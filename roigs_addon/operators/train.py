@@ -36,13 +36,15 @@ class TrainRoi(EngineJob, bpy.types.Operator):
         request = requests.write_training_request(
             scene, rois, 0.0 if bpy.app.background else seconds
         )
-        folder = requests.run_folder(scene)
+        folder, find = requests.run_folder(scene), requests.finder(scene)
 
         def preview(path: Path) -> None:
-            splats.show_preview(scene, path)
+            if now := find():
+                splats.show_preview(now, path)
 
         def take(_: Outcome) -> None:
-            splats.show_results(scene, folder)
+            if now := find():
+                splats.show_results(now, folder)
 
         return jobs.Work(
             title="Training",
