@@ -41,6 +41,7 @@ class Engine:
         kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
         return kept | {
             "PYTHONPATH": str(self.source),
+            "PYTHONSAFEPATH": "1",  # no modules out of the folder that Blender was started in
             "PYTHONUNBUFFERED": "1",
             "PYTHONUTF8": "1",
             "PYTHONNOUSERSITE": "1",
