@@ -192,9 +192,7 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory):
 
     def results(engine, values: dict) -> dict[str, bytes]:
         values = {k: v for k, v in values.items() if k not in ("update", "preview_seconds")}
-        key = json.dumps(
-            values | {"rois": Path(values["rois"]).read_text("utf-8")}
-        )
+        key = json.dumps(values | {"rois": Path(values["rois"]).read_text("utf-8")})
         if key not in done:
             folder = tmp_path_factory.mktemp("by hand")
             (folder / "request.json").write_text(json.dumps(values), encoding="utf-8")
