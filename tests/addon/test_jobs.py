@@ -145,14 +145,14 @@ sys.exit(3)
 """
 
 
-def test_stop_is_a_line(tmp_path: Path) -> None:
+def test_stop_is_the_end_of_input(tmp_path: Path) -> None:
     job = Job(fake(tmp_path, LISTEN), ["train"])
     assert until(lambda: bool(job.events()))
     job.stop()
     job.stop()
     assert job.wait(5)
     (event,) = job.events()
-    assert event["text"] == r"heard 'stop\n'"
+    assert event["text"] == r"heard ''"
     assert job.outcome().stopped and not job.outcome().failed
     job.stop()
 

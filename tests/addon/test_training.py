@@ -270,7 +270,7 @@ def test_a_stopped_training_goes_on_to_the_same_bytes(
         _rois = TrainRoi._rois
 
     bpy, run = blender, tmp_path / "run"
-    scene = ready(bpy, project, run, factor=0.2)
+    scene = ready(bpy, project, run, factor=0.5)
     runner = jobs.start(engine, TrainRoi.work(Asker(), bpy.context))
     state = bpy.context.window_manager.roigs
     while runner.poll() and not state.step > 5:
