@@ -376,8 +376,9 @@ def blender_process(folder: Path, project: Path, factor: float) -> subprocess.Po
     values = {"root": str(ROOT), "project": str(project), "run": str(folder / "run")}
     script.write_text(BLENDER_SCRIPT.format(**values, factor=factor), encoding="utf-8")
     command = [sys.executable, str(script)]
-    if bpy.app.binary_path:
-        command = [bpy.app.binary_path, "-b", "--factory-startup", "--python", str(script)]
+    program = bpy.app.binary_path and (os.environ.get("ROIGS_BLENDER") or bpy.app.binary_path)
+    if program:
+        command = [program, "-b", "--factory-startup", "--python", str(script)]
     environment = {**os.environ, VARIABLE: os.environ.get(VARIABLE) or sys.executable}
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
