@@ -1,6 +1,7 @@
 # make demo        set up, run the main job on the demo scene, print the table
 # make test        lint, types, tests
 # make test-long   the slow tests
+# make test-blender  the add-on's tests inside a real Blender, put together from Debian's packages
 # make format      bring the code into the project's form
 # make kernels     compile the kernels for every platform
 # make clean       remove the environment and everything that was built (runs stay)
@@ -8,12 +9,16 @@
 # PYTHON       the Python (3.11 or later) that makes the environment
 # TORCH_INDEX  a package index to take torch from; without it tools/install_torch.py finds a build
 #              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
+# BLENDER      the Blender of `make test-blender`, in place of one that it makes
+# SUITE        the Debian suite to make it from: trixie (Blender 4.3, the default) or sid
 # RUN_DIR      where `make demo` puts its results
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
 TORCH_INDEX ?=
 export TORCH_INDEX
 RUN_DIR ?= runs/demo
+BLENDER ?=
+SUITE ?= trixie
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -21,7 +26,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Compiles only what is older than its sources.
 UPDATE_KERNELS = @$(BIN)/python -m roigs_engine.kernels.build > /dev/null
 
-.PHONY: demo test test-long format kernels clean
+.PHONY: demo test test-long test-blender format kernels clean
 
 demo: $(VENV)/installed
 	$(UPDATE_KERNELS)
@@ -38,6 +43,10 @@ test: $(VENV)/installed-dev
 test-long: $(VENV)/installed-dev
 	$(UPDATE_KERNELS)
 	$(BIN)/python -m pytest -m slow
+
+test-blender: $(VENV)/installed
+	$(UPDATE_KERNELS)
+	$(BIN)/python tools/blender_tests.py $(if $(BLENDER),--blender '$(BLENDER)',--suite $(SUITE)) -q
 
 format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .

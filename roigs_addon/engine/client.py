@@ -41,6 +41,7 @@ class Engine:
         kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
         return kept | {
             "PYTHONPATH": str(self.source),
+            "PYTHONSAFEPATH": "1",  # no modules out of the folder that Blender was started in
             "PYTHONUNBUFFERED": "1",
             "PYTHONUTF8": "1",
             "PYTHONNOUSERSITE": "1",
@@ -129,15 +130,13 @@ class Job:
         return self._process.poll() is None or any(r.is_alive() for r in self._readers)
 
     def stop(self) -> None:
-        """Ask it to stop; it writes a checkpoint first and then ends."""
-        stdin = self._process.stdin
-        if stdin is None or stdin.closed:
-            return
-        try:
-            stdin.write("stop\n")
-            stdin.close()
-        except OSError:  # it has ended already
-            pass
+        """Ask it to stop; it writes a checkpoint first and then ends.
+
+        The end of its input says so. A line must not be written: if the engine has died, that
+        would end a Blender that does not ignore SIGPIPE (4.3) too.
+        """
+        if self._process.stdin is not None:
+            self._process.stdin.close()
 
     def kill(self) -> None:
         """End it at once."""
@@ -213,7 +212,7 @@ def parse_event(line: str) -> dict[str, Any] | None:
     """The event on a line, or None when it is none that the add-on knows."""
     try:
         event = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(event, dict) or event.get("event") not in KNOWN_EVENTS:
         return None
