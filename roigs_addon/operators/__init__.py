@@ -1,5 +1,5 @@
 """Everything that the user can do: one file per step of the panel."""
 
-from . import regions, results, scene, select, train
+from . import engine_setup, regions, results, scene, select, train
 
-OPERATORS = (scene, regions, select, train, results)
+OPERATORS = (engine_setup, scene, regions, select, train, results)
