@@ -95,6 +95,13 @@ class RoigsScene(bpy.types.PropertyGroup):
     seed: IntProperty(name="Seed", default=0, min=0, description="Of everything random")
     preset: EnumProperty(items=PRESETS, name="Preset", default="draft")
     strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
+    steps_factor: FloatProperty(
+        name="Steps",
+        default=1.0,
+        min=0.001,
+        soft_max=4.0,
+        description="Multiplies the steps of the preset",
+    )
     max_side: IntProperty(
         name="Photo Size",
         default=640,

@@ -73,6 +73,8 @@ def write_training_request(
         "preview_seconds": preview_seconds,
         "update": True,
     }
+    if scene.roigs.steps_factor != 1.0:
+        values["steps_factor"] = round(scene.roigs.steps_factor, 6)
     return _write(scene, "train.json", rois, values)
 
 

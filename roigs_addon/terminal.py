@@ -1,4 +1,4 @@
-"""Progress in a terminal or a log, and being stopped from there: what `blender -b` needs. No bpy."""
+"""Progress in a terminal or a log, and stopping from there, for `blender -b`. No bpy."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ installed, and in which versions, stands in pyproject.toml alone, which the exte
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -293,10 +294,8 @@ def _end(process: subprocess.Popen[str]) -> None:
         command = ["taskkill", "/T", "/F", "/PID", str(process.pid)]
         subprocess.run(command, capture_output=True, check=False, creationflags=_HIDDEN)
         return
-    try:
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended
         os.killpg(process.pid, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):  # it has ended
-        pass
 
 
 def useful(lines: list[str]) -> str:
