@@ -84,7 +84,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         description="Where training keeps its work (empty: beside the .blend or in the cache)",
     )
-    active_roi: IntProperty(name="Active ROI")
+    active_roi: PointerProperty(type=bpy.types.Object, name="Active ROI")
     method: EnumProperty(items=METHODS, name="Method", default="coverage")
     count: IntProperty(
         name="Photos",
@@ -95,6 +95,13 @@ class RoigsScene(bpy.types.PropertyGroup):
     seed: IntProperty(name="Seed", default=0, min=0, description="Of everything random")
     preset: EnumProperty(items=PRESETS, name="Preset", default="draft")
     strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
+    steps_factor: FloatProperty(
+        name="Steps",
+        default=1.0,
+        min=0.001,
+        max=10.0,
+        description="Times the preset's steps: less is faster, more is finer",
+    )
     max_side: IntProperty(
         name="Photo Size",
         default=640,

@@ -37,7 +37,7 @@ def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.t
         item.matrix_local = root.matrix_world.inverted_safe() @ matrix
     else:
         item.matrix_world = matrix
-    scene.roigs.active_roi = lookup.rois(scene).index(item)
+    scene.roigs.active_roi = item
     return item
 
 

@@ -213,7 +213,7 @@ def parse_event(line: str) -> dict[str, Any] | None:
     """The event on a line, or None when it is none that the add-on knows."""
     try:
         event = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(event, dict) or event.get("event") not in KNOWN_EVENTS:
         return None
