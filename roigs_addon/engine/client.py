@@ -129,15 +129,13 @@ class Job:
         return self._process.poll() is None or any(r.is_alive() for r in self._readers)
 
     def stop(self) -> None:
-        """Ask it to stop; it writes a checkpoint first and then ends."""
-        stdin = self._process.stdin
-        if stdin is None or stdin.closed:
-            return
-        try:
-            stdin.write("stop\n")
-            stdin.close()
-        except OSError:  # it has ended already
-            pass
+        """Ask it to stop, by the end of its input; it writes a checkpoint first and then ends.
+
+        Nothing is written there: a signal would end Blender when the engine is gone already, for
+        some builds do not ignore SIGPIPE.
+        """
+        assert self._process.stdin is not None
+        self._process.stdin.close()
 
     def kill(self) -> None:
         """End it at once."""
