@@ -25,6 +25,11 @@ STOPPED = 3
 """Exit status of a command that stopped on request (docs/files.md)."""
 
 
+def without_blender(variables: Mapping[str, str]) -> dict[str, str]:
+    """Environment variables without what would lead another Python to Blender's packages."""
+    return {k: v for k, v in variables.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Engine:
     """How to start it: the Python that runs it and the folder that holds `roigs_engine`."""
@@ -38,8 +43,7 @@ class Engine:
 
     def environment(self) -> dict[str, str]:
         """This process's variables, without what belongs to Blender's own Python."""
-        kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
-        return kept | {
+        return without_blender(os.environ) | {
             "PYTHONPATH": str(self.source),
             "PYTHONUNBUFFERED": "1",
             "PYTHONUTF8": "1",
