@@ -7,6 +7,7 @@ where no timer runs, the same job is waited for.
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 import traceback
@@ -108,7 +109,7 @@ class Runner:
                 self.messages.append(state.message)
             case "preview":
                 path = Path(str(event.get("path")))
-                if path.is_file():
+                if os.path.isfile(path):  # Path's own raises when the name is too long
                     _guarded(self.work.on_preview, path)
 
     def _finish(self) -> None:

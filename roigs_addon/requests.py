@@ -87,10 +87,11 @@ def write_training_request(
         "preset": scene.roigs.preset,
         "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
-        "selection": str(_write_selections(scene, rois)),
         "preview_seconds": preview_seconds,
         "update": True,
     }
+    if any(len(roi.roigs.selection) for roi in rois):
+        values["selection"] = str(_write_selections(scene, rois))
     return _write(scene, "train.json", rois, values)
 
 

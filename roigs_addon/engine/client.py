@@ -45,6 +45,7 @@ class Engine:
         """This process's variables, without what belongs to Blender's own Python."""
         return without_blender(os.environ) | {
             "PYTHONPATH": str(self.source),
+            "PYTHONSAFEPATH": "1",  # no modules out of the folder that Blender was started in
             "PYTHONUNBUFFERED": "1",
             "PYTHONUTF8": "1",
             "PYTHONNOUSERSITE": "1",
