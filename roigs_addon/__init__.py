@@ -6,19 +6,23 @@ It talks to the engine as to another program: a request file, JSON lines and a r
 
 from __future__ import annotations
 
+from importlib import import_module
 from types import ModuleType
 
-from . import jobs, panels, preferences, properties, viewport
-from .operators import OPERATORS
-
 # Modules with `register()` and `unregister()`; a later one may use what an earlier one registered.
-MODULES: tuple[ModuleType, ...] = (
-    preferences,
-    properties,
-    jobs,
-    *OPERATORS,
-    viewport,
-    panels,
+# They are imported then, so that the files that need no bpy can be used where there is none.
+MODULES = (
+    "preferences",
+    "properties",
+    "jobs",
+    "operators.engine_setup",
+    "operators.scene",
+    "operators.regions",
+    "operators.select",
+    "operators.train",
+    "operators.results",
+    "viewport",
+    "panels",
 )
 
 
@@ -26,7 +30,8 @@ def register() -> None:
     """Register every module, in order; on a failure, what was registered is taken back."""
     done: list[ModuleType] = []
     try:
-        for module in MODULES:
+        for name in MODULES:
+            module = import_module(f".{name}", __package__)
             module.register()
             done.append(module)
     except Exception:
@@ -37,5 +42,5 @@ def register() -> None:
 
 def unregister() -> None:
     """Unregister every module, last one first."""
-    for module in reversed(MODULES):
-        module.unregister()
+    for name in reversed(MODULES):
+        import_module(f".{name}", __package__).unregister()

@@ -91,22 +91,35 @@ def _same(a: Matrix, b: Matrix) -> bool:
 def scene_camera(scene: bpy.types.Scene, root: bpy.types.Object | None) -> Photo | None:
     """The scene's active camera at the scene's resolution, as a camera of the COLMAP frame.
 
-    None when there is none, or it is not a perspective camera.
+    An untouched photo's camera at its photo's size is that of COLMAP to the last digit. None when
+    there is none, or it is not a perspective camera.
     """
     item = scene.camera
     if item is None or item.data.type != "PERSP":
         return None
     render, data = scene.render, item.data
-    share = render.resolution_percentage / 100
-    width = max(1, round(render.resolution_x * share))
-    height = max(1, round(render.resolution_y * share))
-    pose = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
+    # Rounded down, as Blender does it.
+    width = max(1, render.resolution_x * render.resolution_percentage // 100)
+    height = max(1, render.resolution_y * render.resolution_percentage // 100)
+    intrinsics = intrinsics_of(data, render, width, height)
+    photo = photo_of(item, root)
+    if photo is None:
+        pose = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
+        rows = tuple(tuple(float(v) for v in row) for row in pose)
+    else:
+        rows = photo.world_to_camera
+        if _same_lens(intrinsics, photo.intrinsics):
+            intrinsics = photo.intrinsics
     return Photo(
-        name=f"{scene.frame_current:04d}",
-        path="",
-        intrinsics=intrinsics_of(data, render, width, height),
-        world_to_camera=tuple(tuple(float(v) for v in row) for row in pose),
+        name=f"{scene.frame_current:04d}", path="", intrinsics=intrinsics, world_to_camera=rows
     )
+
+
+def _same_lens(a: Intrinsics, b: Intrinsics) -> bool:
+    if (a.width, a.height) != (b.width, b.height):
+        return False
+    pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
+    return all(abs(one - other) < 1e-5 * max(a.width, a.height) for one, other in pairs)
 
 
 def intrinsics_of(

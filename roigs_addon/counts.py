@@ -29,17 +29,17 @@ class _Model:
         """Read the points again when another model is in the scene."""
         cloud = lookup.points(scene)
         folder = scene.roigs.model_cache
-        key = (folder, cloud.name if cloud else "", len(cloud.data.vertices) if cloud else 0)
+        key = (folder, len(cloud.data.vertices) if cloud else 0)
         if key == self.key:
             return
         self.key, self.counts = key, {}
-        self.points = clouds.positions(cloud) if cloud else np.zeros((0, 3), np.float32)
         self.observations = self.offsets = None
         try:
+            self.points = np.load(Path(folder) / "points.npy")
             self.observations = np.load(Path(folder) / "observed.npy", mmap_mode="r")
             self.offsets = np.load(Path(folder) / "observed_starts.npy", mmap_mode="r")
         except (OSError, ValueError):  # the cache was emptied: points can still be counted
-            pass
+            self.points = clouds.positions(cloud) if cloud else np.zeros((0, 3), np.float32)
 
 
 _model = _Model()
@@ -64,7 +64,7 @@ def _count(box: Box) -> Counts:
     inside = box.contains(_model.points)
     points = int(inside.sum())
     observations, offsets = _model.observations, _model.offsets
-    if observations is None or offsets is None or (len(observations) and not len(inside)):
+    if observations is None or offsets is None or not len(observations):  # a model without tracks
         return points, None
     # Points in the box before each observation: a photo's range that grows holds one.
     before = np.concatenate([[0], np.cumsum(inside[observations])])

@@ -124,9 +124,11 @@ def box_from_matrix(empty: Matrix, root: Matrix, half_size: float) -> Box:
         ShearedBoxError: the axes are not at right angles, as after scaling the root unevenly.
         ValueError: the box has no volume.
     """
+    if not (np.isfinite(empty).all() and np.isfinite(root).all()):
+        raise ValueError("it has no volume")
     local = np.linalg.inv(root) @ empty
     sides = np.linalg.norm(local[:3, :3], axis=0)
-    if not np.isfinite(local).all() or (sides * half_size < 1e-12).any():
+    if (sides * half_size < 1e-12).any():
         raise ValueError("it has no volume")
     axes = local[:3, :3] / sides
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-3:

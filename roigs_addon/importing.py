@@ -11,17 +11,22 @@ import numpy as np
 from mathutils import Quaternion, Vector
 from numpy.typing import NDArray
 
-from . import cameras, clouds
+from . import cameras, clouds, counts
 from .errors import AddonError
 from .photo import Photo
 
 ROOT_NAME = "COLMAP"
 # Shares of the cameras' extent.
 CAMERA_SIZE, POINT_RADIUS = 0.02, 0.0015
+SHELF = "roigs_photos"
+"""Custom property of the collection that holds an import's cameras."""
 
 
 def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, int]:
-    """Bring an exported model into the scene, beside whatever is there.
+    """Bring an exported model into the scene, in place of one that was imported before.
+
+    The root stays, and with it the boxes that hang on it; a model that is read again keeps the
+    root's place and size too.
 
     Args:
         scene: gets a collection with root, cameras and points.
@@ -37,12 +42,16 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, 
     record, points, colours = _read(folder)
     photos = [Photo.from_dict(image) for image in record["images"]]
     extent = float(record.get("extent") or 1.0)
-    home = bpy.data.collections.new(name)
-    scene.collection.children.link(home)
-    root = _new_root(home, extent)
-    root.rotation_mode = "QUATERNION"
-    root.rotation_quaternion = upright(photos)
+    _remove_earlier(scene)
+    root = scene.roigs.root
+    if root is None or root.name not in scene.objects:
+        root = _new_root(scene, name)
+    root.empty_display_size = extent * 0.25
+    if scene.roigs.model_cache != str(folder):
+        root.matrix_world = upright(photos).to_matrix().to_4x4()
+    home = root.users_collection[0]
     shelf = bpy.data.collections.new(f"{name} Photos")
+    shelf[SHELF] = True
     home.children.link(shelf)
     for photo in photos:
         item = cameras.new_camera(photo, extent * CAMERA_SIZE)
@@ -54,12 +63,25 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, 
         home.objects.link(cloud)
     scene.roigs.root, scene.roigs.model_cache = root, str(folder)
     scene.roigs.skipped = skipped_in_words(record.get("skipped") or {})
+    counts.forget()
     return {"photos": len(photos), "points": len(points)}
 
 
 def skipped_in_words(skipped: dict[str, Any]) -> str:
-    """«3 photos missing on disk, 1 without a pose», or nothing."""
-    return ", ".join(f"{count} {reason}" for reason, count in skipped.items() if count)
+    """«3 missing on disk, 1 without a pose», or nothing; from scene.json (docs/files.md)."""
+    return ", ".join(f"{entry['count']} {reason}" for reason, entry in skipped.items())
+
+
+def _remove_earlier(scene: bpy.types.Scene) -> None:
+    """Take the cameras and points of an earlier import out, with their collection."""
+    old = [item for item in scene.objects if item.roigs.kind in ("CAMERA", "POINTS")]
+    data = {item.data for item in old}
+    shelves = {
+        shelf for item in old if item.roigs.kind == "CAMERA" for shelf in item.users_collection
+    }
+    bpy.data.batch_remove(old)
+    bpy.data.batch_remove([block for block in data if not block.users])
+    bpy.data.batch_remove([s for s in shelves if SHELF in s and not s.all_objects])
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.uint8]]:
@@ -73,10 +95,13 @@ def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np
     return record, points.astype(np.float32), colours
 
 
-def _new_root(home: bpy.types.Collection, extent: float) -> bpy.types.Object:
+def _new_root(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """An empty in a collection of its own."""
+    home = bpy.data.collections.new(name)
+    scene.collection.children.link(home)
     root = bpy.data.objects.new(ROOT_NAME, None)
     root.empty_display_type = "ARROWS"
-    root.empty_display_size = extent * 0.25
+    root.rotation_mode = "QUATERNION"
     root.roigs.kind = "ROOT"
     home.objects.link(root)
     return root

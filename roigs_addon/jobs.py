@@ -6,8 +6,11 @@ where no timer runs, the same job is waited for.
 
 from __future__ import annotations
 
+import math
+import os
 import sys
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,7 +41,7 @@ class Work:
         arguments: the engine's command line, beginning with the command.
         log: where the engine's text goes.
         on_preview: called with the path of each preview.
-        on_done: called with the outcome of a job that ended well; may raise AddonError.
+        on_done: called with the outcome of a job that was done, not stopped; may raise AddonError.
     """
 
     title: str
@@ -106,20 +109,31 @@ class Runner:
                 self.messages.append(state.message)
             case "preview":
                 path = Path(str(event.get("path")))
-                if path.is_file():
-                    self.work.on_preview(path)
+                if os.path.isfile(path):  # Path's own raises when the name is too long
+                    _guarded(self.work.on_preview, path)
 
     def _finish(self) -> None:
         state = bpy.context.window_manager.roigs
         self.outcome = self.job.outcome()
-        if not self.outcome.failed:
-            try:
-                self.work.on_done(self.outcome)
-                state.message = "Stopped: «Continue» goes on." if self.outcome.stopped else ""
-            except AddonError as error:
-                self.outcome.message = str(error)
+        if self.outcome.stopped:
+            state.message = "Stopped: «Continue» goes on."
+        elif not self.outcome.failed:
+            state.message = ""
+            self.outcome.message = _guarded(self.work.on_done, self.outcome)
         state.error = self.outcome.message
         state.stage = ""
+
+
+def _guarded(callback: Callable[[Any], None], value: Any) -> str:
+    """Call it; what went wrong, for the panel. An exception would end the timer without a word."""
+    try:
+        callback(value)
+    except AddonError as error:
+        return str(error)
+    except Exception as error:
+        traceback.print_exc()
+        return f"Blender could not take this in: {error}"
+    return ""
 
 
 current: Runner | None = None
@@ -212,11 +226,18 @@ def redraw(kind: str = "VIEW_3D") -> None:
 
 
 def _whole(value: Any) -> int:
-    return min(int(value), 2**31 - 1) if isinstance(value, (int, float)) else 0
+    """A number that Blender's integers can hold; 0 for anything else."""
+    number = _number(value)
+    return int(number) if abs(number) < 2**31 else 0
 
 
 def _number(value: Any) -> float:
-    return float(value) if isinstance(value, (int, float)) else 0.0
+    """A finite number; 0 for anything else."""
+    try:
+        number = float(value) if isinstance(value, (int, float)) else 0.0
+    except OverflowError:  # an integer of hundreds of digits
+        return 0.0
+    return number if math.isfinite(number) else 0.0
 
 
 def register() -> None:

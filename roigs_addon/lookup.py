@@ -24,10 +24,9 @@ def rois(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def active_roi(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The box that is active in the panel's list."""
-    boxes = rois(context.scene)
-    index = context.scene.roigs.active_roi
-    return boxes[index] if 0 <= index < len(boxes) else None
+    """The box that is active in the panel's list; the first one when none was made so."""
+    boxes, active = rois(context.scene), context.scene.roigs.active_roi
+    return active if active in boxes else next(iter(boxes), None)
 
 
 def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
@@ -55,6 +54,19 @@ def matrix_world(item: bpy.types.Object | None) -> Matrix:
     return np.eye(4) if item is None else np.array(item.matrix_world, dtype=np.float64)
 
 
+def _with_root(item: bpy.types.Object, root: bpy.types.Object | None) -> tuple[Matrix, Matrix]:
+    """Matrices of an object and of the root, in any frame that both share.
+
+    For a child of the root that is the root's own frame: its numbers stay the same to the last
+    digit wherever the root goes, which those of `matrix_world` do not.
+    """
+    child = root is not None and item.parent == root and item.parent_type == "OBJECT"
+    if child and not item.constraints:
+        local = np.array(item.matrix_parent_inverse, float) @ np.array(item.matrix_basis, float)
+        return local, np.eye(4)
+    return matrix_world(item), matrix_world(root)
+
+
 def box(roi: bpy.types.Object, scene: bpy.types.Scene) -> Box:
     """A ROI's box in the COLMAP frame.
 
@@ -62,9 +74,7 @@ def box(roi: bpy.types.Object, scene: bpy.types.Scene) -> Box:
         AddonError: the empty is no box.
     """
     try:
-        return box_from_matrix(
-            matrix_world(roi), matrix_world(scene.roigs.root), roi.empty_display_size
-        )
+        return box_from_matrix(*_with_root(roi, scene.roigs.root), roi.empty_display_size)
     except ShearedBoxError as error:
         raise AddonError(
             f"«{roi.name}» is slanted: {error}. Scale its root evenly, or clear the box's rotation."

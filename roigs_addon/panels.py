@@ -167,7 +167,7 @@ class TrainPanel(_Panel, bpy.types.Panel):
         layout, scene = self.layout, context.scene
         column = layout.column(align=True)
         column.use_property_split = True
-        for name in ("preset", "max_side", "run_dir"):
+        for name in ("preset", "steps_factor", "max_side", "run_dir"):
             column.prop(scene.roigs, name)
         left = "" if jobs.busy() else train.unfinished(scene)
         text = "Continue" if left else "Train ROI"

@@ -84,7 +84,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         description="Where training keeps its work (empty: beside the .blend or in the cache)",
     )
-    active_roi: IntProperty(name="Active ROI")
+    active_roi: PointerProperty(type=bpy.types.Object, name="Active ROI")
     method: EnumProperty(items=METHODS, name="Method", default="coverage")
     count: IntProperty(
         name="Photos",
@@ -99,8 +99,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="Steps",
         default=1.0,
         min=0.001,
-        soft_max=4.0,
-        description="Multiplies the steps of the preset",
+        max=10.0,
+        description="Times the preset's steps: less is faster, more is finer",
     )
     max_side: IntProperty(
         name="Photo Size",

@@ -29,7 +29,6 @@ def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.t
         item.matrix_local = root.matrix_world.inverted_safe() @ matrix
     else:
         item.matrix_world = matrix
-    scene.roigs.active_roi = lookup.rois(scene).index(item)
     return item
 
 
@@ -44,7 +43,6 @@ def add_box(scene: bpy.types.Scene, name: str, box: Box) -> bpy.types.Object:
     placed[:3, :3] *= box.half_extents
     item.matrix_local = Matrix(placed.tolist())
     bpy.context.view_layer.update()  # until then, `matrix_world` is that of a fresh object
-    scene.roigs.active_roi = lookup.rois(scene).index(item)
     return item
 
 
@@ -115,6 +113,7 @@ def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     if root is not None:
         item.parent = root
         item.matrix_parent_inverse = Matrix.Identity(4)
+    scene.roigs.active_roi = item
     return item
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,22 @@ def run_folder(scene: bpy.types.Scene) -> Path:
         blend = Path(bpy.data.filepath)
         return blend.with_name(f"{blend.stem}_roigs")
     return preferences.cache_folder() / "unsaved" / _plain(scene.roigs.colmap or scene.name)
+
+
+def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
+    """Finds the scene when a job ends: undo and loading a file make Python's reference invalid.
+
+    A file that was loaded meanwhile has it when it trains in the same folder.
+    """
+    name, colmap, folder = scene.name, scene.roigs.colmap, run_folder(scene)
+
+    def find() -> bpy.types.Scene | None:
+        same = [s for s in bpy.data.scenes if s.roigs.colmap == colmap]
+        by_name = [s for s in same if s.name == name]
+        by_folder = [s for s in same if run_folder(s) == folder]
+        return next(iter(by_name + by_folder), None)
+
+    return find
 
 
 def _plain(text: str) -> str:
@@ -68,13 +85,13 @@ def write_training_request(
     """Files for `train`; returns the request's path."""
     values = request(scene, rois) | {
         "preset": scene.roigs.preset,
+        "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
-        "selection": str(_write_selections(scene, rois)),
         "preview_seconds": preview_seconds,
         "update": True,
     }
-    if scene.roigs.steps_factor != 1.0:
-        values["steps_factor"] = round(scene.roigs.steps_factor, 6)
+    if any(len(roi.roigs.selection) for roi in rois):
+        values["selection"] = str(_write_selections(scene, rois))
     return _write(scene, "train.json", rois, values)
 
 

@@ -31,13 +31,16 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
         AddonError: a file is missing or damaged.
     """
     remove(scene, "PREVIEW")
+    sparse = lookup.points(scene)
+    if sparse is not None:
+        sparse.hide_set(True)  # as solid things, its points would hide Gaussians behind them
     shown = [_show(scene, folder / "surroundings.ply", "RESULT", "")]
     for path in sorted((folder / "rois").glob("*.ply")):
         shown.append(_show(scene, path, "ROI", path.stem))
         coarse = folder / "coarse" / path.name
         if coarse.is_file():
             item = _show(scene, coarse, "SCENE", path.stem)
-            item.hide_set(True)
+            _hide(scene, item, True)
             item.hide_render = True
             shown.append(item)
     return shown
@@ -51,7 +54,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         item.roigs.level = "PREVIEW"
         for other in lookup.splats(scene):
             if other != item:
-                other.hide_set(True)
+                _hide(scene, other, True)
     item.roigs.ply = str(path)
     return item
 
@@ -61,7 +64,7 @@ def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
     for item in lookup.splats(scene):
         if item.roigs.roi == roi and item.roigs.level in ("ROI", "SCENE"):
             hidden = (item.roigs.level == "ROI") != fine
-            item.hide_set(hidden)
+            _hide(scene, item, hidden)
             item.hide_render = hidden
 
 
@@ -84,7 +87,16 @@ def remove(scene: bpy.types.Scene, level: str) -> None:
                 bpy.data.meshes.remove(mesh)
     if level == "PREVIEW":
         for item in lookup.splats(scene):
-            item.hide_set(item.roigs.level == "SCENE")
+            coarse = item.roigs.level == "SCENE"
+            _hide(scene, item, coarse)
+            item.hide_render = coarse
+
+
+def _hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
+    """In the scene's own view layers, for another scene may be in the window."""
+    for layer in scene.view_layers:
+        if item.name in layer.objects:
+            item.hide_set(hidden, view_layer=layer)
 
 
 def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None:

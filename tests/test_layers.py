@@ -248,38 +248,3 @@ def test_one_version_number() -> None:
     assert "version" in project["project"].get("dynamic", [])
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"## [{roigs_engine.__version__}]" in changelog
-
-
-def test_the_addon_registers_nothing_yet() -> None:
-    import roigs_addon
-
-    roigs_addon.register()
-    roigs_addon.unregister()
-
-
-def test_a_failed_registration_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    import roigs_addon
-
-    calls: list[str] = []
-
-    class Part:
-        def __init__(self, name: str, fails: bool = False) -> None:
-            self.name, self.fails = name, fails
-
-        def register(self) -> None:
-            if self.fails:
-                raise RuntimeError(self.name)
-            calls.append(f"+{self.name}")
-
-        def unregister(self) -> None:
-            calls.append(f"-{self.name}")
-
-    monkeypatch.setattr(roigs_addon, "MODULES", (Part("a"), Part("b")))
-    roigs_addon.register()
-    roigs_addon.unregister()
-    assert calls == ["+a", "+b", "-b", "-a"]
-    calls.clear()
-    monkeypatch.setattr(roigs_addon, "MODULES", (Part("a"), Part("b"), Part("c", fails=True)))
-    with pytest.raises(RuntimeError, match="c"):
-        roigs_addon.register()
-    assert calls == ["+a", "+b", "-b", "-a"]

@@ -45,6 +45,7 @@ class Engine:
         """This process's variables, without what belongs to Blender's own Python."""
         return without_blender(os.environ) | {
             "PYTHONPATH": str(self.source),
+            "PYTHONSAFEPATH": "1",  # no modules out of the folder that Blender was started in
             "PYTHONUNBUFFERED": "1",
             "PYTHONUTF8": "1",
             "PYTHONNOUSERSITE": "1",
@@ -215,7 +216,7 @@ def parse_event(line: str) -> dict[str, Any] | None:
     """The event on a line, or None when it is none that the add-on knows."""
     try:
         event = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(event, dict) or event.get("event") not in KNOWN_EVENTS:
         return None

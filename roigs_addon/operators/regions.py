@@ -12,6 +12,7 @@ from bpy_extras.io_utils import ImportHelper
 from .. import lookup, regions
 from ..errors import AddonError
 from .base import OperatorResult, available, failed
+from .select import mark_chosen
 
 
 class AddRoi(bpy.types.Operator):
@@ -106,9 +107,12 @@ class RemoveRoi(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Delete the empty."""
-        bpy.data.objects.remove(lookup.active_roi(context))
-        index = min(context.scene.roigs.active_roi, len(lookup.rois(context.scene)) - 1)
-        context.scene.roigs.active_roi = max(index, 0)
+        boxes, roi = lookup.rois(context.scene), lookup.active_roi(context)
+        at = boxes.index(roi)
+        bpy.data.objects.remove(roi)
+        rest = boxes[:at] + boxes[at + 1 :]
+        context.scene.roigs.active_roi = rest[min(at, len(rest) - 1)] if rest else None
+        mark_chosen(context.scene)
         return {"FINISHED"}
 
 
@@ -123,16 +127,15 @@ class SelectRoi(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Select it, and nothing else."""
-        names = [roi.name for roi in lookup.rois(context.scene)]
-        if self.name not in names:
+        roi = next((r for r in lookup.rois(context.scene) if r.name == self.name), None)
+        if roi is None:
             self.report({"ERROR"}, f"There is no ROI «{self.name}».")
             return {"CANCELLED"}
         for item in context.selected_objects:
             item.select_set(False)
-        roi = context.scene.objects[self.name]
         roi.select_set(True)
         context.view_layer.objects.active = roi
-        context.scene.roigs.active_roi = names.index(self.name)
+        context.scene.roigs.active_roi = roi
         return {"FINISHED"}
 
 

@@ -100,9 +100,9 @@ class RenderSplats(EngineJob, bpy.types.Operator):
         frames = self._frames(scene)
         path.write_text(json.dumps({"cameras": frames}), encoding="utf-8")
 
-        def take(outcome: Outcome) -> None:
+        def take(_: Outcome) -> None:
             picture = out / f"{frames[0]['name']}.png"
-            if picture.is_file() and not outcome.stopped:
+            if picture.is_file():
                 image = bpy.data.images.load(str(picture), check_existing=True)
                 image.reload()
 

@@ -9,12 +9,13 @@ import bpy
 from bpy.props import IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from .. import cameras, importing, jobs, preferences
+from .. import cameras, importing, jobs, lookup, preferences, requests
 from ..engine.client import Outcome
 from ..engine.python import FOR_READING
 from ..errors import AddonError
 from ..photo import Photo
 from .base import EngineJob, OperatorResult
+from .select import mark_chosen
 
 
 class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
@@ -54,15 +55,18 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
         if not folder.is_dir():
             raise AddonError(f"There is no folder {folder}. Choose the folder of a COLMAP project.")
         out = export_folder(folder)
-        scene = context.scene
+        find, images = requests.finder(context.scene), self.images
         arguments = ["export", str(folder), "--out", str(out)]
-        if self.images:
-            arguments += ["--images", bpy.path.abspath(self.images)]
+        if images:
+            arguments += ["--images", bpy.path.abspath(images)]
 
         def build(_: Outcome) -> None:
-            name = folder.parent.name if folder.name.startswith("sparse") else folder.name
-            counts = importing.import_folder(scene, out, name)
-            scene.roigs.colmap, scene.roigs.images = str(folder), self.images
+            scene = find()
+            if scene is None:
+                return
+            counts = importing.import_folder(scene, out, project_name(folder))
+            mark_chosen(scene)
+            scene.roigs.colmap, scene.roigs.images = str(folder), images
             skipped = f"; left out: {scene.roigs.skipped}" if scene.roigs.skipped else ""
             text = f"{counts['photos']:,} photos, {counts['points']:,} points{skipped}"
             bpy.context.window_manager.roigs.message = text
@@ -70,6 +74,13 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
         return jobs.Work(
             title="Importing", arguments=arguments, log=out / "engine.log", on_done=build
         )
+
+
+def project_name(folder: Path) -> str:
+    """What a COLMAP project is called: its folder's name, but for `sparse` and `sparse/0`."""
+    while folder.parent.name and (folder.name == "sparse" or folder.parent.name == "sparse"):
+        folder = folder.parent
+    return folder.name
 
 
 def export_folder(colmap: Path) -> Path:
@@ -101,8 +112,6 @@ class LookThrough(bpy.types.Operator):
         return {"FINISHED"}
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object | None:
-        from .. import lookup
-
         found = lookup.cameras(context.scene)
         if self.photo:
             return found.get(self.photo)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -16,6 +17,8 @@ from ..photo import Photo
 from .base import EngineJob, OperatorResult, available
 
 CHOSEN_COLOUR = (0.1, 0.8, 0.3, 1.0)
+CHOSEN_FOR = "roigs_chosen_for"
+"""Custom property of the collection of a box's photos: the box's name."""
 GAUSSIAN_PROCESS = ("gp6", "gp9")
 
 
@@ -46,9 +49,13 @@ class SelectCameras(EngineJob, bpy.types.Operator):
         request = requests.write_selection_request(scene, rois)
         out = request.parent / "selected"
 
+        names, find = {roi.name for roi in rois}, requests.finder(scene)
+
         def take(_: Outcome) -> None:
-            for roi in rois:
-                _take_selection(roi, scene, out / f"{roi.name}.json")
+            if now := find():
+                for roi in lookup.rois(now):
+                    if roi.name in names:
+                        _take_selection(roi, now, out / f"{roi.name}.json")
 
         return jobs.Work(
             title="Selecting",
@@ -94,27 +101,41 @@ def _take_selection(roi: bpy.types.Object, scene: bpy.types.Scene, path: Path) -
 def mark_chosen(scene: bpy.types.Scene) -> None:
     """Colour the chosen cameras and collect them, a collection for each box."""
     found = lookup.cameras(scene)
-    chosen_by_any = set()
+    chosen_by_any, in_use = set(), set()
     for roi in lookup.rois(scene):
         names = {item.name for item in roi.roigs.selection} & set(found)
         chosen_by_any |= names
-        shelf = _collection(scene, f"{roi.name} Photos", wanted=bool(names))
-        if shelf is None:
-            continue
-        for item in list(shelf.objects):
-            shelf.objects.unlink(item)
-        for name in names:
-            shelf.objects.link(found[name])
+        if names:
+            shelf = _collection(scene, roi.name)
+            for item in set(shelf.objects) - {found[name] for name in names}:
+                shelf.objects.unlink(item)
+            for name in names - {photo.name for photo in _photos(shelf.objects)}:
+                shelf.objects.link(found[name])
+            in_use.add(shelf)
+    for shelf in set(_collections(scene)) - in_use:  # the box is gone, renamed or has no photos
+        bpy.data.collections.remove(shelf)
     for name, camera in found.items():
         camera.color = CHOSEN_COLOUR if name in chosen_by_any else (1.0, 1.0, 1.0, 1.0)
 
 
-def _collection(scene: bpy.types.Scene, name: str, *, wanted: bool) -> bpy.types.Collection | None:
-    shelf = scene.collection.children.get(name)
-    if shelf is None and wanted:
-        shelf = bpy.data.collections.new(name)
-        scene.collection.children.link(shelf)
+def _collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    return [shelf for shelf in scene.collection.children if CHOSEN_FOR in shelf]
+
+
+def _collection(scene: bpy.types.Scene, roi: str) -> bpy.types.Collection:
+    """The collection of a box's photos, made when there is none."""
+    for shelf in _collections(scene):
+        if shelf[CHOSEN_FOR] == roi:
+            return shelf
+    shelf = bpy.data.collections.new(f"{roi} Photos")
+    shelf[CHOSEN_FOR] = roi
+    scene.collection.children.link(shelf)
     return shelf
+
+
+def _photos(items: Iterable[bpy.types.Object]) -> list[Photo]:
+    records = (Photo.from_json(item.roigs.photo) for item in items)
+    return [photo for photo in records if photo]
 
 
 class EditSelection(bpy.types.Operator):
@@ -165,8 +186,7 @@ class EditSelection(bpy.types.Operator):
     def _add(self, context: bpy.types.Context, chosen) -> None:
         names = [self.photo] if self.photo else []
         if not names:
-            records = (Photo.from_json(o.roigs.photo) for o in context.selected_objects)
-            names = [photo.name for photo in records if photo]
+            names = [photo.name for photo in _photos(context.selected_objects)]
         there = {item.name for item in chosen}
         for name in names:
             if name not in there:

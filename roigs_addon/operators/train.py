@@ -36,14 +36,15 @@ class TrainRoi(EngineJob, bpy.types.Operator):
         request = requests.write_training_request(
             scene, rois, 0.0 if bpy.app.background else seconds
         )
-        folder = requests.run_folder(scene)
+        folder, find = requests.run_folder(scene), requests.finder(scene)
 
         def preview(path: Path) -> None:
-            splats.show_preview(scene, path)
+            if now := find():
+                splats.show_preview(now, path)
 
-        def take(outcome: Outcome) -> None:
-            if not outcome.stopped:
-                splats.show_results(scene, folder)
+        def take(_: Outcome) -> None:
+            if now := find():
+                splats.show_results(now, folder)
 
         return jobs.Work(
             title="Training",

@@ -1,0 +1,75 @@
+"""Fixtures of the add-on's tests.
+
+Tests that use `addon` need a Blender: its `bpy` module, or the program itself
+(tests/blender/run.py). Where there is none they are skipped, with the reason.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.addon.colmap_project import write_project
+
+# Before bpy is imported: the user's own settings are neither read nor written.
+RESOURCES = Path(tempfile.mkdtemp(prefix="roigs-blender-"))
+os.environ["BLENDER_USER_RESOURCES"] = str(RESOURCES)
+
+try:
+    import bpy
+
+    MISSING = ""
+except ImportError as error:
+    MISSING = f"no Blender here: {error}"
+
+
+def pytest_sessionfinish() -> None:
+    shutil.rmtree(RESOURCES, ignore_errors=True)
+
+
+def pytest_report_header() -> str:
+    return MISSING or f"Blender {bpy.app.version_string}"
+
+
+@pytest.fixture
+def blender() -> ModuleType:
+    """`bpy` with an empty file; the add-on is not registered."""
+    if MISSING:
+        pytest.skip(MISSING)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy
+
+
+@pytest.fixture
+def addon(blender: ModuleType) -> Iterator[ModuleType]:
+    """The registered add-on. What stays registered when Python exits would make bpy 4.5 hang."""
+    import roigs_addon
+
+    roigs_addon.register()
+    yield roigs_addon
+    roigs_addon.unregister()
+
+
+@pytest.fixture
+def engine(addon: ModuleType) -> object:
+    """An engine that can train; skips without one."""
+    from roigs_addon import preferences
+    from roigs_addon.engine.python import FOR_TRAINING
+    from roigs_addon.errors import AddonError
+
+    try:
+        return preferences.engine(FOR_TRAINING)
+    except AddonError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small COLMAP project with photos."""
+    return write_project(tmp_path_factory.mktemp("colmap") / "ein Garten 庭")

@@ -1,0 +1,68 @@
+"""Scenes as the add-on's user makes them, through its operators."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def imported(bpy: ModuleType, project: Path):
+    """The scene, with a model in it."""
+    bpy.ops.roigs.import_colmap(directory=str(project))
+    bpy.context.view_layer.update()
+    return bpy.context.scene
+
+
+def add_box(bpy: ModuleType, name: str, low, high):
+    """A ROI between two corners of the COLMAP frame."""
+    from mathutils import Vector
+
+    bpy.ops.roigs.add_roi()
+    roi = bpy.context.active_object
+    low, high = Vector(low), Vector(high)
+    roi.name = name
+    roi.rotation_mode = "XYZ"
+    roi.rotation_euler = 0, 0, 0
+    roi.location, roi.scale = (low + high) / 2, (high - low) / 2
+    bpy.context.view_layer.update()
+    return roi
+
+
+def ready(bpy: ModuleType, project: Path, run_dir: Path, *, factor: float = 0.004):
+    """A scene with a box, settings for a training of seconds, and its run folder."""
+    scene = imported(bpy, project)
+    add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    scene.roigs.run_dir = str(run_dir)
+    scene.roigs.steps_factor = factor
+    return scene
+
+
+def command_line(engine, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """The engine as a person starts it, from the same Python and source as the add-on's."""
+    return subprocess.run(
+        engine.command([str(argument) for argument in arguments]),
+        env=engine.environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
+    )
+
+
+def drawn_points(bpy: ModuleType) -> dict[str, dict[str, object]]:
+    """What the geometry nodes make: object -> number, attributes and first radius of its points."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    found = {}
+    for instance in depsgraph.object_instances:
+        item = instance.object
+        if item.type == "POINTCLOUD":
+            data = item.data
+            found[item.name] = {
+                "points": len(data.points),
+                "radius": data.points[0].radius if len(data.points) else 0.0,
+                "attributes": set(data.attributes.keys()),
+            }
+    return found

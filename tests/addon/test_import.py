@@ -1,0 +1,227 @@
+"""«Import COLMAP», and what a user does with the cameras."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.colmap_project import PARAMS, POINTS, ring, write_large_model, write_project
+from tests.addon.scenes import ROOT, add_box, command_line, drawn_points, imported
+
+pytestmark = pytest.mark.blender
+
+DEMO = ROOT / "demo" / "scene"
+
+
+def test_what_comes_in(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+    from roigs_addon import cameras, clouds, lookup
+
+    scene = imported(blender, project)
+    root, found = scene.roigs.root, lookup.cameras(scene)
+    assert root.roigs.kind == "ROOT" and scene.roigs.colmap == str(project)
+    assert sorted(found) == [f"photo {index}.png" for index in range(8)]
+    for index, pose in enumerate(ring(8)):
+        item = found[f"photo {index}.png"]
+        photo = cameras.photo_of(item, root)
+        assert item.parent == root and Path(photo.path).is_file()
+        np.testing.assert_allclose(photo.pose, pose, atol=1e-12)
+        k = photo.intrinsics
+        assert (k.fx, k.fy, k.cx, k.cy) == PARAMS
+    cloud = lookup.points(scene)
+    assert cloud.parent == root
+    assert len(clouds.positions(cloud)) == POINTS
+    assert not blender.data.images  # photos are loaded when they are looked at
+    assert scene.roigs.skipped == ""
+
+
+def test_points_are_where_and_what_colmap_says(
+    blender: ModuleType, addon: ModuleType, project: Path
+) -> None:
+    from roigs_addon import clouds, lookup
+
+    scene = imported(blender, project)
+    lines = (project / "sparse" / "0" / "points3D.txt").read_text().splitlines()
+    rows = np.array([[float(v) for v in line.split()[1:7]] for line in lines])
+    cloud = lookup.points(scene)
+    order = np.lexsort(rows[:, :3].T)
+    mine = clouds.positions(cloud)
+    mine_order = np.lexsort(mine.T.astype(float))
+    np.testing.assert_allclose(mine[mine_order], rows[order, :3], atol=1e-6)
+    colours = np.empty(4 * len(rows), np.float32)
+    cloud.data.attributes["Color"].data.foreach_get("color", colours)
+    srgb = rows[order, 3:] / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(colours.reshape(-1, 4)[mine_order, :3], linear, atol=1e-5)
+
+
+def test_the_points_are_drawn_as_points(
+    blender: ModuleType, addon: ModuleType, project: Path
+) -> None:
+    from roigs_addon import lookup
+
+    scene = imported(blender, project)
+    cloud = lookup.points(scene)
+    drawn = drawn_points(blender)[cloud.name]
+    assert drawn["points"] == POINTS and drawn["radius"] > 0 and "Color" in drawn["attributes"]
+
+
+def test_the_scene_stands_upright(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+    from roigs_addon import lookup
+
+    scene = imported(blender, project)  # the model's y points down
+    ups = [camera.matrix_world.col[1].z for camera in lookup.cameras(scene).values()]
+    assert min(ups) > 0.9
+
+
+def test_looking_through_a_photo(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+    bpy, scene = blender, imported(blender, project)
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    render = scene.render
+    assert (render.resolution_x, render.resolution_y) == (64, 48)
+    assert render.pixel_aspect_y / render.pixel_aspect_x == pytest.approx(60 / 54)
+    (background,) = scene.camera.data.background_images
+    assert Path(bpy.path.abspath(background.image.filepath)).name == "photo 3.png"
+    assert len(bpy.data.images) == 1
+    assert scene.camera.data.show_background_images
+    for step, name in ((1, "photo 4.png"), (-1, "photo 3.png"), (-4, "photo 7.png")):
+        bpy.ops.roigs.look_through(step=step)
+        assert json.loads(scene.camera.roigs.photo)["name"] == name
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    assert len(scene.camera.data.background_images) == 1
+    with pytest.raises(RuntimeError, match="no such photo"):
+        bpy.ops.roigs.look_through(photo="photo 9.png")
+
+
+def test_a_missing_photo_does_not_stop_the_look(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    scene = imported(blender, write_project(tmp_path / "a"))
+    shutil.rmtree(tmp_path / "a" / "images")
+    blender.ops.roigs.look_through(photo="photo 1.png")
+    assert scene.render.resolution_x == 64 and not scene.camera.data.background_images
+
+
+def test_what_is_left_out_is_counted(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    project = write_project(tmp_path / "a")
+    for index in (2, 5):
+        (project / "images" / f"photo {index}.png").unlink()
+    scene = imported(blender, project)
+    assert scene.roigs.skipped.startswith("2 ") and "{" not in scene.roigs.skipped
+
+
+def test_importing_again_replaces(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon import lookup, regions
+
+    bpy, scene = blender, imported(blender, project)
+    add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    root = scene.roigs.root
+    root.scale = 2, 2, 2
+    root.location = 1, 2, 3
+    bpy.context.view_layer.update()
+    matrix, record = root.matrix_world.copy(), regions.to_dict(lookup.rois(scene)[0], scene)
+    counts = {
+        name: len(getattr(bpy.data, name))
+        for name in ("objects", "cameras", "meshes", "collections")
+    }
+    imported(bpy, project)
+    assert scene.roigs.root == root and root.matrix_world == matrix
+    assert regions.to_dict(lookup.rois(scene)[0], scene) == record
+    assert counts == {name: len(getattr(bpy.data, name)) for name in counts}
+    # Another model: its cameras, and its own way up.
+    imported(bpy, write_project(tmp_path / "other", photos=5))
+    assert len(lookup.cameras(scene)) == 5 and scene.roigs.root == root
+    assert root.matrix_world != matrix
+    assert len(bpy.data.cameras) == 5
+
+
+def test_errors_are_the_engines_own_words(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    bpy = blender
+    with pytest.raises(RuntimeError, match="There is no folder") as error:
+        bpy.ops.roigs.import_colmap(directory=str(tmp_path / "nowhere"))
+    with pytest.raises(RuntimeError, match="COLMAP") as error:
+        bpy.ops.roigs.import_colmap(directory=str(tmp_path))
+    text = str(error.value).removeprefix("Error: ").strip()
+    assert text and "\n" not in text and "Traceback" not in text
+    assert bpy.context.window_manager.roigs.error == text
+    assert bpy.context.scene.roigs.root is None and not bpy.data.cameras
+
+
+def test_the_name_of_a_project() -> None:
+    from roigs_addon.operators.scene import project_name
+
+    for path in ("/a/garden", "/a/garden/sparse", "/a/garden/sparse/0", "/a/garden/sparse/1"):
+        assert project_name(Path(path)) == "garden"
+
+
+# --- the demo ---
+
+
+@pytest.fixture
+def demo(blender: ModuleType, addon: ModuleType):
+    scene = imported(blender, DEMO)
+    for roi in json.loads((DEMO / "rois.json").read_text("utf-8"))["rois"]:
+        add_box(blender, roi["name"], roi["min"], roi["max"])
+    return scene
+
+
+def test_counts_are_those_of_the_engine(demo) -> None:
+    """Also: boxes written by the add-on hold what the boxes of rois.json hold."""
+    from roigs_addon import counts, lookup, preferences
+    from roigs_addon.engine.python import FOR_READING
+
+    engine = preferences.engine(FOR_READING)
+    text = command_line(engine, "inspect", DEMO, "--rois", DEMO / "rois.json").stdout
+    found = {roi.name: counts.count(roi, demo) for roi in lookup.rois(demo)}
+    assert len(found) == 3
+    for name, (points, photos) in found.items():
+        described = text.split(f"ROI «{name}»")[1].splitlines()[1].split()
+        assert points == int(described[0]) > 0
+        assert photos == int(described[described.index("on") + 1]) > 0
+
+
+def test_counts_without_tracks_and_after_edits(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path, project: Path
+) -> None:
+    from roigs_addon import counts, lookup
+
+    scene = imported(blender, project)
+    roi = add_box(blender, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    before = counts.count(roi, scene)
+    assert before[0] > 0 and before[1] == 8
+    cloud = lookup.points(scene)
+    cloud.data.clear_geometry()  # points that the user deletes are still in the model
+    assert counts.count(roi, scene) == before
+    imported(blender, write_project(tmp_path / "b", tracks=False))
+    assert counts.count(roi, scene) == (before[0], None)
+    shutil.rmtree(scene.roigs.model_cache)
+    counts.forget()
+    assert counts.count(roi, scene) == (before[0], None)
+
+
+@pytest.mark.slow
+def test_a_thousand_cameras_and_a_million_points(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    from roigs_addon import lookup
+
+    project = write_large_model(tmp_path / "large", 1000, 1_000_000, 3000)
+    start = time.perf_counter()
+    scene = imported(blender, project)
+    seconds = time.perf_counter() - start
+    print(f"{seconds:.1f} s")
+    assert len(lookup.cameras(scene)) == 1000
+    assert len(lookup.points(scene).data.vertices) == 1_000_000
+    assert not blender.data.images
+    assert seconds < 15

@@ -1,0 +1,413 @@
+"""Engine jobs: events, stopping, deaths; with an engine made for it where that is enough."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from roigs_addon.engine.client import Engine, Job, parse_event
+from roigs_addon.engine.python import VARIABLE, own_python
+
+PYTHON = Path(os.environ.get("ROIGS_TEST_PYTHON") or own_python())
+
+
+def fake(folder: Path, code: str) -> Engine:
+    """An engine whose `python -m roigs_engine` runs `code`; `say` prints an event."""
+    package = folder / "source" / "roigs_engine"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    head = """
+        import json, os, sys, time
+        def say(**event):
+            print(json.dumps(event), flush=True)
+    """
+    text = textwrap.dedent(head) + textwrap.dedent(code)
+    (package / "__main__.py").write_text(text, encoding="utf-8")
+    return Engine(python=PYTHON, source=folder / "source")
+
+
+def until(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
+    """Wait for something; was it in time?"""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def finished(job: Job):
+    """The outcome and all events."""
+    assert until(lambda: not job.running())
+    return job.outcome(), job.events()
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat")
+    return not (state.exists() and state.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+# --- the client, without Blender ---
+
+BROKEN = [
+    "",
+    "\n",
+    "text",
+    "{",
+    "[]",
+    "null",
+    "1",
+    '"progress"',
+    '{"event": "unknown"}',
+    '{"event": ["progress"]}',
+    '{"event": null}',
+    '{"evnt": "progress"}',
+    "[" * 100_000,
+    '{"event": "progress"',
+    "\x00\ufffd",
+]
+
+
+@pytest.mark.parametrize("line", BROKEN, ids=lambda line: repr(line[:20]))
+def test_lines_that_are_no_events(line: str) -> None:
+    assert parse_event(line) is None
+
+
+def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
+    engine = fake(
+        tmp_path,
+        """
+        say(event="stagestarted", stage="scene", total=3)
+        print("Zwischentext 庭")
+        print("{", flush=True)
+        print("for people", file=sys.stderr, flush=True)
+        sys.stdout.buffer.write(b"\\xff\\xfe broken\\n")
+        sys.stdout.flush()
+        say(event="progress", stage="scene", step=1, total=3)
+        say(event="done", outputs={"result": "a.ply"}, stopped=False)
+        """,
+    )
+    job = Job(engine, ["train"], log=tmp_path / "a" / "log.txt")
+    outcome, events = finished(job)
+    assert [event["event"] for event in events] == []  # taken by `outcome`
+    assert (outcome.status, outcome.failed, outcome.stopped) == (0, False, False)
+    assert outcome.outputs == {"result": "a.ply"}
+    log = (tmp_path / "a" / "log.txt").read_text(encoding="utf-8")
+    assert "Zwischentext 庭" in log and "for people" in log and "broken" in log
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ('say(event="failed", message="No photos.", hint="Add some."); sys.exit(2)', "No photos. Add some."),
+        ('say(event="failed", message=None); sys.exit(2)', "The engine failed."),
+        ('print("a\\nboom", file=sys.stderr); sys.exit(7)', "The engine ended with status 7: boom"),
+        ("sys.exit(0)", "The engine ended with status 0"),
+        ("os.kill(os.getpid(), 9)", "ended from outside (signal 9)"),
+        ('raise ValueError("broken")', "ValueError: broken"),
+    ],
+)  # fmt: skip
+def test_every_end_has_words(tmp_path: Path, code: str, message: str) -> None:
+    outcome, _ = finished(Job(fake(tmp_path, code), ["train"]))
+    assert outcome.failed and message in outcome.message and "\n" not in outcome.message
+
+
+@pytest.mark.parametrize("outputs", ["null", "[]", '"a"', "{}"])
+def test_odd_outputs(tmp_path: Path, outputs: str) -> None:
+    engine = fake(tmp_path, f"""print('{{"event": "done", "outputs": {outputs}}}')""")
+    outcome, _ = finished(Job(engine, ["train"]))
+    assert not outcome.failed and outcome.outputs == {}
+
+
+LISTEN = """
+say(event="stagestarted", stage="scene", total=9)
+line = sys.stdin.readline()
+say(event="message", text="heard " + repr(line), level="info")
+say(event="done", outputs={}, stopped=True)
+sys.exit(3)
+"""
+
+
+def test_stop_is_a_line(tmp_path: Path) -> None:
+    job = Job(fake(tmp_path, LISTEN), ["train"])
+    assert until(lambda: bool(job.events()))
+    job.stop()
+    job.stop()
+    assert job.wait(5)
+    (event,) = job.events()
+    assert event["text"] == r"heard 'stop\n'"
+    assert job.outcome().stopped and not job.outcome().failed
+    job.stop()
+
+
+def test_a_python_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="nowhere"):
+        Job(Engine(python=tmp_path / "nowhere", source=tmp_path), ["train"])
+
+
+def test_the_environment_is_the_engines_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/blenders/own")
+    monkeypatch.setenv("PYTHONHOME", "/blenders/own")
+    monkeypatch.chdir(tmp_path)  # a folder with a module of an evil name
+    (tmp_path / "json.py").write_text("raise SystemExit(9)")
+    code = 'say(event="done", outputs=dict(os.environ))'
+    outcome, _ = finished(Job(fake(tmp_path, code), ["train"]))
+    assert outcome.outputs["PYTHONPATH"] == str(tmp_path / "source")
+    assert "PYTHONHOME" not in outcome.outputs
+
+
+# --- jobs in Blender ---
+
+
+@pytest.fixture
+def work(addon: ModuleType, tmp_path: Path):
+    """Makes the `Work` of a fake job; `taken` gets its outcome."""
+    from roigs_addon import jobs
+
+    taken = []
+
+    def make(**changes: object) -> jobs.Work:
+        values = {"title": "Testing", "arguments": ["train"], "log": tmp_path / "log.txt"}
+        return jobs.Work(**(values | {"on_done": taken.append} | changes))
+
+    make.taken = taken
+    return make
+
+
+@pytest.mark.blender
+def test_progress_becomes_properties(blender: ModuleType, work, tmp_path: Path) -> None:
+    from roigs_addon import jobs
+
+    engine = fake(
+        tmp_path,
+        """
+        say(event="stagestarted", stage="scene", total=30)
+        say(event="progress", stage="joint", step=12, total=30, loss=0.25, psnr=21.5,
+            gaussians=1234, seconds_left=125.4)
+        say(event="message", text="Something", level="info")
+        say(event="done", outputs={}, stopped=False)
+        """,
+    )
+    runner = jobs.start(engine, work())
+    while runner.poll():
+        time.sleep(0.02)
+    state = blender.context.window_manager.roigs
+    assert (state.step, state.total, state.gaussians) == (12, 30, 1234)
+    assert (state.loss, state.psnr) == (0.25, 21.5)
+    assert len(work.taken) == 1 and not jobs.busy()
+    state.stage = "joint"
+    text = jobs.progress_text(state)
+    assert text == "joint 12 / 30, 21.5 dB, 1,234 Gaussians, 2 min 05 s left"
+
+
+@pytest.mark.blender
+def test_odd_numbers_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> None:
+    from roigs_addon import jobs
+
+    odd = ["NaN", "Infinity", "-Infinity", "1e400", "-1e30", "9" * 400, '"x"', "null", "[]", "{}"]
+    lines = [
+        f'{{"event": "{kind}", "stage": {v}, "step": {v}, "total": {v}, "loss": {v}, "psnr": {v},'
+        f' "gaussians": {v}, "seconds_left": {v}, "text": {v}, "path": {v}}}'
+        for v in odd
+        for kind in ("stagestarted", "progress", "message", "preview")
+    ]
+    (tmp_path / "lines").write_text("\n".join([*lines, '{"event": "progress"}', ""]))
+    code = f"print(open({str(tmp_path / 'lines')!r}).read(), flush=True)\nsay(event='done')"
+    runner = jobs.start(fake(tmp_path, code), work())
+    outcome = jobs.wait(runner)
+    assert not outcome.failed and len(work.taken) == 1
+    assert jobs.progress_text(blender.context.window_manager.roigs)
+
+
+@pytest.mark.blender
+def test_one_job_at_a_time_and_none_outlives_the_addon(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+    from roigs_addon.errors import AddonError
+
+    engine = fake(tmp_path, LISTEN)
+    runner = jobs.start(engine, work())
+    assert jobs.busy()
+    with pytest.raises(AddonError, match="busy"):
+        jobs.start(engine, work())
+    jobs.unregister()
+    assert not alive(runner.job.pid) and not jobs.busy() and not work.taken
+
+
+@pytest.mark.blender
+def test_a_failed_result_is_an_error(blender: ModuleType, work, tmp_path: Path) -> None:
+    from roigs_addon import jobs
+    from roigs_addon.errors import AddonError
+
+    def refuse(_: object) -> None:
+        raise AddonError("It does not fit.")
+
+    engine = fake(tmp_path, 'say(event="done", outputs={})')
+    assert jobs.wait(jobs.start(engine, work(on_done=refuse))).message == "It does not fit."
+    assert blender.context.window_manager.roigs.error == "It does not fit."
+
+    def fall(_: object) -> None:
+        raise RuntimeError("oh")
+
+    assert "oh" in jobs.wait(jobs.start(engine, work(on_done=fall))).message
+    assert not jobs.busy()
+
+
+@pytest.mark.blender
+def test_a_python_that_does_not_start(blender: ModuleType, work, tmp_path: Path) -> None:
+    from roigs_addon import jobs
+    from roigs_addon.errors import AddonError
+
+    with pytest.raises(AddonError, match="cannot be started"):
+        jobs.start(Engine(python=tmp_path / "nowhere", source=tmp_path), work())
+    assert not jobs.busy()
+
+
+# --- deaths, with the real engine ---
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    return list(folder.glob("*/checkpoint.pt"))
+
+
+def training(state) -> bool:
+    return state.stage in ("scene", "joint") and state.step > 5
+
+
+@pytest.fixture
+def long_run(blender: ModuleType, engine, project: Path, tmp_path: Path):
+    """A training that goes on for a minute at least, with the operator's own work: its runner."""
+    from roigs_addon import jobs
+    from roigs_addon.operators.train import TrainRoi
+    from tests.addon.scenes import ready
+
+    class Asker:
+        active_only = selected_only = False
+        _rois = TrainRoi._rois
+
+    scene = ready(blender, project, tmp_path / "run", factor=10.0)
+    runner = jobs.start(engine, TrainRoi.work(Asker(), blender.context))
+    state = blender.context.window_manager.roigs
+    assert until(lambda: not runner.poll() or training(state), 60), state.error
+    assert runner.poll(), state.error
+    yield scene, runner
+    if jobs.busy():
+        runner.job.kill()
+        runner.job.wait()
+
+
+@pytest.mark.blender
+def test_stop_answers_within_two_seconds_and_goes_on_to_the_same(
+    blender: ModuleType, engine, long_run, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs, requests
+    from roigs_addon.operators import train
+    from tests.addon.scenes import command_line
+
+    scene, runner = long_run
+    state = blender.context.window_manager.roigs
+    start = time.monotonic()
+    assert blender.ops.roigs.stop() == {"FINISHED"}
+    assert until(lambda: not runner.poll(), 30)
+    assert time.monotonic() - start < 2
+    assert runner.outcome.stopped and not runner.outcome.failed
+    assert state.error == "" and state.message.startswith("Stopped")
+    assert checkpoints(tmp_path / "run") and train.unfinished(scene)
+    assert not (tmp_path / "run" / "result.ply").exists() and not jobs.busy()
+    assert not blender.ops.roigs.stop.poll()
+    assert requests.run_folder(scene) == tmp_path / "run"
+    assert command_line  # continued runs are compared in test_training.py
+
+
+@pytest.mark.blender
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_killed_engine_is_an_error(blender: ModuleType, long_run) -> None:
+    from roigs_addon import jobs
+
+    _, runner = long_run
+    os.kill(runner.job.pid, signal.SIGKILL)
+    assert until(lambda: not runner.poll(), 10)
+    state = blender.context.window_manager.roigs
+    assert "signal 9" in state.error and "\n" not in state.error
+    assert runner.outcome.failed and not jobs.busy()
+
+
+BLENDER_SCRIPT = """
+import sys, json
+sys.path.insert(0, {root!r})
+import bpy, roigs_addon
+bpy.ops.wm.read_factory_settings(use_empty=True)
+roigs_addon.register()
+from pathlib import Path
+from tests.addon.scenes import ready
+from roigs_addon import jobs
+start = jobs.start
+def noted(engine, work):
+    runner = start(engine, work)
+    print("PID", work.title, runner.job.pid, flush=True)
+    return runner
+jobs.start = noted
+ready(bpy, Path({project!r}), Path({run!r}), factor={factor})
+print("TRAIN", bpy.ops.roigs.train_roi(), flush=True)
+roigs_addon.unregister()
+"""
+
+
+def blender_process(folder: Path, project: Path, factor: float) -> subprocess.Popen[str]:
+    """Another Blender like this one that trains in folder/run."""
+    import bpy
+
+    from tests.addon.scenes import ROOT
+
+    script = folder / "train.py"
+    values = {"root": str(ROOT), "project": str(project), "run": str(folder / "run")}
+    script.write_text(BLENDER_SCRIPT.format(**values, factor=factor), encoding="utf-8")
+    command = [sys.executable, str(script)]
+    if bpy.app.binary_path:
+        command = [bpy.app.binary_path, "-b", "--factory-startup", "--python", str(script)]
+    environment = {**os.environ, VARIABLE: os.environ.get(VARIABLE) or sys.executable}
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
+    )
+
+
+def engine_pid(process: subprocess.Popen[str], title: str) -> int:
+    """The engine that the other Blender started for a job of this title."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith(f"PID {title}"):
+            return int(line.split()[-1])
+    raise AssertionError("the other Blender did not start the engine")
+
+
+@pytest.mark.blender
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_no_engine_outlives_a_killed_blender(engine, project: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with blender_process(tmp_path, project, 10.0) as process:
+        pid = engine_pid(process, "Training")
+        events = run / "events.jsonl"
+        assert until(lambda: events.is_file() and '"progress"' in events.read_text(), 60)
+        assert alive(pid)
+        process.kill()
+    assert until(lambda: not alive(pid), 5)
+    assert checkpoints(run)
+    last = json.loads((run / "events.jsonl").read_text(encoding="utf-8").splitlines()[-1])
+    assert last["event"] in ("done", "progress", "message")
