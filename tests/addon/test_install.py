@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import time
@@ -92,10 +93,10 @@ def test_stop_ends_what_the_step_started(tmp_path: Path, monkeypatch: pytest.Mon
     installation.start()
     deadline = time.monotonic() + 30
     said = ""
-    while "child" not in said and time.monotonic() < deadline:
+    while "\nchild\n" not in said and time.monotonic() < deadline:
         time.sleep(0.02)
         said = installation.log.read_text(encoding="utf-8") if installation.log.exists() else ""
-    pid = int(said.split("pid ")[-1].split()[0])
+    pid = int(next(line for line in said.splitlines() if line.startswith("pid "))[4:])
     installation.stop()
     assert installation.finished and installation.message == "The set-up was stopped."
     assert not python.whole_environments(tmp_path)
@@ -141,11 +142,21 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     assert sys.platform == "darwin" or any(install.CUDA_INDEX in step.command for step in online)
 
 
-def test_check_says_what_is_missing(tmp_path: Path) -> None:
-    findings = {f.text.partition(":")[0]: f for f in check.check(sys.executable, tmp_path)}
-    assert findings["Reading models"].works
-    assert str(Path(sys.executable)) in findings["Reading models"].text
-    nothing = check.check(str(tmp_path / "python"), tmp_path)
-    assert not any(finding.works for finding in nothing)
-    assert "does not start" in nothing[0].text
+def test_check_says_what_works_and_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = python.Ability(version=(3, 12), missing=("torch", "pycolmap"))
+    monkeypatch.setattr(python, "ability", functools.lru_cache(lambda path: found))
+    said = {f.text: f.works for f in check.check("/opt/python", tmp_path)}
+    assert said["Reading models: ready"]
+    assert said["Selecting by Gaussian process: ready"]
+    assert not said["Training and rendering: not yet; Python 3.12 lacks torch"]
+    assert said["Python 3.12: /opt/python"]
+    check.forget()
+
+
+def test_check_of_a_python_that_is_none(tmp_path: Path) -> None:
+    findings = check.check(str(tmp_path / "python"), tmp_path)
+    assert not any(finding.works for finding in findings)
+    assert "does not start" in findings[-1].text
     check.forget()
