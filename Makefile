@@ -1,16 +1,18 @@
-# make demo        set up, run the main job on the demo scene, print the table
+# make demo        set up, run the demo scene through the Blender add-on, print the table
 # make test        lint, types, tests
 # make test-long   the slow tests
 # make test-blender  the add-on's tests inside a real Blender, put together from Debian's packages
 # make format      bring the code into the project's form
 # make kernels     compile the kernels for every platform
+# make extension   build the Blender extension into dist/, with the kernels of every platform
 # make clean       remove the environment and everything that was built (runs stay)
 #
 # PYTHON       the Python (3.11 or later) that makes the environment
 # TORCH_INDEX  a package index to take torch from; without it tools/install_torch.py finds a build
 #              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
-# BLENDER      the Blender of `make test-blender`, in place of one that it makes
-# SUITE        the Debian suite to make it from: trixie (Blender 4.3, the default) or sid
+# BLENDER      the Blender of `make test-blender` (default: made from Debian's packages) and of
+#              `make extension` (default: its bpy module, from PyPI)
+# SUITE        the Debian suite that test-blender takes: trixie (Blender 4.3, the default) or sid
 # RUN_DIR      where `make demo` puts its results
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
@@ -26,12 +28,11 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Compiles only what is older than its sources.
 UPDATE_KERNELS = @$(BIN)/python -m roigs_engine.kernels.build > /dev/null
 
-.PHONY: demo test test-long test-blender format kernels clean
+.PHONY: demo test test-long test-blender format kernels extension clean
 
 demo: $(VENV)/installed
 	$(UPDATE_KERNELS)
-	$(BIN)/python -m roigs_engine run demo/scene --rois demo/scene/rois.json \
-	    --preset draft --run-dir '$(RUN_DIR)'
+	@$(BIN)/python tools/demo.py '$(RUN_DIR)'
 
 test: $(VENV)/installed-dev
 	$(UPDATE_KERNELS)
@@ -58,6 +59,9 @@ kernels: $(VENV)/installed-dev
 	    $(BIN)/python -m roigs_engine.kernels.build --target $$target || exit 1; \
 	done
 
+extension: kernels
+	$(BIN)/python tools/build_extension.py $(BLENDER)
+
 # The environment is made once, and again when what it is made from has changed.
 $(VENV)/torch: pyproject.toml tools/install_torch.py
 	@$(PYTHON) -c 'import sys; sys.exit("error: Python 3.11 or later is needed; run make PYTHON=..." if sys.version_info < (3, 11) else 0)'
@@ -74,6 +78,6 @@ $(VENV)/installed-dev: $(VENV)/torch setup.py
 	@touch $(VENV)/installed $@
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info roigs_engine/kernels/lib
+	rm -rf $(VENV) .venv-blender build dist *.egg-info roigs_engine/kernels/lib
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find roigs_engine roigs_addon tests tools demo benchmarks -name __pycache__ -prune -exec rm -rf {} +

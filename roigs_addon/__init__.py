@@ -15,6 +15,7 @@ MODULES = (
     "preferences",
     "properties",
     "jobs",
+    "operators.engine_setup",
     "operators.scene",
     "operators.regions",
     "operators.select",

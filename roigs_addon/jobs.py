@@ -11,6 +11,7 @@ import os
 import sys
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import Any
 
 import bpy
 
+from . import terminal
 from .engine.client import Engine, Job, Outcome
 from .errors import AddonError
 
@@ -61,6 +63,7 @@ class Runner:
         self.work = work
         self.stopping = False
         self.finished = False
+        self.messages: deque[str] = deque(maxlen=100)
         state = bpy.context.window_manager.roigs
         state.title, state.stage, state.message, state.error = work.title, "", "", ""
         state.step = state.total = state.gaussians = 0
@@ -103,8 +106,7 @@ class Runner:
                 state.seconds_left = _number(event.get("seconds_left"))
             case "message":
                 state.message = str(event.get("text", ""))
-                if bpy.app.background:
-                    print(state.message, file=sys.stderr, flush=True)
+                self.messages.append(state.message)
             case "preview":
                 path = Path(str(event.get("path")))
                 if os.path.isfile(path):  # Path's own raises when the name is too long
@@ -158,23 +160,33 @@ def start(engine: Engine, work: Work) -> Runner:
 
 
 def wait(runner: Runner) -> Outcome:
-    """Follow a job to its end, with its progress on standard error."""
-    last = ""
-    state = bpy.context.window_manager.roigs
-    try:
+    """Follow a job to its end, in the background with its progress on standard error.
+
+    There, Ctrl-C and SIGTERM stop the engine, which writes a checkpoint, and the outcome is that of
+    a stopped job. A second one ends the engine at once and raises KeyboardInterrupt.
+    """
+    if not bpy.app.background:
         while runner.poll():
-            line = progress_text(state)
-            if line != last and bpy.app.background:
-                print(f"\r{line:78}", end="", file=sys.stderr, flush=True)
-                last = line
             time.sleep(POLL_SECONDS)
+        return runner.outcome
+    state = bpy.context.window_manager.roigs
+    screen = terminal.Terminal(sys.stderr)
+    try:
+        with terminal.stopping(runner.stop):
+            running = True
+            while running:
+                running = runner.poll()
+                while runner.messages:
+                    screen.line(runner.messages.popleft())
+                if running:
+                    screen.show(progress_text(state), topic=state.stage or state.title)
+                    time.sleep(POLL_SECONDS)
     except KeyboardInterrupt:
-        runner.stop()
+        runner.job.kill()
         runner.job.wait(STOP_SECONDS)
         raise
     finally:
-        if last:
-            print(file=sys.stderr)
+        screen.close()
     return runner.outcome
 
 
@@ -205,11 +217,11 @@ def _tick() -> float | None:
     return POLL_SECONDS if running else None
 
 
-def redraw() -> None:
-    """Draw the 3D views again, with their sidebars."""
+def redraw(kind: str = "VIEW_3D") -> None:
+    """Draw the areas of a kind again; by default the 3D views, with their sidebars."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type == "VIEW_3D":
+            if area.type == kind:
                 area.tag_redraw()
 
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import tempfile
+import textwrap
 from pathlib import Path
 
 import bpy
-from bpy.props import FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
 
-from .engine import python
+from .engine import check, install, python
 from .engine.client import Engine
 from .errors import AddonError
 
 # The extension's package, of which this one is a part; in tests it may stand alone.
 ADDON = __package__.rpartition(".")[0] or __package__
+LETTER = 7.5
+"""Mean width of a letter, in pixels of an interface that is not scaled."""
 
 
 class RoigsPreferences(bpy.types.AddonPreferences):
@@ -41,6 +44,16 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         subtype="TIME_ABSOLUTE",
         description="Seconds between previews while training; 0: none",
     )
+    cuda: BoolProperty(
+        name="For NVIDIA Cards",
+        description="Set up with the build of torch for CUDA: several gigabytes."
+        " This version of the engine works on the CPU with either build",
+    )
+    wheels: StringProperty(
+        name="Folder of Wheels",
+        subtype="DIR_PATH",
+        description="Set up from the wheels in this folder, without a network (empty: from PyPI)",
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         """The page in the preferences window."""
@@ -48,6 +61,39 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         layout.use_property_split = True
         for name in ("engine_python", "threads", "cache", "preview_seconds"):
             layout.prop(self, name)
+        _draw_engine(layout.box().column())
+
+
+def _draw_engine(layout: bpy.types.UILayout) -> None:
+    """What the engine can do, and the way to set it up."""
+    row = layout.row()
+    row.label(text="Engine")
+    row.operator("roigs.check_engine")
+    for finding in check.last:
+        _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
+    made = install.current
+    if made is not None and not made.finished:
+        row = layout.row(align=True)
+        row.progress(factor=made.fraction, text=f"{made.title} {made.fraction:.0%}")
+        row.operator("roigs.stop_setup", text="", icon="CANCEL")
+        layout.label(text=made.line)
+        return
+    if made is not None:
+        _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
+    settings = get()
+    layout.prop(settings, "cuda")
+    layout.prop(settings, "wheels")
+    button = layout.operator("roigs.setup_engine", icon="IMPORT")
+    button.cuda, button.wheels = settings.cuda, settings.wheels
+
+
+def _lines(layout: bpy.types.UILayout, text: str, icon: str) -> None:
+    """A text in lines that fit the page."""
+    scale = bpy.context.preferences.system.ui_scale
+    width = max(int(bpy.context.region.width * 0.7 / (LETTER * scale)), 30)
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, width)):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1")
 
 
 def get() -> RoigsPreferences | None:
@@ -72,9 +118,15 @@ def cache_folder() -> Path:
     return folder
 
 
-def environment_folder() -> Path:
-    """The virtual environment that «Set up the engine» makes."""
+def environments() -> Path:
+    """Folder of the virtual environments that «Set up the engine» makes."""
     return user_folder() / "engine"
+
+
+def chosen_python() -> str:
+    """The Python that the user named; empty to find one."""
+    chosen = getattr(get(), "engine_python", "")
+    return bpy.path.abspath(chosen) if chosen else ""
 
 
 def engine(packages: tuple[str, ...]) -> Engine:
@@ -83,10 +135,7 @@ def engine(packages: tuple[str, ...]) -> Engine:
     Raises:
         AddonError: there is none.
     """
-    chosen = getattr(get(), "engine_python", "")
-    found, reason = python.find(
-        bpy.path.abspath(chosen) if chosen else "", environment_folder(), packages
-    )
+    found, reason = python.find(chosen_python(), environments(), packages)
     if found is None:
         raise AddonError(f"{reason} Set up the engine in the add-on's preferences.")
     return found

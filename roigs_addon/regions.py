@@ -12,6 +12,7 @@ from mathutils import Matrix, Vector
 
 from . import lookup
 from .errors import AddonError
+from .frames import Box
 
 COLOUR = (1.0, 0.55, 0.1, 1.0)
 FORBIDDEN = '/\\:*?"<>|\0'  # ROI names become file names
@@ -21,7 +22,87 @@ def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.t
     """A box in world space, its axes along the root's so that it stays a box when the root is
     scaled unevenly."""
     root = scene.roigs.root
-    item = bpy.data.objects.new(_free_name(scene), None)
+    item = _new_empty(scene, _free_name(scene))
+    matrix = Matrix.LocRotScale(centre, None, half_sides)
+    if root is not None:
+        matrix = _along(root.matrix_world, centre, half_sides)
+        item.matrix_local = root.matrix_world.inverted_safe() @ matrix
+    else:
+        item.matrix_world = matrix
+    return item
+
+
+def add_box(scene: bpy.types.Scene, name: str, box: Box) -> bpy.types.Object:
+    """A box given in the COLMAP frame, below the root, wherever the user has put that."""
+    item = _new_empty(scene, name)
+    if item.name != name:  # Blender numbers names that are taken
+        taken = item.name
+        bpy.data.objects.remove(item)
+        raise AddonError(f"The name «{name}» is taken (it would be {taken}). Rename one of them.")
+    placed = np.linalg.inv(box.world_to_box)
+    placed[:3, :3] *= box.half_extents
+    item.matrix_local = Matrix(placed.tolist())
+    bpy.context.view_layer.update()  # until then, `matrix_world` is that of a fresh object
+    return item
+
+
+def load(path: Path) -> dict[str, Box]:
+    """The boxes of a `rois.json` (docs/files.md) by name.
+
+    Raises:
+        AddonError: it cannot be read, or one of them is no box.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise AddonError(f"{path} cannot be read ({error}).") from error
+    records = document.get("rois") if isinstance(document, dict) else document
+    if not isinstance(records, list) or not records:
+        raise AddonError(f"{path} holds no ROI. It needs a list «rois», see docs/files.md.")
+    boxes: dict[str, Box] = {}
+    for number, record in enumerate(records, start=1):
+        try:
+            name, box = str(record["name"]), _from_dict(record)
+        except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+            raise AddonError(f"ROI {number} of {path} is no box ({error}).") from error
+        if name in boxes:
+            raise AddonError(f"Two ROIs of {path} are named «{name}». Give each its own name.")
+        boxes[name] = box
+    return boxes
+
+
+def from_corners(low: Any, high: Any) -> Box:
+    """The box between two corners, along the axes of the COLMAP frame.
+
+    Raises:
+        ValueError: it has no volume.
+    """
+    corners = np.array([low, high], dtype=np.float64)
+    half = (corners[1] - corners[0]) / 2
+    if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (half > 0).all():
+        raise ValueError("each coordinate of the second corner must be larger than the first's")
+    world_to_box = np.eye(4)
+    world_to_box[:3, 3] = -corners.mean(axis=0)
+    return Box(world_to_box=world_to_box, half_extents=half)
+
+
+def _from_dict(record: dict[str, Any]) -> Box:
+    if "min" in record or "max" in record:
+        return from_corners(record["min"], record["max"])
+    matrix = np.array(record["world_to_box"], dtype=np.float64)
+    half = np.array(record["half_extents"], dtype=np.float64)
+    if matrix.shape != (4, 4) or half.shape != (3,) or not (half > 0).all():
+        raise ValueError("it needs a 4 x 4 matrix and three half extents above 0")
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+        raise ValueError("its matrix is no rotation and translation")
+    return Box(world_to_box=matrix, half_extents=half)
+
+
+def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """A cube empty of side 2 below the root, at its origin."""
+    root = scene.roigs.root
+    item = bpy.data.objects.new(name, None)
     item.empty_display_type = "CUBE"
     item.empty_display_size = 1.0
     item.show_name = True
@@ -29,14 +110,9 @@ def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.t
     item.roigs.kind = "ROI"
     home = root.users_collection[0] if root and root.users_collection else scene.collection
     home.objects.link(item)
-    matrix = Matrix.LocRotScale(centre, None, half_sides)
     if root is not None:
         item.parent = root
         item.matrix_parent_inverse = Matrix.Identity(4)
-        matrix = _along(root.matrix_world, centre, half_sides)
-        item.matrix_local = root.matrix_world.inverted_safe() @ matrix
-    else:
-        item.matrix_world = matrix
     scene.roigs.active_roi = item
     return item
 

@@ -32,6 +32,9 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
         AddonError: a file is missing or damaged.
     """
     remove(scene, "PREVIEW")
+    sparse = lookup.points(scene)
+    if sparse is not None:
+        sparse.hide_set(True)  # as solid things, its points would hide Gaussians behind them
     shown = [_show(scene, folder / "surroundings.ply", "RESULT", "")]
     for path in sorted((folder / "rois").glob("*.ply")):
         shown.append(_show(scene, path, "ROI", path.stem))

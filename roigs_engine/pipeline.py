@@ -46,7 +46,10 @@ from .trainer import StageData
 
 BASELINE = "Full Scene"
 # What follows from a request as a whole, and not from one stage.
-RESULTS = ("result.ply", "rois", "report.md", "report.json", "crops", "selection")
+RESULTS = (
+    *("result.ply", "surroundings.ply", "rois", "coarse"),
+    *("report.md", "report.json", "crops", "selection"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

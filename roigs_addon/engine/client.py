@@ -25,6 +25,11 @@ STOPPED = 3
 """Exit status of a command that stopped on request (docs/files.md)."""
 
 
+def without_blender(variables: Mapping[str, str]) -> dict[str, str]:
+    """Environment variables without what would lead another Python to Blender's packages."""
+    return {k: v for k, v in variables.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Engine:
     """How to start it: the Python that runs it and the folder that holds `roigs_engine`."""
@@ -38,8 +43,7 @@ class Engine:
 
     def environment(self) -> dict[str, str]:
         """This process's variables, without what belongs to Blender's own Python."""
-        kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
-        return kept | {
+        return without_blender(os.environ) | {
             "PYTHONPATH": str(self.source),
             "PYTHONSAFEPATH": "1",  # no modules out of the folder that Blender was started in
             "PYTHONUNBUFFERED": "1",
@@ -130,13 +134,13 @@ class Job:
         return self._process.poll() is None or any(r.is_alive() for r in self._readers)
 
     def stop(self) -> None:
-        """Ask it to stop; it writes a checkpoint first and then ends.
+        """Ask it to stop, by the end of its input; it writes a checkpoint first and then ends.
 
-        The end of its input says so. A line must not be written: if the engine has died, that
-        would end a Blender that does not ignore SIGPIPE (4.3) too.
+        Nothing is written there: a signal would end Blender when the engine is gone already, for
+        some builds do not ignore SIGPIPE.
         """
-        if self._process.stdin is not None:
-            self._process.stdin.close()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
 
     def kill(self) -> None:
         """End it at once."""

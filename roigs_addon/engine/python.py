@@ -18,9 +18,15 @@ SOURCE = Path(__file__).resolve().parents[2]
 VARIABLE = "ROIGS_ENGINE_PYTHON"
 """Environment variable that names the engine's Python: for tests and render farms."""
 
-PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "tqdm", "pycolmap", "torch")
-FOR_TRAINING = PACKAGES
+PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch")
 FOR_READING = ("numpy",)
+FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
+FOR_DISTORTION = ("numpy", "PIL", "pycolmap")
+FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
+
+MARKER = "roigs-complete.json"
+"""In the folder of an environment that was made to its end: what it was made from."""
+
 OLDEST = (3, 11)
 PROBE_SECONDS = 60.0
 
@@ -93,28 +99,34 @@ def environment_python(environment: Path) -> Path:
     return environment / "bin" / "python"
 
 
-def candidates(chosen: str, environment: Path) -> list[Path]:
+def whole_environments(home: Path) -> list[Path]:
+    """The environments in a folder that were made to their end, newest first."""
+    found = [path.parent for path in home.glob(f"*/{MARKER}") if path.parent.name.isdecimal()]
+    return sorted(found, key=lambda path: int(path.name), reverse=True)
+
+
+def candidates(chosen: str, home: Path) -> list[Path]:
     """Pythons to try, in order of preference; one that the user named is the only one.
 
     Args:
         chosen: by the user, or empty.
-        environment: folder of the environment that «Set up the engine» makes.
+        home: folder of the environments that «Set up the engine» makes.
     """
     named = chosen or os.environ.get(VARIABLE, "")
     if named:
         return [Path(named)]
-    made = environment_python(environment)
-    return [*([made] if made.is_file() else []), own_python()]
+    made = [environment_python(environment) for environment in whole_environments(home)]
+    return [*made, own_python()]
 
 
-def find(chosen: str, environment: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
+def find(chosen: str, home: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
     """The first Python that has what is needed, or why there is none.
 
     Returns:
         The engine, or None and a sentence for the user.
     """
     reasons = []
-    for python in candidates(chosen, environment):
+    for python in candidates(chosen, home):
         reason = ability(python).lacks(packages)
         if not reason:
             return Engine(python=python, source=SOURCE), ""

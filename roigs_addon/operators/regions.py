@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 import mathutils
+from bpy.props import FloatVectorProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
 
 from .. import lookup, regions
-from .base import OperatorResult, available
+from ..errors import AddonError
+from .base import OperatorResult, available, failed
 from .select import mark_chosen
 
 
@@ -45,6 +50,49 @@ class AddRoi(bpy.types.Operator):
         return regions.around_objects(chosen) if chosen else None
 
 
+class AddBox(bpy.types.Operator):
+    """Add a box by two corners in the COLMAP frame, for scripts"""
+
+    bl_idname = "roigs.add_box"
+    bl_label = "Add ROI by Corners"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: StringProperty(name="Name", default="ROI")
+    low: FloatVectorProperty(name="From", default=(-1, -1, -1), precision=4)
+    high: FloatVectorProperty(name="To", default=(1, 1, 1), precision=4)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Where the root is moved, the box goes with it."""
+        try:
+            box = regions.from_corners(self.low, self.high)
+            regions.add_box(context.scene, self.name, box)
+        except ValueError as error:
+            return failed(self, AddonError(f"ROI «{self.name}» is no box: {error}."))
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}
+
+
+class LoadRois(bpy.types.Operator, ImportHelper):
+    """Add the boxes of a rois.json"""
+
+    bl_idname = "roigs.load_rois"
+    bl_label = "Load ROIs"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filename_ext = ".json"
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Boxes of the COLMAP frame, below the root."""
+        try:
+            for name, box in regions.load(Path(bpy.path.abspath(self.filepath))).items():
+                regions.add_box(context.scene, name, box)
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}
+
+
 class RemoveRoi(bpy.types.Operator):
     """Remove the active box; what was trained stays"""
 
@@ -75,7 +123,7 @@ class SelectRoi(bpy.types.Operator):
     bl_label = "Select ROI"
     bl_options = {"REGISTER", "UNDO"}
 
-    name: bpy.props.StringProperty(description="Name of the box")
+    name: StringProperty(description="Name of the box")
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Select it, and nothing else."""
@@ -91,7 +139,7 @@ class SelectRoi(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (AddRoi, RemoveRoi, SelectRoi)
+CLASSES = (AddRoi, AddBox, LoadRois, RemoveRoi, SelectRoi)
 
 
 def register() -> None:

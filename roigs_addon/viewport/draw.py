@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 
 import bpy
@@ -16,6 +17,7 @@ POLL = 0.02
 
 _painter: Painter | None = None
 _handler: object | None = None
+_failure: str = ""
 
 
 def painter() -> Painter:
@@ -27,8 +29,9 @@ def painter() -> Painter:
 
 
 def problems() -> dict[str, str]:
-    """Path -> why it cannot be drawn, in one line."""
-    return _painter.problems if _painter else {}
+    """Path -> why it cannot be drawn, in one line; path "" for what concerns all."""
+    own = {"": _failure} if _failure else {}
+    return {**own, **(_painter.problems if _painter else {})}
 
 
 def draw_view(
@@ -53,9 +56,22 @@ def draw_view(
     )
 
 
-def _draw_region() -> None:
-    """The handler: Blender calls it for each 3D viewport, after the scene."""
-    context = bpy.context
+def _on_redraw() -> None:
+    """The handler: Blender calls it for each 3D viewport, after the scene.
+
+    What fails once, a shader for instance, would fail at every redraw: drawing then stops.
+    """
+    global _failure
+    if _failure:
+        return
+    try:
+        _draw_region(bpy.context)
+    except Exception as error:
+        _failure = f"Gaussians cannot be drawn here ({error})."
+        traceback.print_exc()
+
+
+def _draw_region(context: bpy.types.Context) -> None:
     region, data = context.region, context.region_data
     things = splat_objects(context)
     if not things:
@@ -94,12 +110,13 @@ def register() -> None:
     """Add the handler; in background mode there is no viewport."""
     global _handler
     if _handler is None and not bpy.app.background:
-        _handler = bpy.types.SpaceView3D.draw_handler_add(_draw_region, (), "WINDOW", "POST_VIEW")
+        _handler = bpy.types.SpaceView3D.draw_handler_add(_on_redraw, (), "WINDOW", "POST_VIEW")
 
 
 def unregister() -> None:
     """Remove the handler, end the threads, free the GPU's memory."""
-    global _handler, _painter
+    global _handler, _painter, _failure
+    _failure = ""
     if _handler is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
         _handler = None

@@ -37,8 +37,11 @@ class SplatObject:
 
 
 def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
-    """All objects of the view layer that stand for a PLY, hidden ones too."""
-    return marked(context.view_layer.objects, context.space_data)
+    """All objects of the file that stand for a PLY, whether this context shows them or not.
+
+    Those that another window shows belong to the set on the GPU, too.
+    """
+    return marked(bpy.data.objects, context.space_data)
 
 
 def marked(
@@ -47,19 +50,18 @@ def marked(
     """Those of `objects` that stand for a PLY that exists; visible in `space`, if one is given."""
     found = []
     for thing in objects:
-        if thing.roigs.kind != "SPLATS" or not thing.roigs.ply:
-            continue
         path = thing.roigs.ply
+        if thing.roigs.kind != "SPLATS" or not path:
+            continue
         try:
             state = os.stat(path)
         except OSError:
             continue
-        hidden = thing.roigs.as_points
         found.append(
             SplatObject(
                 FileKey(path, state.st_mtime_ns, state.st_size),
                 thing.matrix_world.copy(),
-                not hidden and seen(thing, space),
+                not thing.roigs.as_points and seen(thing, space),
             )
         )
     return found
@@ -68,7 +70,10 @@ def marked(
 def surfaces_are_visible(context: bpy.types.Context) -> bool:
     """Is there anything in the view that could hide Gaussians?"""
     return any(
-        thing.type in SURFACES and seen(thing, context.space_data)
+        thing.type in SURFACES
+        and (thing.roigs.kind != "SPLATS" or thing.roigs.as_points)
+        and thing.display_type in ("SOLID", "TEXTURED")
+        and seen(thing, context.space_data)
         for thing in context.view_layer.objects
     )
 

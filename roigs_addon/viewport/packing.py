@@ -52,6 +52,11 @@ class PackedSet:
     def __len__(self) -> int:
         return len(self.means)
 
+    @property
+    def rows(self) -> int:
+        """Height of the larger array."""
+        return max(len(self.geometry), len(self.colours))
+
 
 def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
     """The clouds as one set; the k-th belongs to object k."""

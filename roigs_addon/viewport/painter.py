@@ -62,6 +62,11 @@ class Order:
     count: int
     texture: gpu.types.GPUTexture
 
+    @classmethod
+    def upload(cls, gaussians: GpuSet, view: View, count: int, texels: np.ndarray) -> Order:
+        """Copy an order's texels to the GPU."""
+        return cls(gaussians, view, count, targets.texture(texels, "R32F"))
+
 
 class Painter:
     """Draws splat objects, all in one order.
@@ -78,7 +83,6 @@ class Painter:
         self._clouds: dict[FileKey, SplatCloud] = {}
         self._broken: set[FileKey] = set()
         self._orders: OrderedDict[Hashable, Order] = OrderedDict()
-        self._sorting: dict[Hashable, tuple[GpuSet, View]] = {}
         self._picture = targets.SplatPicture()
         self._tools: Tools | None = None
 
@@ -111,6 +115,7 @@ class Painter:
         if order is None or not order.count:
             return
         tools = self._tools = self._tools or Tools()
+        depth = depth or tools.no_depth
         files = order.gaussians.files
         matrices = targets.texture(object_texels(files, things, view, projection), "RGBA32F")
         with self._picture.cleared(*size).bind():
@@ -126,13 +131,14 @@ class Painter:
             shader.uniform_sampler("geometry", order.gaussians.geometry)
             shader.uniform_sampler("colours", order.gaussians.colours)
             shader.uniform_sampler("objects", matrices)
-            shader.uniform_sampler("scene_depth", depth or tools.no_depth)
+            shader.uniform_sampler("scene_depth", depth)
             tools.quad.draw_instanced(shader, instance_count=order.count)
         shader = tools.composite
         shader.bind()
         shader.uniform_int("origin", gpu.state.viewport_get()[:2])
         shader.uniform_bool("linear_target", [linear_target])
         shader.uniform_sampler("picture", self._picture.texture)
+        shader.uniform_sampler("scene_depth", depth)
         tools.quad.draw(shader)
         gpu.state.blend_set("NONE")
 
@@ -150,7 +156,6 @@ class Painter:
         self._set, self._asked = None, ()
         self._clouds, self._broken, self.problems = {}, set(), {}
         self._orders.clear()
-        self._sorting.clear()
 
     def close(self) -> None:
         """Free everything and end the threads."""
@@ -167,14 +172,13 @@ class Painter:
             for thing in things
             if (thing.visible or thing.file in there) and thing.file not in self._broken
         )
-        if files != self._asked:
+        if wait and files != there:
+            self._reader.forget("set")
+            self._take_set(*read_set(files, self._clouds))
+        elif not wait and files != self._asked:
             self._asked = files
             known = dict(self._clouds)
-            if wait:
-                self._reader.forget("set")
-                self._take_set(*read_set(files, known))
-            else:
-                self._reader.submit("set", lambda: read_set(files, known))
+            self._reader.submit("set", lambda: read_set(files, known))
         outcome = self._reader.take("set")
         if outcome is not None:
             if outcome.error:
@@ -188,6 +192,10 @@ class Painter:
         clouds: dict[FileKey, SplatCloud],
         problems: dict[FileKey, str],
     ) -> None:
+        if packed.rows > gpu.capabilities.max_texture_size_get():
+            text = f"{len(packed)} Gaussians are more than this GPU's textures hold."
+            problems = {**problems, **dict.fromkeys(files, text)}
+            files, packed, clouds = (), pack([]), {}
         self._set = GpuSet.upload(files, packed)
         self._clouds = clouds
         self._broken |= problems.keys()
@@ -198,21 +206,24 @@ class Painter:
         self, things: Sequence[SplatObject], view: Matrix, key: Hashable, wait: bool
     ) -> Order | None:
         """The newest order of a viewport; a better one is asked for where it is not good enough."""
-        if not wait:
-            outcome = self._sorter.take(key)
-            if outcome is not None:
-                if outcome.error:
-                    raise outcome.error
-                self._orders[key] = upload_order(*outcome.value)
-        if self._set is not None:
-            wanted = sorting_view(self._set, things, view)
+        gaussians = self._set
+        outcome = None if wait else self._sorter.take(key)
+        if outcome is not None:
+            if outcome.error:
+                raise outcome.error
+            means, *order = outcome.value
+            if gaussians is not None and means is gaussians.means:
+                self._orders[key] = Order.upload(gaussians, *order)
+        if gaussians is not None:
+            wanted = sorting_view(gaussians, things, view)
             held = self._orders.get(key)
-            good = held and held.gaussians is self._set and not held.view.differs(wanted)
+            good = held and held.gaussians is gaussians and not held.view.differs(wanted)
+            # The thread gets nothing of the GPU's: what it drops last would be freed there.
+            means = gaussians.means
             if not good and wait:
-                self._orders[key] = upload_order(*sort_set(self._set, wanted))
+                self._orders[key] = Order.upload(gaussians, *sort_means(means, wanted)[1:])
             elif not good and not self._sorter.busy(key):
-                gaussians = self._set
-                self._sorter.submit(key, lambda: sort_set(gaussians, wanted))
+                self._sorter.submit(key, lambda: sort_means(means, wanted))
         if key in self._orders:
             self._orders.move_to_end(key)
         while len(self._orders) > VIEWS:
@@ -251,15 +262,10 @@ def read_set(
     return good, pack([clouds[key] for key in good]), clouds, problems
 
 
-def sort_set(gaussians: GpuSet, view: View) -> tuple[GpuSet, View, int, np.ndarray]:
-    """Everything an order needs but the GPU."""
-    order = back_to_front(gaussians.means, view)
-    return gaussians, view, len(order), pack_order(order)
-
-
-def upload_order(gaussians: GpuSet, view: View, count: int, texels: np.ndarray) -> Order:
-    """A sorted order on the GPU."""
-    return Order(gaussians, view, count, targets.texture(texels, "R32F"))
+def sort_means(means: np.ndarray, view: View) -> tuple[np.ndarray, View, int, np.ndarray]:
+    """What was given, the number of Gaussians in the order, and its texels."""
+    order = back_to_front(means, view)
+    return means, view, len(order), pack_order(order)
 
 
 def objects_of(files: Files, things: Sequence[SplatObject]) -> list[SplatObject | None]:

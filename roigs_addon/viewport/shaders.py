@@ -43,6 +43,7 @@ def composite_shader() -> gpu.types.GPUShader:
     info.push_constant("IVEC2", "origin")
     info.push_constant("BOOL", "linear_target")
     info.sampler(0, "FLOAT_2D", "picture")
+    info.sampler(1, "FLOAT_2D", "scene_depth")
     info.vertex_in(0, "VEC2", "corner")
     info.fragment_out(0, "VEC4", "colour")
     info.vertex_source(text("composite.vert.glsl"))

@@ -62,9 +62,14 @@ class View:
 
 
 def depths(means: Float32, segments: Sequence[Segment]) -> Float32:
-    """Depths of the segments' rows, one segment after another."""
+    """Depths of the segments' rows, one segment after another, less the first one's offset.
+
+    Seen from afar, that offset would take all the digits that tell the rows apart.
+    """
     parts = [
-        means[s.start : s.stop] @ s.axis.astype(np.float32) + np.float32(s.offset) for s in segments
+        means[s.start : s.stop] @ s.axis.astype(np.float32)
+        + np.float32(s.offset - segments[0].offset)
+        for s in segments
     ]
     return np.concatenate(parts) if parts else np.zeros(0, np.float32)
 

@@ -98,6 +98,39 @@ def test_the_viewport_draws_what_the_engine_draws(
     assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
 
 
+def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
+    """The composition of `make demo`, or of the run folder that `ROIGS_DEMO_RUN` names."""
+    pytest.importorskip("torch")
+    result = Path(os.environ.get("ROIGS_DEMO_RUN", ROOT / "runs" / "demo")) / "result.ply"
+    if not result.is_file():
+        pytest.skip("the demo has not been trained")
+    from roigs_engine import load_colmap
+    from roigs_engine.gaussians import Gaussians
+    from roigs_engine.render import load_camera_path, render_sequence
+
+    (tmp_path / "splats.ply").symlink_to(result.resolve())
+    chosen = []
+    for image in load_colmap(ROOT / "demo" / "scene").images[::30]:
+        camera, shrink = image.camera, 320 / image.camera.width
+        width, height = 320, round(camera.height * shrink)
+        chosen.append(
+            {
+                "name": image.name.replace("/", " "),
+                "width": width,
+                "height": height,
+                "fx": camera.fx * shrink,
+                "fy": camera.fy * shrink,
+                "cx": camera.cx * shrink,
+                "cy": camera.cy * shrink,
+                "world_to_camera": image.world_to_camera.tolist(),
+            }
+        )
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+    gaussians = Gaussians.load_ply(result)
+    render_sequence(gaussians, load_camera_path(tmp_path / "cameras.json"), tmp_path)
+    run(blender, "viewport_parity.py", tmp_path)
+
+
 def test_the_viewport_draws_objects_as_they_lie(blender: str, tmp_path: Path) -> None:
     random_ply(tmp_path / "a.ply", 600, seed=1)
     random_ply(tmp_path / "b.ply", 400, seed=2, coefficients=4)

@@ -24,8 +24,8 @@ def test_sorts_like_a_stable_sort() -> None:
 def test_several_objects_share_one_order() -> None:
     means = np.zeros((6, 3), np.float32)
     means[:, 2] = [1, 2, 3, 1, 2, 9]
-    near = Segment(0, 3, np.array([0.0, 0, 1]), 0.0)
-    far = Segment(3, 5, np.array([0.0, 0, 2]), -1.5)
+    near = Segment(0, 3, np.array([0.0, 0, 1]), 1e9)
+    far = Segment(3, 5, np.array([0.0, 0, 2]), 1e9 - 1.5)
     np.testing.assert_allclose(depths(means, [near, far]), [1, 2, 3, 0.5, 2.5])
     assert back_to_front(means, View((near, far), 1.0)).tolist() == [2, 4, 1, 0, 3]
     # Row 5 belongs to neither: it is hidden.

@@ -19,9 +19,10 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from roigs_addon import properties
 from roigs_addon.gaussian_ply import read_splats
 from roigs_addon.viewport import draw, targets
-from roigs_addon.viewport.objects import marked
+from roigs_addon.viewport.objects import marked, splat_objects
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
 SIDE = 96
@@ -34,7 +35,7 @@ def splats(name: str, path: Path) -> bpy.types.Object:
     """An object that stands for a PLY."""
     thing = bpy.data.objects.new(name, None)
     bpy.context.scene.collection.objects.link(thing)
-    thing["roigs_splats"] = str(path)
+    thing.roigs.kind, thing.roigs.ply = "SPLATS", str(path)
     return thing
 
 
@@ -70,29 +71,29 @@ def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
     """Marks and visibility are obeyed; a path that leads nowhere is passed over."""
     alone = seen(a)
     assert psnr(alone, seen(a, b)) < 40
-    b["roigs_hidden_splats"] = True
+    b.roigs.as_points = True
     assert (seen(a, b) == alone).all()
-    del b["roigs_hidden_splats"]
+    b.roigs.as_points = False
     b.hide_viewport = True
     assert (seen(a, b) == alone).all()
     b.hide_viewport = False
-    path, b["roigs_splats"] = b["roigs_splats"], str(FOLDER / "nothing.ply")
+    path, b.roigs.ply = b.roigs.ply, str(FOLDER / "nothing.ply")
     assert (seen(a, b) == alone).all()
     (FOLDER / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
-    b["roigs_splats"] = str(FOLDER / "broken.ply")
+    b.roigs.ply = str(FOLDER / "broken.ply")
     assert (seen(a, b) == alone).all()
-    assert "ascii" in draw.problems()[b["roigs_splats"]]
-    b["roigs_splats"] = path
+    assert "ascii" in draw.problems()[b.roigs.ply]
+    b.roigs.ply = path
     assert not (seen(a, b) == alone).all() and not draw.problems()
 
 
 def check_changed_file(a: bpy.types.Object, b: bpy.types.Object) -> None:
     """A file that is replaced is read again."""
     path = FOLDER / "changing.ply"
-    shutil.copyfile(a["roigs_splats"], path)
+    shutil.copyfile(a.roigs.ply, path)
     c = splats("c", path)
     assert (seen(c) == seen(a)).all()
-    shutil.copyfile(b["roigs_splats"], path.with_suffix(".part"))
+    shutil.copyfile(b.roigs.ply, path.with_suffix(".part"))
     os.replace(path.with_suffix(".part"), path)
     assert (seen(c) == seen(b)).all()
     bpy.data.objects.remove(c)
@@ -104,7 +105,7 @@ def check_stretched(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     a.matrix_world = Matrix.LocRotScale(None, None, Vector(stretch))
     got = seen(a)[..., 3]
     a.matrix_world = Matrix()
-    cloud = read_splats(a["roigs_splats"])
+    cloud = read_splats(a.roigs.ply)
     focal, view = 0.4 * SIDE * DISTANCE, np.array(Matrix.Translation((0, 0, -DISTANCE)) @ TURN)
     left = np.ones((SIDE, SIDE))
     y, x = np.mgrid[:SIDE, :SIDE] + 0.5
@@ -155,15 +156,28 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     assert (covered <= free + 1e-3).all() and 0.3 < covered.sum() / free.sum() < 0.95
 
 
-def check_freed(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
+def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """A scene shows its own objects; those of another stay at hand."""
+    alone = seen(a)
+    other = bpy.data.scenes.new("other")
+    bpy.context.scene.collection.objects.unlink(b)
+    other.collection.objects.link(b)
+    assert [thing.visible for thing in splat_objects(bpy.context)] == [True, False]
+    assert (seen(a, b) == alone).all()
+    other.collection.objects.unlink(b)
+    bpy.context.scene.collection.objects.link(b)
+    bpy.data.scenes.remove(other)
+
+
+def check_freed(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     """Nothing stays behind; drawing begins anew."""
-    before = seen(_a)
+    before = seen(a)
     draw.unregister()
     draw.unregister()
     draw.register()  # in background mode there is nothing to register
-    assert (seen(_a) == before).all()
+    assert (seen(a) == before).all()
     draw.painter().forget()
-    assert (seen(_a) == before).all()
+    assert (seen(a) == before).all()
 
 
 def main() -> bool:
@@ -176,8 +190,10 @@ def main() -> bool:
 
 
 if __name__ == "__main__":
+    properties.register()
     try:
         passed = with_gpu(main)
     finally:
         draw.unregister()
+        properties.unregister()
     sys.exit(0 if passed else 1)

@@ -22,6 +22,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from roigs_addon import properties
 from roigs_addon.viewport import draw
 from tests.blender.gpu_pictures import load_png, perspective, picture, psnr, with_gpu
 
@@ -42,7 +43,7 @@ def main(folder: Path) -> bool:
     """Draw and compare everything in a case; is it all alike enough?"""
     thing = bpy.data.objects.new("splats", None)
     bpy.context.scene.collection.objects.link(thing)
-    thing["roigs_splats"] = str(folder / "splats.ply")
+    thing.roigs.kind, thing.roigs.ply = "SPLATS", str(folder / "splats.ply")
     good = True
     for camera in json.loads((folder / "cameras.json").read_text(encoding="utf-8"))["cameras"]:
         wanted = load_png(folder / f"{camera['name']}.png")
@@ -68,8 +69,10 @@ def draw_camera(thing: bpy.types.Object, camera: dict, pose: Matrix) -> np.ndarr
 
 
 if __name__ == "__main__":
+    properties.register()
     try:
         passed = with_gpu(lambda: main(Path(sys.argv[-1])))
     finally:
         draw.unregister()
+        properties.unregister()
     sys.exit(0 if passed else 1)

@@ -1,20 +1,28 @@
-// The splats were blended among themselves in sRGB values. The viewport's framebuffer takes linear light
-// and shows it as sRGB, untouched by the view transform; it blends over the scene in linear light, too.
+// The splats were blended among themselves in sRGB values. The viewport's overlay takes linear light.
+// Blender lays it over the scene after the view transform, with a plain exponent of 2.2 on both sides
+// (not sRGB's curve), so that this exponent brings the values to the screen as they are.
 
-vec3 linear_light(vec3 srgb)
+vec3 linear_light(vec3 shown)
 {
-  vec3 low = srgb / 12.92, high = pow((max(srgb, 0.0) + 0.055) / 1.055, vec3(2.4));
-  return mix(high, low, lessThanEqual(srgb, vec3(0.04045)));
+  return pow(clamp(shown, 0.0, 1.0), vec3(2.2));
 }
 
 void main()
 {
-  vec4 value = texelFetch(picture, ivec2(gl_FragCoord.xy) - origin, 0);
+  ivec2 pixel = ivec2(gl_FragCoord.xy) - origin;
+  vec4 value = texelFetch(picture, pixel, 0);
   if (value.a == 0.0) {
     discard;
   }
   if (linear_target) {
-    value.rgb = linear_light(min(value.rgb / value.a, vec3(1.0))) * value.a;
+    // Splats are trained before black, and show dark things by letting it through. Where they cover
+    // most of a pixel and nothing lies behind them, black is what they get; fringes and what stands
+    // before a surface are laid over what is there.
+    float behind = texelFetch(scene_depth, min(pixel, textureSize(scene_depth, 0) - 1), 0).x;
+    float black = behind < 1.0 ? 0.0 : smoothstep(0.1, 0.5, value.a);
+    vec3 over = linear_light(value.rgb / value.a) * value.a;
+    vec3 on_black = linear_light(value.rgb);
+    value = vec4(mix(over, on_black, black), mix(value.a, 1.0, black));
   }
   colour = value;
 }

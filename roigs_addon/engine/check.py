@@ -1,0 +1,72 @@
+"""Says what works and what is missing, job by job. No bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import python
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A line: a job that can be done, or what it lacks; or a Python and its place."""
+
+    works: bool
+    text: str
+
+
+JOBS = (
+    ("Reading models", python.FOR_READING),
+    ("Selecting photos", python.FOR_READING),
+    ("Selecting by Gaussian process", python.FOR_GAUSSIAN_PROCESS),
+    ("Training and rendering", python.FOR_TRAINING),
+    ("Photos with lens distortion", python.FOR_DISTORTION),
+)
+
+last: tuple[Finding, ...] = ()
+"""What the last `check` found, for the preferences page: asking takes too long to be drawn."""
+
+
+def check(chosen: str, home: Path) -> tuple[Finding, ...]:
+    """Ask every candidate afresh.
+
+    Args:
+        chosen: Python named by the user, or empty.
+        home: folder of the environments that «Set up the engine» makes.
+    """
+    global last
+    python.ability.cache_clear()
+    there = python.candidates(chosen, home)
+    used: list[Path] = []
+    findings = []
+    for job, packages in JOBS:
+        able = [path for path in there if not python.ability(path).lacks(packages)]
+        path = (able or there)[0]
+        used += [path] if path not in used else []
+        says = "ready" if able else f"not yet; {_lack(path, packages)}"
+        findings.append(Finding(works=bool(able), text=f"{job}: {says}"))
+    last = (*findings, *(_place(path) for path in used))
+    return last
+
+
+def _lack(path: Path, packages: tuple[str, ...]) -> str:
+    ability = python.ability(path)
+    reason = ability.lacks(packages)
+    return reason if ability.fault else reason.replace("it lacks", f"{_name(path)} lacks")
+
+
+def _place(path: Path) -> Finding:
+    fault = python.ability(path).fault
+    return Finding(works=not fault, text=f"{_name(path)}: {path}{fault and f', {fault}'}")
+
+
+def _name(path: Path) -> str:
+    ability = python.ability(path)
+    return "Python" if ability.fault else "Python {}.{}".format(*ability.version)
+
+
+def forget() -> None:
+    """Drop what was found."""
+    global last
+    last = ()

@@ -1,0 +1,69 @@
+"""Blender as a Python module, in an environment of its own: `.venv-blender`.
+
+bpy asks for one version of Python and an old numpy, so it stays out of the engine's environment;
+inside Blender it is the same.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+HOME = ROOT / ".venv-blender"
+REQUIREMENT = "bpy==4.5.15"
+PYTHON = (3, 11)
+# What bpy needs on a Linux without a desktop, as Debian and Ubuntu name it.
+LIBRARIES = (
+    "libx11-6 libxext6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libegl1"
+)
+
+
+class NoBlenderError(Exception):
+    """bpy cannot be had here; the text says why, and what would help."""
+
+
+def python() -> Path:
+    """The Python that has bpy, installed now if need be.
+
+    Raises:
+        NoBlenderError: it cannot be installed.
+    """
+    program = HOME / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    complete = HOME / REQUIREMENT
+    if complete.exists():
+        return program
+    if sys.version_info[:2] != PYTHON:
+        version = ".".join(map(str, PYTHON))
+        raise NoBlenderError(f"{REQUIREMENT} needs Python {version}: make PYTHON=python{version}")
+    print(f"Installing {REQUIREMENT} into {HOME.name}.", flush=True)
+    pip = [program, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", REQUIREMENT]
+    for command in ([sys.executable, "-m", "venv", HOME], pip):
+        if subprocess.run(command, check=False).returncode:
+            raise NoBlenderError(f"{REQUIREMENT} could not be installed, see above")
+    complete.touch()
+    return program
+
+
+def working_python() -> Path:
+    """The same, where bpy has been seen to start.
+
+    Raises:
+        NoBlenderError: it does not.
+    """
+    program = python()
+    result = subprocess.run(
+        [program, "-c", "import bpy"], check=False, capture_output=True, text=True, env=variables()
+    )
+    if result.returncode:
+        said = (result.stderr.strip().splitlines() or [f"status {result.returncode}"])[-1]
+        help_text = f"; try: apt install {LIBRARIES}" if sys.platform == "linux" else ""
+        raise NoBlenderError(f"bpy does not start ({said}){help_text}")
+    return program
+
+
+def variables() -> dict[str, str]:
+    """Environment variables for bpy: nothing of a Blender that the user has."""
+    return dict(os.environ) | {"BLENDER_USER_RESOURCES": str(HOME / "user")}

@@ -1,0 +1,66 @@
+"""The demo: the demo scene through the Blender add-on, then measured by the engine.
+
+    python tools/demo.py RUN_DIR [--steps-factor F]
+
+First the headless example of the add-on (import, boxes, photos, training, picture, .blend), then
+`roigs_engine run` on the same run folder, which finds the training done, trains the baseline and
+writes the table. Without bpy, the engine does it all alone. Run it with the engine's Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import blender_module
+
+SCENE = Path("demo/scene")
+EXAMPLE = "roigs_addon/examples/headless.py"
+
+
+def call(command: list[str], variables: dict[str, str] | None = None) -> int:
+    """Run a program from the project's folder; its exit status. It hears Ctrl-C for itself."""
+    with subprocess.Popen(command, cwd=blender_module.ROOT, env=variables) as process:
+        return process.wait()
+
+
+def main() -> int:
+    """The exit status of what failed, or 0."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("run_dir", type=Path, help="folder of the results")
+    parser.add_argument("--steps-factor", default="1", help="times the steps of the preset")
+    options = parser.parse_args()
+    run_dir, factor = str(options.run_dir), ["--steps-factor", options.steps_factor]
+    rois = ["--rois", str(SCENE / "rois.json")]
+    engine = [sys.executable, "-m", "roigs_engine", "run"]
+    try:
+        blender = blender_module.working_python()
+    except blender_module.NoBlenderError as error:
+        print(f"note: without Blender, the engine alone: {error}", flush=True)
+        preset = ["--preset", "draft", *factor]
+        return call([*engine, str(SCENE), *rois, *preset, "--run-dir", run_dir])
+
+    # From here on, Ctrl-C stops what runs, which keeps its work; this script then ends after it.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    status = call(
+        [
+            *(str(blender), EXAMPLE, "--colmap", str(SCENE), *rois, "--out", run_dir),
+            *("--test-every", "8", *factor),
+        ],
+        blender_module.variables() | {"ROIGS_ENGINE_PYTHON": sys.executable},
+    )
+    if status:
+        return status
+    request = str(Path(run_dir) / "blender" / "train.json")
+    status = call([*engine, request, "--compare", "full-scene", "--run-dir", run_dir])
+    if status == 0:
+        for what, where in (("Blender", "scene.blend"), ("rendered", "renders")):
+            print(f"{what + ':':10}{options.run_dir / where}")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,246 @@
+"""Drives a real Blender window on a virtual screen: mouse, keys, pictures, and Python inside.
+
+Needs the programs Xvfb, xdotool and ImageMagick's `import` and `convert`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+INSIDE = Path(__file__).with_name("inside.py")
+PROGRAMS = ("Xvfb", "xdotool", "import", "convert")
+STEP = 9
+"""Pixels between places where a button is looked for; half of one's height."""
+
+
+class WindowError(Exception):
+    """The window did not do what was expected."""
+
+
+class Screen:
+    """A virtual screen."""
+
+    def __init__(self, width: int, height: int) -> None:
+        missing = [name for name in PROGRAMS if not shutil.which(name)]
+        if missing:
+            raise WindowError(f"Programs that are missing: {', '.join(missing)}")
+        self.size = (width, height)
+        reading, writing = os.pipe()
+        self._process = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(writing), "-screen", "0", f"{width}x{height}x24"],
+            pass_fds=[writing],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(writing)
+        with os.fdopen(reading) as numbers:
+            self.display = f":{numbers.readline().strip()}"
+        self.variables = os.environ | {"DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+
+    def do(self, *command: str) -> None:
+        """`xdotool` with these words."""
+        subprocess.run(["xdotool", *command], env=self.variables, check=True)
+
+    def picture(self, path: Path, crop: str = "", *options: str) -> None:
+        """What is on the screen, as PNG with a small palette; `crop` is ImageMagick's WxH+X+Y."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        whole = path.with_suffix(".whole.png")
+        subprocess.run(["import", "-window", "root", whole], env=self.variables, check=True)
+        cut = ["-crop", crop, "+repage"] if crop else []
+        subprocess.run(["convert", whole, *cut, *options, "-strip", path], check=True)
+        whole.unlink()
+
+    def close(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.wait()
+
+
+class Blender:
+    """A running Blender with a window; use it in a `with` statement."""
+
+    def __init__(
+        self,
+        program: Path,
+        screen: Screen,
+        resources: Path,
+        *,
+        log: Path,
+        arguments: tuple[str, ...] = (),
+        variables: dict[str, str] | None = None,
+    ) -> None:
+        """Start it, and wait until it answers.
+
+        Args:
+            program: Blender's executable.
+            screen: where its window appears; as large as the screen.
+            resources: folder for its settings and extensions.
+            log: file for what it prints.
+            arguments: more of them, a .blend file for instance.
+            variables: more environment variables.
+        """
+        self.screen, self.log = screen, log
+        self._number = 0
+        self._answers: queue.SimpleQueue[list[Any]] = queue.SimpleQueue()
+        width, height = screen.size
+        self.process = subprocess.Popen(
+            [
+                *(program, "--window-geometry", "0", "0", str(width), str(height)),
+                *(*arguments, "--python", INSIDE),
+            ],
+            env=screen.variables
+            | {"BLENDER_USER_RESOURCES": str(resources), "PYTHONUNBUFFERED": "1"}
+            | (variables or {}),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        threading.Thread(target=self._read, daemon=True).start()
+        self.ask("bpy.context.preferences.view.show_splash", seconds=90)
+
+    def __enter__(self) -> Blender:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.kill()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self.process.kill()
+        self.process.wait()
+
+    def ask(self, code: str, seconds: float = 60.0) -> Any:
+        """What an expression gives inside Blender; statements give None.
+
+        Raises:
+            WindowError: it failed there, or no answer came in time.
+        """
+        assert self.process.stdin is not None
+        self._number += 1
+        self.process.stdin.write(json.dumps([self._number, code]) + "\n")
+        self.process.stdin.flush()
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                number, good, value = self._answers.get(timeout=0.5)
+            except queue.Empty:
+                if self.process.poll() is not None:
+                    raise WindowError(
+                        f"Blender ended with status {self.process.returncode}, see {self.log}"
+                    ) from None
+                if time.monotonic() > end:
+                    raise WindowError(f"No answer within {seconds} s to: {code}") from None
+                continue
+            if number == self._number:
+                if not good:
+                    raise WindowError(f"In Blender: {code}\n{value}")
+                return value
+
+    def until(self, code: str, seconds: float = 60.0) -> float:
+        """Wait until an expression is true; returns the seconds that it took."""
+        start = time.monotonic()
+        while not self.ask(code):
+            if time.monotonic() - start > seconds:
+                raise WindowError(f"Not so within {seconds} s: {code}")
+            time.sleep(0.05)
+        return time.monotonic() - start
+
+    def find(self, command: str, x: float = 0.5) -> tuple[int, int]:
+        """Where in the sidebar the button is that calls a command, `roigs.train_roi` for instance.
+
+        Args:
+            command: a part of the Python command.
+            x: where in the sidebar's width to look.
+
+        Raises:
+            WindowError: there is none.
+        """
+        left, top, width, height = self.ask("sidebar()")
+        column = left + int(x * width)
+        for turn in range(6):
+            for y in range(top + 8, top + height - 4, STEP):
+                self.screen.do("mousemove", str(column), str(y))
+                time.sleep(0.03)
+                if command in self.ask("under_mouse()"):
+                    return column, y + 3
+            self.scroll(-100 if turn == 0 else 8)
+        raise WindowError(f"There is no button for {command} in the sidebar.")
+
+    def scroll(self, steps: int) -> None:
+        """Turn the wheel over the sidebar; up when negative."""
+        left, top, width, height = self.ask("sidebar()")
+        self.screen.do("mousemove", str(left + width // 2), str(top + height // 2))
+        button = "5" if steps > 0 else "4"
+        self.screen.do("click", "--repeat", str(abs(steps)), "--delay", "10", button)
+        time.sleep(0.5)
+
+    def click(self, place: tuple[int, int]) -> float:
+        """Click there; returns the time (seconds since 1970) at which the button went down."""
+        self.screen.do("mousemove", str(place[0]), str(place[1]))
+        time.sleep(0.2)
+        now = time.time()
+        self.screen.do("click", "1")
+        return now
+
+    def press(self, *keys: str) -> float:
+        """Press keys; returns when."""
+        now = time.time()
+        self.screen.do("key", *keys)
+        return now
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        with self.log.open("a", encoding="utf-8") as log:
+            for line in self.process.stdout:
+                if line.startswith("@answer "):
+                    self._answers.put(json.loads(line[len("@answer ") :]))
+                else:
+                    log.write(line)
+                    log.flush()
+
+
+def with_extension(program: Path, folder: Path) -> Path:
+    """Build the extension and install it into fresh settings; returns their folder."""
+    resources = folder / "resources"
+    resources.mkdir(parents=True)
+    variables = os.environ | {"BLENDER_USER_RESOURCES": str(resources)}
+
+    def extension(*words: str | Path) -> None:
+        done = subprocess.run(
+            [program, "--command", "extension", *words],
+            env=variables,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise WindowError(f"{done.stdout}{done.stderr}")
+
+    extension("build", "--source-dir", REPOSITORY, "--output-dir", folder)
+    (archive,) = folder.glob("*.zip")
+    extension("install-file", "--repo", "user_default", "--enable", archive)
+    return resources
+
+
+def in_window(work: Callable[[Path], None]) -> None:
+    """Do it with a folder that is gone afterwards."""
+    with tempfile.TemporaryDirectory() as folder:
+        work(Path(folder))

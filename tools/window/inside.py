@@ -1,0 +1,88 @@
+"""Runs in Blender: does what the driver asks, on the main thread, and answers.
+
+Lines come on standard input as `NUMBER CODE` (JSON: [number, code]); the answer is a line
+`@answer [number, ok, value]` on standard output. CODE is an expression or statements; what it
+prints or returns is for the driver alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import queue
+import sys
+import threading
+import time
+import traceback
+
+import bpy
+
+lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+events: list[tuple[float, str]] = []
+"""(seconds since 1970, text): what was noted with `note`."""
+
+
+def note(text: str) -> None:
+    """Remember that something happened now."""
+    events.append((time.time(), text))
+
+
+def view() -> dict[str, object]:
+    """Window, area and region of the 3D view, for `temp_override`."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+    return {"window": window, "area": area, "region": part(area, "WINDOW")}
+
+
+def part(area: bpy.types.Area, kind: str) -> bpy.types.Region:
+    """A region of an area."""
+    return next(r for r in area.regions if r.type == kind)
+
+
+def sidebar() -> tuple[int, int, int, int]:
+    """Left, top, width and height of the sidebar, in pixels from the window's top left."""
+    found = view()
+    region, window = part(found["area"], "UI"), found["window"]
+    return region.x, window.height - region.y - region.height, region.width, region.height
+
+
+def under_mouse() -> str:
+    """The Python command of the button under the mouse, as Ctrl-C there copies it; or nothing."""
+    found = view()
+    manager = bpy.context.window_manager
+    manager.clipboard = ""
+    with bpy.context.temp_override(**{**found, "region": part(found["area"], "UI")}):
+        if not bpy.ops.ui.copy_python_command_button.poll():
+            return ""
+        with contextlib.suppress(RuntimeError):
+            bpy.ops.ui.copy_python_command_button()
+    return str(manager.clipboard)
+
+
+def answer() -> float:
+    """Blender's timer: do what has been asked."""
+    while not lines.empty():
+        number, code = json.loads(lines.get())
+        try:
+            try:
+                compiled = compile(code, "<driver>", "eval")
+            except SyntaxError:
+                exec(compile(code, "<driver>", "exec"), globals())
+                value: object = None
+            else:
+                value = eval(compiled, globals())
+            reply = [number, True, value]
+        except Exception:
+            reply = [number, False, traceback.format_exc()]
+        print("@answer " + json.dumps(reply, default=str), flush=True)
+    return 0.02
+
+
+def read() -> None:
+    """A thread: standard input into the queue; Blender ends with it."""
+    for line in sys.stdin:
+        lines.put(line)
+
+
+threading.Thread(target=read, daemon=True).start()
+bpy.app.timers.register(answer, first_interval=1.0, persistent=True)
