@@ -79,5 +79,5 @@ $(VENV)/installed-dev: $(VENV)/torch setup.py
 
 clean:
 	rm -rf $(VENV) .venv-blender build dist *.egg-info roigs_engine/kernels/lib
-	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .blender .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find roigs_engine roigs_addon tests tools demo benchmarks -name __pycache__ -prune -exec rm -rf {} +
