@@ -10,9 +10,9 @@
 # PYTHON       the Python (3.11 or later) that makes the environment
 # TORCH_INDEX  a package index to take torch from; without it tools/install_torch.py finds a build
 #              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
-# BLENDER      the Blender of `make test-blender` and `make extension`, in place of one that the
-#              first makes and of its bpy module, which the other takes from PyPI
-# SUITE        the Debian suite to make it from: trixie (Blender 4.3, the default) or sid
+# BLENDER      the Blender of `make test-blender` (default: made from Debian's packages) and of
+#              `make extension` (default: its bpy module, from PyPI)
+# SUITE        the Debian suite that test-blender takes: trixie (Blender 4.3, the default) or sid
 # RUN_DIR      where `make demo` puts its results
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
@@ -79,5 +79,5 @@ $(VENV)/installed-dev: $(VENV)/torch setup.py
 
 clean:
 	rm -rf $(VENV) .venv-blender build dist *.egg-info roigs_engine/kernels/lib
-	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .blender .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find roigs_engine roigs_addon tests tools demo benchmarks -name __pycache__ -prune -exec rm -rf {} +

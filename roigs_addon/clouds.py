@@ -92,7 +92,8 @@ def colour_material(name: str, opacity: str = "") -> bpy.types.Material:
         opacity: name of an attribute with 0 to 1; empty for none.
     """
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    if material.node_tree is None:  # before Blender 5
+        material.use_nodes = True
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
     nodes.clear()
     colour = nodes.new("ShaderNodeAttribute")

@@ -98,6 +98,29 @@ def test_looking_through_a_photo(blender: ModuleType, addon: ModuleType, project
         bpy.ops.roigs.look_through(photo="photo 9.png")
 
 
+def test_any_way_of_making_a_camera_active(
+    blender: ModuleType, addon: ModuleType, project: Path
+) -> None:
+    from roigs_addon import lookup
+
+    bpy, scene = blender, imported(blender, project)
+    found = lookup.cameras(scene)
+    render = scene.render
+    for name, width in (("photo 1.png", 64), ("photo 2.png", 64)):
+        render.resolution_x = 1000
+        scene.camera = found[name]
+        bpy.context.view_layer.update()
+        assert render.resolution_x == width
+        assert len(found[name].data.background_images) == 1
+    render.resolution_x = 500  # by the user, afterwards
+    scene.camera.location.x += 0.1
+    bpy.context.view_layer.update()
+    assert render.resolution_x == 500
+    scene.camera = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    bpy.context.view_layer.update()
+    assert render.resolution_x == 500
+
+
 def test_a_missing_photo_does_not_stop_the_look(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:

@@ -270,10 +270,10 @@ def test_a_stopped_training_goes_on_to_the_same_bytes(
         _rois = TrainRoi._rois
 
     bpy, run = blender, tmp_path / "run"
-    scene = ready(bpy, project, run, factor=0.5)
+    scene = ready(bpy, project, run, factor=2.0)
     runner = jobs.start(engine, TrainRoi.work(Asker(), bpy.context))
     state = bpy.context.window_manager.roigs
-    while runner.poll() and not state.step > 5:
+    while runner.poll() and state.step <= 5:  # in Scene-GS
         time.sleep(0.02)
     bpy.ops.roigs.stop()
     while runner.poll():

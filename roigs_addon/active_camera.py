@@ -1,0 +1,45 @@
+"""The scene renders as its active camera's photo, however the camera was made active."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+
+from . import cameras
+
+_active: dict[str, str] = {}  # scene -> its active camera, by name
+
+
+@persistent
+def follow(scene: bpy.types.Scene, *_: object) -> None:
+    """Take over resolution and aspect when another photo's camera became the active one.
+
+    What a file has when it is loaded stays, and so does what the user sets afterwards.
+    """
+    camera = scene.camera
+    name = camera.name if camera else ""
+    before = _active.get(scene.name)
+    _active[scene.name] = name
+    if before is None or before == name or not camera or camera.roigs.kind != "CAMERA":
+        return
+    if not bpy.app.is_job_running("RENDER"):  # cameras change with markers, the size must not
+        cameras.activate(scene, camera)
+
+
+@persistent
+def forget(*_: object) -> None:
+    """Another file: its cameras are not compared with those of the one before."""
+    _active.clear()
+
+
+def register() -> None:
+    """The handlers."""
+    bpy.app.handlers.depsgraph_update_post.append(follow)
+    bpy.app.handlers.load_pre.append(forget)
+
+
+def unregister() -> None:
+    """Gone."""
+    bpy.app.handlers.load_pre.remove(forget)
+    bpy.app.handlers.depsgraph_update_post.remove(follow)
+    forget()
