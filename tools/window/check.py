@@ -97,7 +97,7 @@ def first_window(blender: Blender, folder: Path) -> None:
     start = blender.click(at)
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
     check(f"«Select Cameras» clicked: chosen after {time.time() - start:.1f} s", True)
-    next_photo = blender.find("step=1", x=0.92)
+    next_photo = blender.find("step=1", x=0.84)
 
     pid = start_training(blender)
     engine = os.readlink(f"/proc/{pid}/exe")
@@ -151,7 +151,7 @@ def first_window(blender: Blender, folder: Path) -> None:
     pid = start_training(blender)
     now = blender.ask(f"{STATE}.step")
     check(f"«Continue» goes on: step {now}, stopped at {step}", now >= step)
-    since = blender.click(blender.find("roigs.stop", x=0.93))
+    since = blender.click(blender.find("roigs.stop", x=0.84))
     took = gone_after(pid, since)
     check(f"«Stop» clicked: the engine was gone after {took:.2f} s (2 s)", took <= 2.0)
     blender.until(f"not {BUSY}")

@@ -188,7 +188,7 @@ class Blender:
 
     def scroll(self, steps: int) -> None:
         """Turn the wheel over the sidebar; up when negative."""
-        left, top, width, height = self.ask("sidebar()")
+        left, top, _, height = self.ask("sidebar()")
         self.screen.do("mousemove", str(left + 5), str(top + height // 2))  # beside any list
         button = "5" if steps > 0 else "4"
         self.screen.do("click", "--repeat", str(abs(steps)), "--delay", "10", button)
