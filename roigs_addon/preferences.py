@@ -15,8 +15,8 @@ from .errors import AddonError
 
 # The extension's package, of which this one is a part; in tests it may stand alone.
 ADDON = __package__.rpartition(".")[0] or __package__
-LINE = 90
-"""Characters of a line on the page."""
+LETTER = 7.5
+"""Mean width of a letter, in pixels of an interface that is not scaled."""
 
 
 class RoigsPreferences(bpy.types.AddonPreferences):
@@ -70,29 +70,30 @@ def _draw_engine(layout: bpy.types.UILayout) -> None:
     row.label(text="Engine")
     row.operator("roigs.check_engine")
     for finding in check.last:
-        icon = "CHECKMARK" if finding.works else "ERROR"
-        for number, line in enumerate(textwrap.wrap(finding.text, LINE)):
-            layout.label(text=line, icon=icon if number == 0 else "BLANK1")
+        _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
     made = install.current
     if made is not None and not made.finished:
         row = layout.row(align=True)
-        text = f"{made.title} {made.fraction:.0%}"
-        if hasattr(row, "progress"):
-            row.progress(factor=made.fraction, text=text)
-        else:
-            row.label(text=text)
+        row.progress(factor=made.fraction, text=f"{made.title} {made.fraction:.0%}")
         row.operator("roigs.stop_setup", text="", icon="CANCEL")
-        layout.label(text=made.line[:LINE])
+        layout.label(text=made.line)
         return
     if made is not None:
-        text, icon = made.message or made.title, "ERROR" if made.message else "CHECKMARK"
-        for number, line in enumerate(textwrap.wrap(text, LINE)):
-            layout.label(text=line, icon=icon if number == 0 else "BLANK1")
+        _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
     settings = get()
     layout.prop(settings, "cuda")
     layout.prop(settings, "wheels")
     button = layout.operator("roigs.setup_engine", icon="IMPORT")
     button.cuda, button.wheels = settings.cuda, settings.wheels
+
+
+def _lines(layout: bpy.types.UILayout, text: str, icon: str) -> None:
+    """A text in lines that fit the page."""
+    scale = bpy.context.preferences.system.ui_scale
+    width = max(int(bpy.context.region.width * 0.7 / (LETTER * scale)), 30)
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, width)):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1")
 
 
 def get() -> RoigsPreferences | None:

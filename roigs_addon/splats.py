@@ -7,6 +7,7 @@ off in renders.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -95,7 +96,7 @@ def remove(scene: bpy.types.Scene, level: str) -> None:
 def _hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
     """In the scene's own view layers, for another scene may be in the window."""
     for layer in scene.view_layers:
-        if item.name in layer.objects:
+        with suppress(RuntimeError):  # not an object of this layer
             item.hide_set(hidden, view_layer=layer)
 
 

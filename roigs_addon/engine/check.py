@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import python
-from .client import Engine
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One job: whether it can be done, and by which Python, or what is missing."""
+    """A line: a job that can be done, or what it lacks; or a Python and its place."""
 
     works: bool
     text: str
@@ -38,20 +37,33 @@ def check(chosen: str, home: Path) -> tuple[Finding, ...]:
     """
     global last
     python.ability.cache_clear()
-    last = tuple(_finding(job, packages, chosen, home) for job, packages in JOBS)
+    there = python.candidates(chosen, home)
+    used: list[Path] = []
+    findings = []
+    for job, packages in JOBS:
+        able = [path for path in there if not python.ability(path).lacks(packages)]
+        path = (able or there)[0]
+        used += [path] if path not in used else []
+        says = "ready" if able else f"not yet; {_lack(path, packages)}"
+        findings.append(Finding(works=bool(able), text=f"{job}: {says}"))
+    last = (*findings, *(_place(path) for path in used))
     return last
 
 
-def _finding(job: str, packages: tuple[str, ...], chosen: str, home: Path) -> Finding:
-    engine, reason = python.find(chosen, home, packages)
-    if engine is None:
-        return Finding(works=False, text=f"{job}: not yet. {reason}")
-    return Finding(works=True, text=f"{job}: ready, {_described(engine)}")
+def _lack(path: Path, packages: tuple[str, ...]) -> str:
+    ability = python.ability(path)
+    reason = ability.lacks(packages)
+    return reason if ability.fault else reason.replace("it lacks", f"{_name(path)} lacks")
 
 
-def _described(engine: Engine) -> str:
-    major, minor = python.ability(engine.python).version
-    return f"Python {major}.{minor} ({engine.python})"
+def _place(path: Path) -> Finding:
+    fault = python.ability(path).fault
+    return Finding(works=not fault, text=f"{_name(path)}: {path}{fault and f', {fault}'}")
+
+
+def _name(path: Path) -> str:
+    ability = python.ability(path)
+    return "Python" if ability.fault else "Python {}.{}".format(*ability.version)
 
 
 def forget() -> None:

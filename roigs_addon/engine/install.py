@@ -223,6 +223,7 @@ class Installation:
         home = self.plan.home
         home.mkdir(parents=True, exist_ok=True)
         base = choose_python(self.plan.wheels)
+        self.title = "Making room"
         before = [path for path in home.iterdir() if path.is_dir()]
         for path in before:
             if not (path / MARKER).is_file():  # left by a set-up that did not end
