@@ -163,6 +163,8 @@ def first_window(blender: Blender, folder: Path) -> None:
     check(f"engine killed: «{error}»", bool(error) and blender.process.poll() is None)
     time.sleep(0.5)
     blender.screen.picture(folder / "killed.png")
+    blender.screen.do("mousemove", "400", "300")  # the report goes when the mouse leaves it
+    time.sleep(0.5)
 
     pid = start_training(blender)
     blender.ask("bpy.ops.wm.save_mainfile()")
