@@ -1,6 +1,7 @@
 # make demo        set up, run the demo scene through the Blender add-on, print the table
 # make test        lint, types, tests
 # make test-long   the slow tests
+# make test-blender  the add-on's tests inside a real Blender, put together from Debian's packages
 # make format      bring the code into the project's form
 # make kernels     compile the kernels for every platform
 # make extension   build the Blender extension into dist/, with the kernels of every platform
@@ -9,7 +10,9 @@
 # PYTHON       the Python (3.11 or later) that makes the environment
 # TORCH_INDEX  a package index to take torch from; without it tools/install_torch.py finds a build
 #              for the CPU. Example: TORCH_INDEX=https://download.pytorch.org/whl/cpu
-# BLENDER      the Blender that builds the extension (default: its bpy module, from PyPI)
+# BLENDER      the Blender of `make test-blender` and `make extension`, in place of one that the
+#              first makes and of its bpy module, which the other takes from PyPI
+# SUITE        the Debian suite to make it from: trixie (Blender 4.3, the default) or sid
 # RUN_DIR      where `make demo` puts its results
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3)
@@ -17,6 +20,7 @@ TORCH_INDEX ?=
 export TORCH_INDEX
 RUN_DIR ?= runs/demo
 BLENDER ?=
+SUITE ?= trixie
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -24,7 +28,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Compiles only what is older than its sources.
 UPDATE_KERNELS = @$(BIN)/python -m roigs_engine.kernels.build > /dev/null
 
-.PHONY: demo test test-long format kernels extension clean
+.PHONY: demo test test-long test-blender format kernels extension clean
 
 demo: $(VENV)/installed
 	$(UPDATE_KERNELS)
@@ -40,6 +44,10 @@ test: $(VENV)/installed-dev
 test-long: $(VENV)/installed-dev
 	$(UPDATE_KERNELS)
 	$(BIN)/python -m pytest -m slow
+
+test-blender: $(VENV)/installed
+	$(UPDATE_KERNELS)
+	$(BIN)/python tools/blender_tests.py $(if $(BLENDER),--blender '$(BLENDER)',--suite $(SUITE)) -q
 
 format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .

@@ -22,6 +22,7 @@ MODULES = (
     "operators.train",
     "operators.results",
     "viewport",
+    "facts",
     "panels",
 )
 

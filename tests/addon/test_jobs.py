@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -17,6 +16,7 @@ import pytest
 
 from roigs_addon.engine.client import Engine, Job, parse_event
 from roigs_addon.engine.python import VARIABLE, own_python
+from tests.addon.scenes import ROOT
 
 PYTHON = Path(os.environ.get("ROIGS_TEST_PYTHON") or own_python())
 
@@ -113,7 +113,10 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ('say(event="failed", message="No photos.", hint="Add some."); sys.exit(2)', "No photos. Add some."),
+        (
+            'say(event="failed", message="No photos.", hint="Add some."); sys.exit(2)',
+            "No photos. Add some.",
+        ),
         ('say(event="failed", message=None); sys.exit(2)', "The engine failed."),
         ('print("a\\nboom", file=sys.stderr); sys.exit(7)', "The engine ended with status 7: boom"),
         ("sys.exit(0)", "The engine ended with status 0"),
@@ -142,14 +145,14 @@ sys.exit(3)
 """
 
 
-def test_stop_is_a_line(tmp_path: Path) -> None:
+def test_stop_is_the_end_of_input(tmp_path: Path) -> None:
     job = Job(fake(tmp_path, LISTEN), ["train"])
     assert until(lambda: bool(job.events()))
     job.stop()
     job.stop()
     assert job.wait(5)
     (event,) = job.events()
-    assert event["text"] == r"heard 'stop\n'"
+    assert event["text"] == r"heard ''"
     assert job.outcome().stopped and not job.outcome().failed
     job.stop()
 
@@ -314,12 +317,9 @@ def long_run(blender: ModuleType, engine, project: Path, tmp_path: Path):
 
 
 @pytest.mark.blender
-def test_stop_answers_within_two_seconds_and_goes_on_to_the_same(
-    blender: ModuleType, engine, long_run, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon import jobs, requests
+def test_stop_answers_within_two_seconds(blender: ModuleType, long_run, tmp_path: Path) -> None:
+    from roigs_addon import jobs
     from roigs_addon.operators import train
-    from tests.addon.scenes import command_line
 
     scene, runner = long_run
     state = blender.context.window_manager.roigs
@@ -332,8 +332,6 @@ def test_stop_answers_within_two_seconds_and_goes_on_to_the_same(
     assert checkpoints(tmp_path / "run") and train.unfinished(scene)
     assert not (tmp_path / "run" / "result.ply").exists() and not jobs.busy()
     assert not blender.ops.roigs.stop.poll()
-    assert requests.run_folder(scene) == tmp_path / "run"
-    assert command_line  # continued runs are compared in test_training.py
 
 
 @pytest.mark.blender
@@ -374,14 +372,13 @@ def blender_process(folder: Path, project: Path, factor: float) -> subprocess.Po
     """Another Blender like this one that trains in folder/run."""
     import bpy
 
-    from tests.addon.scenes import ROOT
-
     script = folder / "train.py"
     values = {"root": str(ROOT), "project": str(project), "run": str(folder / "run")}
     script.write_text(BLENDER_SCRIPT.format(**values, factor=factor), encoding="utf-8")
     command = [sys.executable, str(script)]
-    if bpy.app.binary_path:
-        command = [bpy.app.binary_path, "-b", "--factory-startup", "--python", str(script)]
+    program = bpy.app.binary_path and (os.environ.get("ROIGS_BLENDER") or bpy.app.binary_path)
+    if program:
+        command = [program, "-b", "--factory-startup", "--python", str(script)]
     environment = {**os.environ, VARIABLE: os.environ.get(VARIABLE) or sys.executable}
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
@@ -409,5 +406,8 @@ def test_no_engine_outlives_a_killed_blender(engine, project: Path, tmp_path: Pa
         process.kill()
     assert until(lambda: not alive(pid), 5)
     assert checkpoints(run)
-    last = json.loads((run / "events.jsonl").read_text(encoding="utf-8").splitlines()[-1])
-    assert last["event"] in ("done", "progress", "message")
+    job = Job(engine, ["train", str(run / "blender" / "train.json"), "--run-dir", str(run)])
+    said = []
+    assert until(lambda: said.extend(job.events()) or any("goes on" in str(e) for e in said), 60)
+    job.stop()
+    assert job.wait(5) and job.outcome().stopped

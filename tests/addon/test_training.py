@@ -192,9 +192,7 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory):
 
     def results(engine, values: dict) -> dict[str, bytes]:
         values = {k: v for k, v in values.items() if k not in ("update", "preview_seconds")}
-        key = json.dumps(
-            values | {"rois": Path(values["rois"]).read_text("utf-8")}
-        )
+        key = json.dumps(values | {"rois": Path(values["rois"]).read_text("utf-8")})
         if key not in done:
             folder = tmp_path_factory.mktemp("by hand")
             (folder / "request.json").write_text(json.dumps(values), encoding="utf-8")
@@ -272,7 +270,7 @@ def test_a_stopped_training_goes_on_to_the_same_bytes(
         _rois = TrainRoi._rois
 
     bpy, run = blender, tmp_path / "run"
-    scene = ready(bpy, project, run, factor=0.2)
+    scene = ready(bpy, project, run, factor=0.5)
     runner = jobs.start(engine, TrainRoi.work(Asker(), bpy.context))
     state = bpy.context.window_manager.roigs
     while runner.poll() and not state.step > 5:

@@ -21,9 +21,9 @@ from tests.addon.splat_cases import random_ply
 pytestmark = pytest.mark.blender
 
 ROOT = Path(__file__).resolve().parents[2]
-HERE = [sys.executable] if importlib.util.find_spec("bpy") else []
-BLENDERS = os.environ.get("ROIGS_BLENDER", "").split(os.pathsep)
-BLENDERS = [name for name in BLENDERS if name] or HERE
+BLENDERS = [name for name in os.environ.get("ROIGS_BLENDER", "").split(os.pathsep) if name]
+if not BLENDERS and importlib.util.find_spec("bpy"):
+    BLENDERS = [__import__("bpy").app.binary_path or sys.executable]
 
 
 @pytest.fixture(params=BLENDERS or ["none"])
