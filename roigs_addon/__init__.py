@@ -23,6 +23,7 @@ MODULES = (
     "operators.train",
     "operators.results",
     "viewport",
+    "facts",
     "panels",
 )
 

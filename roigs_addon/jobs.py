@@ -111,6 +111,7 @@ class Runner:
                 path = Path(str(event.get("path")))
                 if os.path.isfile(path):  # Path's own raises when the name is too long
                     _guarded(self.work.on_preview, path)
+                    redraw()
 
     def _finish(self) -> None:
         state = bpy.context.window_manager.roigs
@@ -122,6 +123,8 @@ class Runner:
             self.outcome.message = _guarded(self.work.on_done, self.outcome)
         state.error = self.outcome.message
         state.stage = ""
+        for listener in on_end:
+            listener()
 
 
 def _guarded(callback: Callable[[Any], None], value: Any) -> str:
@@ -137,6 +140,8 @@ def _guarded(callback: Callable[[Any], None], value: Any) -> str:
 
 
 current: Runner | None = None
+on_end: list[Callable[[], None]] = []
+"""Called when a job has ended and its results are in."""
 
 
 def busy() -> bool:
@@ -213,7 +218,10 @@ def _tick() -> float | None:
     if current is None:
         return None
     running = current.poll()
-    redraw()
+    if running:  # the pictures beside the sidebar take long to draw, and are as they were
+        redraw_sidebars()
+    else:
+        redraw()
     return POLL_SECONDS if running else None
 
 
@@ -223,6 +231,16 @@ def redraw(kind: str = "VIEW_3D") -> None:
         for area in window.screen.areas:
             if area.type == kind:
                 area.tag_redraw()
+
+
+def redraw_sidebars() -> None:
+    """Draw the sidebars of the 3D views again, and nothing else."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
 
 
 def _whole(value: Any) -> int:

@@ -1,4 +1,7 @@
-"""The sidebar tab «ROI-GS»: the steps in the order of the work. Layout only."""
+"""The sidebar tab «ROI-GS»: the steps in the order of the work. Layout only.
+
+Drawn again at every event, so everything that would cost time is asked of `facts` and `counts`.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,17 @@ from pathlib import Path
 
 import bpy
 
-from . import counts, jobs, lookup, requests
+from . import counts, facts, jobs, lookup, preferences, requests, viewport
+from .engine.runs import stage_in_words
 from .operators import results, train
-from .operators.regions import AddRoi, RemoveRoi, SelectRoi
+from .operators.regions import AddRoi, LoadRois, RemoveRoi, SelectRoi
 from .operators.scene import ImportColmap, LookThrough
 from .operators.select import EditSelection, SelectCameras
 from .photo import Photo
 
-DONE, MISSING = "CHECKMARK", "RADIOBUT_OFF"
+DONE, MISSING, WRONG, PAUSED = "CHECKMARK", "RADIOBUT_OFF", "ERROR", "PAUSE"
+PIXELS_PER_LETTER = 7.5
+"""Of Blender's default font, at a scale of 1."""
 
 
 class _Panel:
@@ -25,8 +31,50 @@ class _Panel:
     bl_category = "ROI-GS"
 
 
-def _state(layout: bpy.types.UILayout, done: bool, text: str) -> None:
-    layout.label(text=text, icon=DONE if done else MISSING)
+def _say(layout: bpy.types.UILayout, text: str, icon: str) -> None:
+    """A text, in lines that fit the sidebar."""
+    region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
+    letters = int(region.width / (PIXELS_PER_LETTER * scale)) - 5 if region else 40
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, max(letters, 20))):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1")
+
+
+def _job(layout: bpy.types.UILayout, title: str) -> bool:
+    """The progress or the error of this step's job; False when there is neither."""
+    state = bpy.context.window_manager.roigs
+    if state.title != title:
+        return False
+    if jobs.busy():
+        _progress(layout, state)
+        return True
+    if state.error:
+        _say(layout, state.error, WRONG)
+        layout.operator(train.ShowLog.bl_idname, icon="TEXT")
+    return bool(state.error)
+
+
+def _progress(layout: bpy.types.UILayout, state: bpy.types.PropertyGroup) -> None:
+    share = state.step / state.total if state.total else 0.0
+    stage = stage_in_words(state.stage) if state.stage else ""
+    row = layout.row(align=True)
+    percent = f" {share:.0%}" if state.total else " …"
+    row.progress(factor=share, text=f"{state.title}{': ' if stage else ''}{stage}{percent}")
+    row.operator(train.StopJob.bl_idname, text="", icon="CANCEL")
+    column = layout.column(align=True)
+    if state.total:
+        left = jobs.time_text(state.seconds_left).removeprefix(", ")
+        column.label(text=f"Step {state.step:,} of {state.total:,}")
+        if left:
+            column.label(text=f"About {left} in this stage")
+    if state.gaussians:
+        column.label(text=f"{state.gaussians:,} Gaussians")
+    if state.psnr:
+        column.label(text=f"PSNR {state.psnr:.1f} dB, loss {state.loss:.3f}")
+    if state.message:
+        _say(column, state.message, "INFO")
+    if not jobs.current.stopping:
+        column.label(text="Esc stops and keeps what is done", icon="BLANK1")
 
 
 class ScenePanel(_Panel, bpy.types.Panel):
@@ -40,24 +88,27 @@ class ScenePanel(_Panel, bpy.types.Panel):
         layout, scene = self.layout, context.scene
         settings = scene.roigs
         layout.operator(ImportColmap.bl_idname, icon="IMPORT")
-        if not settings.colmap:
-            _state(layout, False, "No COLMAP model yet")
+        if _job(layout, "Importing"):
             return
-        cameras = sum(1 for _ in lookup.of_kind(scene, "CAMERA"))
+        if not settings.colmap:
+            _say(layout, "Missing: the folder of a COLMAP project", MISSING)
+            return
+        photos = sum(1 for item in scene.objects if item.type == "CAMERA" and item.roigs.photo)
         cloud = lookup.points(scene)
-        found = len(cloud.data.vertices) if cloud else 0
-        _state(layout, True, f"{Path(settings.colmap).name}: {cameras:,} photos, {found:,} points")
+        points = len(cloud.data.vertices) if cloud else 0
+        name = Path(settings.colmap).name
+        _say(layout, f"{name}: {photos:,} photos, {points:,} points", DONE)
         if settings.skipped:
-            layout.label(text=f"Left out: {settings.skipped}", icon="ERROR")
+            _say(layout, f"Left out: {settings.skipped}", WRONG)
         row = layout.row(align=True)
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_LEFT").step = -1
-        row.operator(LookThrough.bl_idname, text=_active_photo(scene))
+        row.operator(LookThrough.bl_idname, text=_active_photo(scene), icon="CAMERA_DATA").step = 0
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
 
 
 def _active_photo(scene: bpy.types.Scene) -> str:
     photo = Photo.from_json(scene.camera.roigs.photo) if scene.camera else None
-    return photo.name if photo else "Look Through"
+    return facts.short_name(scene, photo.name) if photo else "Look Through"
 
 
 class RegionsPanel(_Panel, bpy.types.Panel):
@@ -72,9 +123,10 @@ class RegionsPanel(_Panel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator(AddRoi.bl_idname, icon="ADD")
         row.operator(RemoveRoi.bl_idname, text="", icon="REMOVE")
+        row.operator(LoadRois.bl_idname, text="", icon="FILE_FOLDER")
         boxes = lookup.rois(scene)
         if not boxes:
-            _state(layout, False, "Add a box around each object")
+            _say(layout, "Missing: a box around each object that shall be sharp", MISSING)
             return
         active = lookup.active_roi(context)
         for roi in boxes:
@@ -84,22 +136,43 @@ class RegionsPanel(_Panel, bpy.types.Panel):
             row.operator(SelectRoi.bl_idname, text="", icon=icon, emboss=False).name = roi.name
             row.prop(roi, "name", text="")
             row.prop(roi, "hide_viewport", text="", emboss=False)
-            self._describe(column, roi, scene)
-            if roi == active:
-                column.prop(roi, "location")
-                column.prop(roi, "rotation_euler")
-                column.prop(roi, "scale")
+            _describe(column, roi, scene)
 
-    def _describe(
-        self, layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene
-    ) -> None:
-        found = counts.count(roi, scene)
-        if found is None:
-            layout.label(text="This is no box: see its scale and rotation", icon="ERROR")
-            return
-        points, photos = found
-        seen = "" if photos is None else f", seen in {photos:,} photos"
-        layout.label(text=f"{points:,} points{seen}", icon="NONE" if points else "ERROR")
+
+def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    found = counts.count(roi, scene)
+    if found is None:
+        _say(layout, "Slanted or flat: see its rotation and size", WRONG)
+        return
+    points, photos = found
+    if not points:
+        _say(layout, "Empty: no point of the model is in it", WRONG)
+        return
+    seen = "" if photos is None else f", seen in {photos:,} photos"
+    _say(layout, f"{points:,} points{seen}", DONE)
+
+
+class PlacePanel(_Panel, bpy.types.Panel):
+    """The active box by numbers."""
+
+    bl_idname = "ROIGS_PT_place"
+    bl_parent_id = RegionsPanel.bl_idname
+    bl_label = "Place and Size"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a box."""
+        return lookup.active_roi(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Where it is, how it is turned, half its sides."""
+        layout, roi = self.layout, lookup.active_roi(context)
+        layout.label(text=roi.name)
+        for name, text in (("location", "Centre"), ("scale", "Half Side")):
+            layout.column().prop(roi, name, text=text)
+        turned = "rotation_quaternion" if roi.rotation_mode == "QUATERNION" else "rotation_euler"
+        layout.column().prop(roi, turned, text="Rotation")
 
 
 class PhotoList(bpy.types.UIList):
@@ -110,10 +183,14 @@ class PhotoList(bpy.types.UIList):
     def draw_item(
         self, context, layout, data, item, icon, active_data, active_property, index=0, flt_flag=0
     ) -> None:
-        """Name, score, and a button that looks through the camera."""
-        row = layout.row(align=True)
-        row.label(text=f"{index + 1}  {item.name}")
-        row.label(text=f"{item.score:.3f}" if item.score else "")
+        """Name, the score as a bar, and a button that looks through the camera."""
+        split = layout.split(factor=0.55, align=True)
+        split.label(text=f"{index + 1}  {facts.short_name(context.scene, item.name)}")
+        row = split.row(align=True)
+        if item.score:
+            row.progress(factor=min(max(item.score, 0.0), 1.0), text=f"{item.score:.2f}")
+        else:
+            row.label(text="by hand")
         row.operator(LookThrough.bl_idname, text="", icon="HIDE_OFF").photo = item.name
 
 
@@ -128,32 +205,36 @@ class CamerasPanel(_Panel, bpy.types.Panel):
         layout, scene = self.layout, context.scene
         column = layout.column(align=True)
         column.use_property_split = True
+        column.use_property_decorate = False
         column.prop(scene.roigs, "method")
-        column.prop(scene.roigs, "count")
+        column.prop(scene.roigs, "count", text="Photos (0: auto)")
         layout.operator(SelectCameras.bl_idname, icon="CAMERA_DATA")
         roi = lookup.active_roi(context)
+        if _job(layout, "Selecting"):
+            return
         if roi is None:
-            _state(layout, False, "Add a box first")
+            _say(layout, "Missing: a box", MISSING)
             return
         chosen = roi.roigs.selection
         if not len(chosen):
-            _state(layout, False, f"{roi.name}: the engine will choose when training")
+            _say(layout, f"{roi.name}: will be chosen when training", MISSING)
         elif requests.selection_is_stale(roi, scene):
-            layout.label(text=f"{roi.name} was moved since: select again", icon="ERROR")
+            _say(layout, f"{roi.name} was moved since: select again", WRONG)
         else:
-            _state(layout, True, f"{roi.name}: {len(chosen)} photos")
+            _say(layout, f"{roi.name}: {len(chosen)} photos, best first", DONE)
         if len(chosen):
-            self._list(layout, roi)
+            _list(layout, roi)
 
-    def _list(self, layout: bpy.types.UILayout, roi: bpy.types.Object) -> None:
-        row = layout.row()
-        row.template_list(
-            PhotoList.bl_idname, "", roi.roigs, "selection", roi.roigs, "selection_index", rows=4
-        )
-        column = row.column(align=True)
-        icons = {"ADD": "ADD", "REMOVE": "REMOVE", "UP": "TRIA_UP", "DOWN": "TRIA_DOWN"}
-        for action, icon in {**icons, "CLEAR": "X"}.items():
-            column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
+
+def _list(layout: bpy.types.UILayout, roi: bpy.types.Object) -> None:
+    row = layout.row()
+    row.template_list(
+        PhotoList.bl_idname, "", roi.roigs, "selection", roi.roigs, "selection_index", rows=5
+    )
+    column = row.column(align=True)
+    icons = {"ADD": "ADD", "REMOVE": "REMOVE", "UP": "TRIA_UP", "DOWN": "TRIA_DOWN", "CLEAR": "X"}
+    for action, icon in icons.items():
+        column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
 
 
 class TrainPanel(_Panel, bpy.types.Panel):
@@ -167,52 +248,66 @@ class TrainPanel(_Panel, bpy.types.Panel):
         layout, scene = self.layout, context.scene
         column = layout.column(align=True)
         column.use_property_split = True
-        for name in ("preset", "steps_factor", "max_side", "run_dir"):
+        column.use_property_decorate = False
+        for name in ("preset", "max_side"):
             column.prop(scene.roigs, name)
-        left = "" if jobs.busy() else train.unfinished(scene)
-        text = "Continue" if left else "Train ROI"
-        layout.operator(train.TrainRoi.bl_idname, text=text, icon="PLAY")
-        state = context.window_manager.roigs
-        if jobs.busy():
-            self._progress(layout, state)
-        elif state.error:
-            _wrapped(layout, state.error, "ERROR")
-        elif left:
-            layout.label(text=f"Stopped in stage «{left}»", icon="PAUSE")
-        elif done := train.finished(scene):
-            _state(layout, True, f"Trained: {', '.join(done)}")
-        else:
-            _state(layout, False, "Not trained yet")
-        if train.log_path(context):
-            layout.operator(train.ShowLog.bl_idname, icon="TEXT")
-
-    def _progress(self, layout: bpy.types.UILayout, state: bpy.types.PropertyGroup) -> None:
-        share = state.step / state.total if state.total else 0.0
-        text = f"{state.stage or state.title} {share:.0%}"
+        found = facts.run(scene)
+        begun = not found.result and bool(found.left or found.done)
         row = layout.row(align=True)
-        if hasattr(row, "progress"):
-            row.progress(factor=share, text=text)
+        text = "Continue" if begun else "Train ROI"
+        row.operator(train.TrainRoi.bl_idname, text=text, icon="PLAY").active_only = False
+        active = lookup.active_roi(context)
+        if active is not None and len(lookup.rois(scene)) > 1:
+            button = row.operator(train.TrainRoi.bl_idname, text=f"Only {active.name}")
+            button.active_only = True
+        if problem := facts.engine_problem():
+            _engine_missing(layout, problem)
+        if not _job(layout, "Training"):
+            self._state(layout, scene, found)
+
+    def _state(self, layout, scene, found) -> None:
+        if found.holder:
+            text = f"Another Blender or terminal is training here (process {found.holder})"
+            _say(layout, text, PAUSED)
+        elif found.left:
+            _say(layout, f"Stopped: {stage_in_words(found.left)}", PAUSED)
+        elif found.result and (moved := facts.changed(scene, found)):
+            _say(layout, f"Not trained as they are now: {', '.join(moved)}", WRONG)
+        elif found.result:
+            _say(layout, f"Trained: {', '.join(map(stage_in_words, found.done))}", DONE)
+        elif found.done:
+            _say(layout, f"Stopped after: {', '.join(map(stage_in_words, found.done))}", PAUSED)
         else:
-            row.label(text=text)
-        row.operator(train.StopJob.bl_idname, text="", icon="CANCEL")
+            _say(layout, "Not trained yet", MISSING)
+
+
+def _engine_missing(layout: bpy.types.UILayout, problem: str) -> None:
+    box = layout.box()
+    _say(box, problem, WRONG)
+    box.operator(
+        "preferences.addon_show", text="Set Up the Engine", icon="PREFERENCES"
+    ).module = preferences.ADDON
+
+
+class TrainSettingsPanel(_Panel, bpy.types.Panel):
+    """What is seldom changed."""
+
+    bl_idname = "ROIGS_PT_train_settings"
+    bl_parent_id = TrainPanel.bl_idname
+    bl_label = "Settings"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Steps, boxes, tests, folder, log."""
+        layout, scene = self.layout, context.scene
         column = layout.column(align=True)
-        if state.total:
-            column.label(
-                text=f"Step {state.step:,} of {state.total:,}{jobs.time_text(state.seconds_left)}"
-            )
-        if state.gaussians:
-            column.label(
-                text=f"{state.gaussians:,} Gaussians, {state.psnr:.1f} dB, loss {state.loss:.4f}"
-            )
-        if state.message:
-            column.label(text=state.message)
-
-
-def _wrapped(layout: bpy.types.UILayout, text: str, icon: str, width: int = 46) -> None:
-    """A text in lines that fit the sidebar."""
-    column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, width)):
-        column.label(text=line, icon=icon if number == 0 else "BLANK1")
+        column.use_property_split = True
+        column.use_property_decorate = False
+        for name in ("steps_factor", "strategy", "test_every", "seed", "run_dir"):
+            column.prop(scene.roigs, name)
+        if not scene.roigs.run_dir:
+            _say(layout, f"{requests.run_folder(scene)}", "FILE_FOLDER")
+        layout.operator(train.ShowLog.bl_idname, icon="TEXT")
 
 
 class ResultPanel(_Panel, bpy.types.Panel):
@@ -225,27 +320,52 @@ class ResultPanel(_Panel, bpy.types.Panel):
         """What is shown of the Gaussians, and pictures of them."""
         layout, scene = self.layout, context.scene
         layout.operator(results.LoadResults.bl_idname, icon="FILE_REFRESH")
+        splats = lookup.splats(scene)
+        if not splats:
+            _say(layout, "Missing: Gaussians; train first", MISSING)
+        column = layout.column(align=True)
         levels = results.box_levels(scene)
-        if not levels:
-            _state(layout, False, "No Gaussians in the scene yet")
-        for roi, fine in levels.items():
+        for item in splats:
+            if item.roigs.level == "RESULT":
+                row = column.row(align=True)
+                row.label(text=item.name)
+                row.prop(item, "hide_viewport", text="", emboss=False)
+            elif item.roigs.level == "ROI":
+                self._box(column.row(align=True), splats, item.roigs.roi, levels)
+        if splats:
             row = layout.row(align=True)
-            row.label(text=roi)
-            for text, value in (("Coarse", False), ("Fine", True)):
-                button = row.operator(results.SetDetail.bl_idname, text=text, depress=fine == value)
-                button.roi, button.fine = roi, value
-        if levels:
-            row = layout.row(align=True)
-            for text, value in (("Points", True), ("Gaussians", False)):
-                row.operator(results.ShowPoints.bl_idname, text=text).points = value
+            as_points = splats[0].roigs.as_points
+            for text, value in (("Gaussians", False), ("Points", True)):
+                button = row.operator(
+                    results.ShowPoints.bl_idname, text=text, depress=as_points == value
+                )
+                button.points = value
+        for path, problem in viewport.problems().items():
+            _say(layout, f"{Path(path).name}: {problem}" if path else problem, WRONG)
+        if _job(layout, "Rendering"):
+            return
         row = layout.row(align=True)
         row.operator(results.RenderSplats.bl_idname, text="Render", icon="RENDER_STILL")
         row.operator(
             results.RenderSplats.bl_idname, text="Animation", icon="RENDER_ANIMATION"
         ).animation = True
 
+    def _box(self, row, splats, roi, levels) -> None:
+        row.label(text=roi)
+        for text, fine in (("Coarse", False), ("Fine", True)):
+            pressed = levels[roi] == fine
+            button = row.operator(results.SetDetail.bl_idname, text=text, depress=pressed)
+            button.roi, button.fine = roi, fine
+        shown = "ROI" if levels[roi] else "SCENE"
+        for item in splats:
+            if item.roigs.roi == roi and item.roigs.level == shown:
+                row.prop(item, "hide_viewport", text="", emboss=False)
 
-CLASSES = (PhotoList, ScenePanel, RegionsPanel, CamerasPanel, TrainPanel, ResultPanel)
+
+CLASSES = (
+    *(PhotoList, ScenePanel, RegionsPanel, PlacePanel, CamerasPanel),
+    *(TrainPanel, TrainSettingsPanel, ResultPanel),
+)
 
 
 def register() -> None:

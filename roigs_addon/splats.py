@@ -32,9 +32,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
         AddonError: a file is missing or damaged.
     """
     remove(scene, "PREVIEW")
-    sparse = lookup.points(scene)
-    if sparse is not None:
-        sparse.hide_set(True)  # as solid things, its points would hide Gaussians behind them
+    _hide_sparse(scene)
     shown = [_show(scene, folder / "surroundings.ply", "RESULT", "")]
     for path in sorted((folder / "rois").glob("*.ply")):
         shown.append(_show(scene, path, "ROI", path.stem))
@@ -56,6 +54,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         for other in lookup.splats(scene):
             if other != item:
                 _hide(scene, other, True)
+        _hide_sparse(scene)
     item.roigs.ply = str(path)
     return item
 
@@ -91,6 +90,13 @@ def remove(scene: bpy.types.Scene, level: str) -> None:
             coarse = item.roigs.level == "SCENE"
             _hide(scene, item, coarse)
             item.hide_render = coarse
+
+
+def _hide_sparse(scene: bpy.types.Scene) -> None:
+    """As solid things, the sparse points would hide Gaussians behind them."""
+    sparse = lookup.points(scene)
+    if sparse is not None:
+        _hide(scene, sparse, True)
 
 
 def _hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import blender_module
 
@@ -21,8 +22,10 @@ def builder(blender: str | None) -> list[str]:
     if blender:
         return [blender, "--command", "extension"]
     python = blender_module.python()
-    (packages,) = (blender_module.HOME).glob("[Ll]ib/**/site-packages")
-    (script,) = packages.glob(BUILDER)
+    packages = subprocess.check_output(
+        [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
+    )
+    (script,) = Path(packages.strip()).glob(BUILDER)
     return [str(python), str(script)]
 
 

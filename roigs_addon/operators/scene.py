@@ -66,6 +66,7 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
                 return
             counts = importing.import_folder(scene, out, project_name(folder))
             mark_chosen(scene)
+            _without_parent_lines()
             scene.roigs.colmap, scene.roigs.images = str(folder), images
             skipped = f"; left out: {scene.roigs.skipped}" if scene.roigs.skipped else ""
             text = f"{counts['photos']:,} photos, {counts['points']:,} points{skipped}"
@@ -74,6 +75,14 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
         return jobs.Work(
             title="Importing", arguments=arguments, log=out / "engine.log", on_done=build
         )
+
+
+def _without_parent_lines() -> None:
+    """In the 3D views: a line from each of a thousand cameras to the root hides everything."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.spaces.active.overlay.show_relationship_lines = False
 
 
 def project_name(folder: Path) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import bpy
 from bpy.props import BoolProperty
 
 from .. import jobs, lookup, preferences, requests, splats
+from ..engine import runs
 from ..engine.client import Outcome
 from .base import EngineJob, OperatorResult, available
 from .select import blocked
@@ -37,6 +37,8 @@ class TrainRoi(EngineJob, bpy.types.Operator):
             scene, rois, 0.0 if bpy.app.background else seconds
         )
         folder, find = requests.run_folder(scene), requests.finder(scene)
+        if not bpy.data.filepath:  # else the run would be lost when the file gets its first name
+            scene.roigs.run_dir = str(folder)
 
         def preview(path: Path) -> None:
             if now := find():
@@ -104,9 +106,11 @@ class ShowLog(bpy.types.Operator):
                 area.spaces.active.text = text
                 break
         else:
-            self.report(
-                {"INFO"}, "The log is the text «ROI-GS log»; open a Text Editor to read it."
-            )
+            if not bpy.app.background:
+                bpy.ops.wm.window_new()
+                area = context.window_manager.windows[-1].screen.areas[0]
+                area.type = "TEXT_EDITOR"
+                area.spaces.active.text = text
         return {"FINISHED"}
 
 
@@ -119,22 +123,12 @@ def log_path(context: bpy.types.Context) -> Path | None:
 
 def unfinished(scene: bpy.types.Scene) -> str:
     """The stage at which the run folder's training was left, or nothing."""
-    folder = requests.run_folder(scene)
-    left = [path.parent.name for path in folder.glob("*/checkpoint.pt")]
-    return left[0] if left else ""
+    return runs.read(requests.run_folder(scene)).left
 
 
 def finished(scene: bpy.types.Scene) -> list[str]:
     """The stages that are done in the run folder."""
-    folder = requests.run_folder(scene)
-    done = []
-    for path in folder.glob("*/stage.json"):
-        try:
-            json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            continue
-        done.append(path.parent.name)
-    return sorted(done)
+    return list(runs.read(requests.run_folder(scene)).done)
 
 
 CLASSES = (TrainRoi, StopJob, ShowLog)

@@ -24,6 +24,13 @@ def register() -> None:
     draw.register()
 
 
+def problems() -> dict[str, str]:
+    """Path -> why it cannot be drawn; path "" for what concerns all."""
+    from . import draw
+
+    return draw.problems()
+
+
 def unregister() -> None:
     """Stop to draw and free everything."""
     from . import draw

@@ -119,8 +119,13 @@ ROIGS_INLINE void fold_four_lanes(Floats a, Floats b, Floats c, Floats d, float*
 
 #elif defined(__aarch64__)
 
-ROIGS_INLINE void sum_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out) {
-    vst1q_f32(out, vpaddq_f32(vpaddq_f32(a, b), vpaddq_f32(c, d)));
+template <class Fold>
+ROIGS_INLINE void fold_four_lanes(Floats a, Floats b, Floats c, Floats d, float* out,
+                                  const Fold& fold) {
+    const Floats ab = fold(Floats(vuzp1q_f32(a, b)), Floats(vuzp2q_f32(a, b)));
+    const Floats cd = fold(Floats(vuzp1q_f32(c, d)), Floats(vuzp2q_f32(c, d)));
+    const Floats abcd = fold(Floats(vuzp1q_f32(ab, cd)), Floats(vuzp2q_f32(ab, cd)));
+    vst1q_f32(out, abcd);
 }
 
 #else

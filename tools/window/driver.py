@@ -10,10 +10,8 @@ import os
 import queue
 import shutil
 import subprocess
-import tempfile
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -163,6 +161,10 @@ class Blender:
             time.sleep(0.05)
         return time.monotonic() - start
 
+    def pause(self, seconds: float) -> None:
+        """Let it draw."""
+        time.sleep(seconds)
+
     def find(self, command: str, x: float = 0.5) -> tuple[int, int]:
         """Where in the sidebar the button is that calls a command, `roigs.train_roi` for instance.
 
@@ -186,8 +188,8 @@ class Blender:
 
     def scroll(self, steps: int) -> None:
         """Turn the wheel over the sidebar; up when negative."""
-        left, top, width, height = self.ask("sidebar()")
-        self.screen.do("mousemove", str(left + width // 2), str(top + height // 2))
+        left, top, _, height = self.ask("sidebar()")
+        self.screen.do("mousemove", str(left + 5), str(top + height // 2))  # beside any list
         button = "5" if steps > 0 else "4"
         self.screen.do("click", "--repeat", str(abs(steps)), "--delay", "10", button)
         time.sleep(0.5)
@@ -238,9 +240,3 @@ def with_extension(program: Path, folder: Path) -> Path:
     (archive,) = folder.glob("*.zip")
     extension("install-file", "--repo", "user_default", "--enable", archive)
     return resources
-
-
-def in_window(work: Callable[[Path], None]) -> None:
-    """Do it with a folder that is gone afterwards."""
-    with tempfile.TemporaryDirectory() as folder:
-        work(Path(folder))

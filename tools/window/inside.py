@@ -34,6 +34,13 @@ def view() -> dict[str, object]:
     return {"window": window, "area": area, "region": part(area, "WINDOW")}
 
 
+def call(operator: str, **values: object) -> None:
+    """Run an operator over the 3D view, to its end."""
+    group, name = operator.split(".")
+    with bpy.context.temp_override(**view()):
+        getattr(getattr(bpy.ops, group), name)(**values)
+
+
 def part(area: bpy.types.Area, kind: str) -> bpy.types.Region:
     """A region of an area."""
     return next(r for r in area.regions if r.type == kind)

@@ -1,0 +1,225 @@
+"""Clicks through the add-on in a real Blender window, and measures how it answers.
+
+    python -m tools.window.check BLENDER --engine-python PYTHON
+
+Needs what `driver` needs. Prints one line per check; the exit status is 1 when one failed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from .driver import Blender, Screen, with_extension
+from .scenario import import_demo, load_boxes, parser, prepare, show_tab
+
+STATE = "bpy.context.window_manager.roigs"
+ENGINE = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.jobs'].current"
+BUSY = f"({ENGINE} is not None and not {ENGINE}.finished)"
+
+failures: list[str] = []
+
+
+def check(text: str, good: bool) -> None:
+    """Note how it went."""
+    print(f"{'good' if good else 'BAD '} {text}", flush=True)
+    if not good:
+        failures.append(text)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process is there and no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def gone_after(pid: int, start: float, limit: float = 20.0) -> float:
+    """Seconds from `start` until the process is gone."""
+    while alive(pid) and time.time() - start < limit:
+        time.sleep(0.02)
+    return time.time() - start
+
+
+def settings(blender: Blender, run: Path, steps: float) -> None:
+    """Small photos, few steps."""
+    blender.ask(
+        f"s = bpy.context.scene.roigs; s.run_dir = {str(run)!r}; s.max_side = 160;"
+        f" s.steps_factor = {steps}"
+    )
+
+
+def handled(blender: Blender, event: str, since: float) -> float:
+    """Seconds from a click until what it does was noted inside."""
+    blender.until(f"any(text == {event!r} and at > {since} for at, text in events)", 20)
+    at = next(at for at, text in blender.ask("events") if text == event and at > since)
+    return float(at - since)
+
+
+WATCH = """
+camera, drawn = [None], [0]
+def count(panel, context):
+    drawn[0] += 1
+bpy.types.ROIGS_PT_train.append(count)
+def watch(scene, graph=None):
+    name = scene.camera.name if scene.camera else None
+    if name != camera[0]:
+        camera[0] = name
+        note("camera")
+bpy.app.handlers.depsgraph_update_post.append(watch)
+"""
+
+
+def start_training(blender: Blender) -> int:
+    """Click «Train ROI» or «Continue»; returns the engine's process."""
+    blender.click(blender.find("roigs.train_roi", x=0.3))
+    blender.until(f"{BUSY} and {STATE}.step > 0", 120)
+    return int(blender.ask(f"{ENGINE}.job.pid"))
+
+
+def first_window(blender: Blender, folder: Path) -> None:
+    """Import, select, train; answers, Esc, stop, continue, a killed engine."""
+    prepare(blender)
+    import_demo(blender)
+    load_boxes(blender)
+    run = folder / "run"
+    settings(blender, run, 1.0)
+    blender.ask(WATCH)
+    blend = folder / "demo.blend"
+    blender.ask(f"bpy.ops.wm.save_as_mainfile(filepath={str(blend)!r})")
+
+    at = blender.find("roigs.select_cameras")
+    start = blender.click(at)
+    blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
+    check(f"«Select Cameras» clicked: chosen after {time.time() - start:.1f} s", True)
+    next_photo = blender.find("step=1", x=0.84)
+
+    pid = start_training(blender)
+    engine = os.readlink(f"/proc/{pid}/exe")
+    check(f"«Train ROI» clicked: the engine runs as process {pid}, {engine}", True)
+    answers = []
+    for _ in range(8):
+        since = blender.click(next_photo)
+        answers.append(handled(blender, "camera", since))
+        time.sleep(0.7)
+    answers.sort()
+    check(
+        f"clicks while it trains: median {answers[4]:.2f} s, slowest {answers[-1]:.2f} s (1 s)",
+        answers[-1] <= 1.0,
+    )
+    blender.screen.do("mousemove", "600", "500")
+    step, drawn = blender.ask(f"{STATE}.step"), blender.ask("drawn[0]")
+    time.sleep(3)
+    now, then = blender.ask(f"{STATE}.step"), blender.ask("drawn[0]")
+    check(f"mouse at rest for 3 s: step {step} to {now}, {then - drawn} drawings", now > step)
+    check("the bar is drawn meanwhile", then - drawn >= 4)
+    preview = (
+        "[o for o in bpy.data.objects if o.roigs.level == 'PREVIEW' and o.roigs.kind == 'SPLATS']"
+    )
+    check(
+        f"preview after {blender.until(f'bool({preview})', 60):.0f} s more: "
+        f"{blender.ask(f'{preview}[0].roigs.ply')}",
+        True,
+    )
+    blender.screen.picture(folder / "training.png")
+
+    blender.ask("call('roigs.select_roi', name='vase')")
+    blender.screen.do("mousemove", "500", "450")
+    time.sleep(0.2)
+    blender.press("g")
+    blender.screen.do("mousemove", "560", "420")
+    time.sleep(0.5)
+    blender.press("Escape")
+    time.sleep(1.0)
+    check("Esc ends a transform only", bool(blender.ask(f"{BUSY} and not {ENGINE}.stopping")))
+
+    since = blender.press("Escape")
+    took = gone_after(pid, since)
+    check(f"Esc: the engine was gone after {took:.2f} s (2 s)", took <= 2.0)
+    left = list(run.glob("*/checkpoint.pt"))
+    check(f"a checkpoint is kept: {[p.parent.name for p in left]}", bool(left))
+    blender.until(f"not {BUSY}")
+    time.sleep(0.5)
+    blender.screen.picture(folder / "stopped.png")
+
+    step = blender.ask(f"{STATE}.step")
+    pid = start_training(blender)
+    now = blender.ask(f"{STATE}.step")
+    check(f"«Continue» goes on: step {now}, stopped at {step}", now >= step)
+    since = blender.click(blender.find("roigs.stop", x=0.84))
+    took = gone_after(pid, since)
+    check(f"«Stop» clicked: the engine was gone after {took:.2f} s (2 s)", took <= 2.0)
+    blender.until(f"not {BUSY}")
+
+    pid = start_training(blender)
+    os.kill(pid, signal.SIGKILL)
+    blender.until(f"not {BUSY}")
+    error = blender.ask(f"{STATE}.error")
+    check(f"engine killed: «{error}»", bool(error) and blender.process.poll() is None)
+    time.sleep(0.5)
+    blender.screen.picture(folder / "killed.png")
+    blender.screen.do("mousemove", "400", "300")  # the report goes when the mouse leaves it
+    time.sleep(0.5)
+
+    pid = start_training(blender)
+    blender.ask("bpy.ops.wm.save_mainfile()")
+    start = time.time()
+    blender.kill()
+    took = gone_after(pid, start)
+    check(f"Blender killed: the engine was gone after {took:.2f} s (5 s)", took <= 5.0)
+
+
+def second_window(blender: Blender, folder: Path) -> None:
+    """The file again."""
+    show_tab(blender)
+    place = blender.find("roigs.train_roi", x=0.3)
+    time.sleep(0.5)
+    blender.screen.picture(folder / "reopened.png")
+    left = [p.parent.name for p in (folder / "run").glob("*/checkpoint.pt")]
+    check(f"opened again: the run is at {left}", bool(left))
+    blender.ask("bpy.context.scene.roigs.steps_factor")
+    blender.click(place)
+    blender.until(f"{BUSY} and {STATE}.step > 0", 120)
+    check(f"«Continue» goes on at step {blender.ask(f'{STATE}.step')}", True)
+    blender.press("Escape")
+    blender.until(f"not {BUSY}")
+
+
+def main() -> int:
+    """Run."""
+    options = parser(__doc__)
+    options.add_argument("--keep", type=Path, help="folder for the pictures and logs")
+    given = options.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = given.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        resources = with_extension(given.blender, folder)
+        screen = Screen(1400, 1150)
+        python = {"ROIGS_ENGINE_PYTHON": str(given.engine_python)}
+        try:
+            for work, more in ((first_window, ()), (second_window, (str(folder / "demo.blend"),))):
+                with Blender(
+                    given.blender,
+                    screen,
+                    resources,
+                    log=folder / "blender.log",
+                    arguments=more,
+                    variables=python,
+                ) as blender:
+                    try:
+                        work(blender, folder)
+                    except Exception:
+                        screen.picture(folder / "failed.png")
+                        raise
+        finally:
+            screen.close()
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
