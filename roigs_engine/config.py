@@ -44,6 +44,8 @@ class TrainConfig:
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
         contribution_every: Gaussians whose alpha x T stayed below 1/255 on every training pixel of
             a window of at least so many steps are removed; 0: never.
+        average_steps: the stage ends with the mean of the models that it went through in its last
+            so many steps; 0: with the last one, as 3DGS.
     """
 
     steps: int
@@ -70,6 +72,7 @@ class TrainConfig:
     prune_size: float = 0.1
     reset_every: int = 3000
     contribution_every: int = 0
+    average_steps: int = 0
 
     def position_rate(self, step: int) -> float:
         """Learning rate of positions at a step, before the scene extent."""
@@ -180,13 +183,16 @@ class RunConfig:
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The stage `steps` long, its share of densifying steps as before.
+    """The stage `steps` long, its shares of densifying and of averaged steps as before.
 
     The steps from which densification starts and between degrees and resets stay: they count
     what Adam and the statistics need, not shares of a schedule.
     """
-    until = round(config.densify_until * steps / config.steps)
-    return replace(config, steps=steps, densify_until=until)
+    until, averaged = (
+        round(share * steps / config.steps)
+        for share in (config.densify_until, config.average_steps)
+    )
+    return replace(config, steps=steps, densify_until=until, average_steps=averaged)
 
 
 def _paper() -> RunConfig:
@@ -236,8 +242,10 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
             grad_threshold=8e-5,
             box_capacity=2.2,
             reset_every=0,
+            average_steps=roi_steps // 10,
         ),
         roi_order="shuffled",
+        selected_share=0.4,
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from . import densify
+from .averaging import ModelMean
 from .capacity import BoxCapacity
 from .config import TrainConfig
 from .densify import DensityStats, Edit
@@ -28,6 +29,7 @@ from .scene import PosedImage
 
 REPORT_SECONDS = 0.5
 RESET_OPACITY = 0.01
+AVERAGE_EVERY = 10  # steps between the models that are averaged: neighbours hardly differ
 RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
 
 
@@ -104,6 +106,7 @@ class Trainer:
         self._parameters = _leaves(gaussians.rows(order))
         self._optimizer = self._new_optimizer()
         self._stats = DensityStats.zeros(len(order))
+        self._mean = ModelMean()
         self._window = 0
         self.last_loss = float("nan")
         self._loss, self._psnr = float("nan"), float("nan")
@@ -178,6 +181,7 @@ class Trainer:
         self._observe(float(loss.loss.detach()), output.image, target)
         self.step += 1
         self._edit()
+        self._average()
 
     def _render(self, image: PosedImage) -> Any:
         p, camera = self._parameters, image.camera
@@ -231,6 +235,15 @@ class Trainer:
         if densifying and config.reset_every and step % config.reset_every == 0:
             self._reset_opacities()
 
+    def _average(self) -> None:
+        """Take the model into the mean, and end with that."""
+        config = self.config
+        if self.step > config.steps - config.average_steps and self.step % AVERAGE_EVERY == 0:
+            self._mean.add(self._parameters)
+        if self.step == config.steps and self._mean.count:
+            self._parameters = _leaves(self._mean.mean())
+            self._mean.clear()
+
     def _window_steps(self) -> int:
         """A window must hold every photo: «non-contributing» means on all of them."""
         return max(self.config.contribution_every, 2 * len(self.data.images))
@@ -252,6 +265,7 @@ class Trainer:
 
     def _apply(self, edit: Edit) -> None:
         """Go on with the edited Gaussians; optimiser state and statistics follow."""
+        self._mean.clear()
         self._parameters = _leaves(edit.gaussians)
         self._optimizer.replace(self._parameters.tensors(), edit.rows)
         self._stats = self._stats.after(edit.rows)
@@ -287,6 +301,7 @@ class Trainer:
             "psnr": self._psnr,
             "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
             "optimizer": self._optimizer.state_dict(),
+            "mean": self._mean.state_dict(),
             "stats": {"gradient": stats.gradient, "views": stats.views, "weight": stats.weight},
         }
 
@@ -298,6 +313,7 @@ class Trainer:
         self._parameters = _leaves(Gaussians(**state["parameters"]))
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
+        self._mean.load_state_dict(state["mean"])
         self._stats = DensityStats(**state["stats"])
 
 

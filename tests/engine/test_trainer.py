@@ -30,6 +30,7 @@ SHORT = TrainConfig(
     reset_every=30,
     contribution_every=20,
 )
+AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
 
 
 @pytest.fixture(scope="module")
@@ -75,20 +76,45 @@ def test_training_lowers_the_loss(scene: SfmScene) -> None:
     assert mean_loss(trainer, 12) < 0.5 * start
 
 
-@pytest.mark.parametrize("stop", [1, 10, 29, 33, 59])
-def test_resuming_equals_never_stopping(scene: SfmScene, tmp_path: Path, stop: int) -> None:
-    whole = Trainer(first_model(scene), stage_data(scene), SHORT)
+@pytest.mark.parametrize(
+    ("config", "stop"),
+    [*((SHORT, stop) for stop in (1, 10, 29, 33, 59)), (AVERAGED, 35), (AVERAGED, 52)],
+)
+def test_resuming_equals_never_stopping(
+    scene: SfmScene, tmp_path: Path, config: TrainConfig, stop: int
+) -> None:
+    whole = Trainer(first_model(scene), stage_data(scene), config)
     whole.run()
-    half = Trainer(first_model(scene), stage_data(scene), SHORT)
+    half = Trainer(first_model(scene), stage_data(scene), config)
     assert not half.run(should_stop=lambda: half.step >= stop)
     save_checkpoint(tmp_path / "checkpoint.pt", half.state_dict(), "same")
     state = load_checkpoint(tmp_path / "checkpoint.pt", "same")
-    rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), SHORT)
+    rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), config)
     rest.load_state_dict(state)
     assert rest.step == stop
     assert rest.run()
     assert len(rest.gaussians) == len(whole.gaussians) > 0
     assert same_bits(rest.gaussians, whole.gaussians)
+
+
+def test_a_stage_ends_with_the_mean_of_its_last_models(scene: SfmScene) -> None:
+    trainer = Trainer(first_model(scene), stage_data(scene), AVERAGED)
+    plain = Trainer(first_model(scene), stage_data(scene), replace(AVERAGED, average_steps=0))
+    seen = []
+    for _ in range(AVERAGED.steps):
+        trainer.train_step()
+        plain.train_step()
+        if plain.step in (40, 50, 60):
+            seen.append(plain.gaussians.detached())
+    for name in NAMES:
+        mean = torch.stack([getattr(model, name) for model in seen]).mean(dim=0)
+        torch.testing.assert_close(getattr(trainer.gaussians, name).detach(), mean)
+    assert not same_bits(trainer.gaussians, plain.gaussians)
+
+
+def test_models_with_other_rows_are_not_averaged(scene: SfmScene) -> None:
+    config = replace(AVERAGED, average_steps=60)  # from before densification ends
+    Trainer(first_model(scene), stage_data(scene), config).run()
 
 
 def test_roi_stage_adds_gaussians_in_the_box_only(scene: SfmScene) -> None:
