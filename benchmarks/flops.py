@@ -17,7 +17,7 @@ from pathlib import Path
 
 from roigs_engine.kernels import build
 
-EXPONENT = 10  # exponent_at, tile.h: u 2 FMA, v 1, the two squares 2
+EXPONENT = 10  # Together, tile.h: u 2 FMA, v 1, the two squares 2
 EXP2 = 11  # exp2, simd.h: x - round(x), and 5 FMA
 WEIGHT = 2  # weight = alpha T, T -= weight
 FORWARD = EXPONENT + EXP2 + WEIGHT + 6  # blend_block, raster_forward.cpp: 3 colours, an FMA each

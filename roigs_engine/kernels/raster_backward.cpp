@@ -18,6 +18,8 @@
 namespace roigs {
 namespace {
 
+constexpr int kTogether = 2;  // splats evaluated side by side; for more, registers are too few
+
 struct PixelBlock {
     Floats transmittance;
     Floats behind;            // R
@@ -40,78 +42,71 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
     }
 }
 
-// What one block adds to a splat's sums.
-struct Term {
-    Floats gradient;  // s
-    Floats weight, u, v;
+// What the batch's splats have gathered over the blocks worked on so far: lane i of a sum is the
+// part of the blocks' pixels i.
+struct BatchSums {
+    Floats of[kBatch + 1][kMoments];  // as Batch::splats
+
+    void clear(int count) {
+        for (int i = 0; i < count; ++i) std::fill_n(of[i], kMoments, Floats{});
+        std::fill_n(of[kBatch], kMoments, Floats{});
+    }
+    void store_to_slots(const View& view, const Batch& batch) const {
+        for (int i = 0; i < batch.count; ++i)
+            fold_lanes(of[i], view.slot_gradients[batch.splats[i].slot].sum, Sum{});
+    }
 };
 
-ROIGS_INLINE void accumulate(const Term& t, const PixelBlock& p, Floats (&sum)[kMoments]) {
-    const Floats gu = t.gradient * t.u, gv = t.gradient * t.v;
-    sum[kS] += t.gradient;
-    sum[kSU] += gu;
-    sum[kSV] += gv;
-    sum[kSUU] += gu * t.u;
-    sum[kSUV] += gu * t.v;
-    sum[kSVV] += gv * t.v;
-    sum[kRed] += t.weight * p.red;
-    sum[kGreen] += t.weight * p.green;
-    sum[kBlue] += t.weight * p.blue;
-}
+// Takes the splats of a batch whose bits are set in `todo` off block b's pixels, front to back,
+// and adds what they find to their sums: the loop that training spends most of its time in.
+// Returns false when the block has ended.
+ROIGS_INLINE bool block_gradient(const Batch& batch, uint64_t todo, int b, PixelBlock& p,
+                                 BatchSums& sums) {
+    const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
+    const Floats red = p.red, green = p.green, blue = p.blue;
+    Floats transmittance = p.transmittance, behind = p.behind;
+    bool alive = true;
+    do {
+        const Together<kTogether> next(batch, todo, x, y);
+        for (int k = 0; k < kTogether; ++k) {
+            const LocalSplat& s = batch.splats[next.index[k]];
+            const Floats alpha = next.alpha[k], u = next.u[k], v = next.v[k];
+            const Floats weight = alpha * transmittance;
+            const Floats colour = red * s.red + green * s.green + blue * s.blue;
+            behind -= weight * colour;
+            const Floats alpha_gradient =
+                transmittance * colour - behind * reciprocal(1.0f - alpha);
+            transmittance -= weight;
+            const Floats gradient = keep(next.moves[k], alpha * alpha_gradient);
 
-// Takes the splat in front off the block's pixels.
-ROIGS_INLINE Term differentiate(const LocalSplat& s, int b, PixelBlock& p) {
-    Term t;
-    const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), t.u, t.v);
-    const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
-    const Floats uncapped = exp2(exponent);
-    const Floats alpha = keep(drawn, min(uncapped, splat(kAlphaMax)));
-    const Floats before = p.transmittance;
-    t.weight = alpha * before;
-    p.transmittance = before - t.weight;
-
-    const Floats colour = p.red * s.red + p.green * s.green + p.blue * s.blue;
-    p.behind -= t.weight * colour;
-    const Floats alpha_gradient = before * colour - p.behind * reciprocal(1.0f - alpha);
-    // a capped alpha does not depend on anything
-    const Mask moves = both(drawn, less(uncapped, splat(kAlphaMax)));
-    t.gradient = keep(moves, alpha * alpha_gradient);
-    return t;
-}
-
-// One splat over all the blocks it touches: the loop that training spends most of its time in.
-// Clears the bits of blocks that end in `live`.
-ROIGS_INLINE void splat_gradient(const LocalSplat& s, uint64_t touched, PixelBlock* blocks,
-                                 uint64_t& live, SlotGradient& out) {
-    Floats sum[kMoments] = {};
-    // Sums and all the rest do not fit 16 registers together, and moving them to and from memory
-    // for each block takes longer than a second loop: a quarter of this function's time.
-    constexpr bool kTwoLoops = kVectorRegisters < 32;
-    Term terms[kTwoLoops ? kBlocks : 1];
-    int count = 0;
-    for (uint64_t todo = touched; todo; todo &= todo - 1) {
-        const int b = __builtin_ctzll(todo);
-        const Term t = differentiate(s, b, blocks[b]);
-        if (kTwoLoops)
-            terms[count++] = t;
-        else
-            accumulate(t, blocks[b], sum);
-        const Mask shines_through = greater(blocks[b].transmittance, splat(kTransmittanceEnd));
-        if (__builtin_expect(!any(shines_through), 0)) live &= ~(uint64_t(1) << b);
-    }
-    if (kTwoLoops) {
-        count = 0;
-        for (uint64_t todo = touched; todo; todo &= todo - 1)
-            accumulate(terms[count++], blocks[__builtin_ctzll(todo)], sum);
-    }
-    fold_lanes(sum, out.sum, Sum{});
+            Floats(&sum)[kMoments] = sums.of[next.index[k]];
+            const Floats gu = gradient * u, gv = gradient * v;
+            sum[kS] += gradient;
+            sum[kSU] += gu;
+            sum[kSV] += gv;
+            sum[kSUU] += gu * u;
+            sum[kSUV] += gu * v;
+            sum[kSVV] += gv * v;
+            sum[kRed] += weight * red;
+            sum[kGreen] += weight * green;
+            sum[kBlue] += weight * blue;
+        }
+        alive = any(greater(transmittance, splat(kTransmittanceEnd)));
+    } while (todo && __builtin_expect(alive, 1));
+    p.transmittance = transmittance;
+    p.behind = behind;
+    return alive;
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
     if (view.tile_begin[tile] == view.tile_begin[tile + 1]) return;
     const TilePlace place(view, tile);
     PixelBlock blocks[kBlocks];
-    load_tile(place, image, gradient, blocks);
+    const int64_t plane = int64_t(place.width) * place.height;
+    for (int c = 0; c < 3; ++c) {
+        place.prefetch<false>(image + c * plane);
+        place.prefetch<false>(gradient + c * plane);
+    }
     uint64_t live = kAllBlocks;
     for (int b = 0; b < kBlocks; ++b)
         if (place.block_is_outside(b)) live &= ~(uint64_t(1) << b);
@@ -121,15 +116,20 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
     const int64_t end = view.tile_begin[tile + 1];
     int64_t k = view.tile_begin[tile];
     Batch batch;
+    BatchSums sums;
+    bool loaded = false;  // after the first batch is taken: until then the pixels are on their way
     while (k < end && live) {
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, clear);
-        for (int i = 0; i < batch.count; ++i) {
-            const LocalSplat& s = batch.splats[i];
-            if (const uint64_t touched = batch.blocks[i] & live)
-                splat_gradient(s, touched, blocks, live, view.slot_gradients[s.slot]);
-            else
-                clear(s.slot);
+        if (!loaded) load_tile(place, image, gradient, blocks);
+        loaded = true;
+        sums.clear(batch.count);
+        for (uint64_t todo = live; todo; todo &= todo - 1) {
+            const int b = __builtin_ctzll(todo);
+            const uint64_t splats = batch.splats_of[b];
+            if (splats && !block_gradient(batch, splats, b, blocks[b], sums))
+                live &= ~(uint64_t(1) << b);
         }
+        sums.store_to_slots(view, batch);
     }
     for (; k < end; ++k) clear(view.entries[k].slot);
 }

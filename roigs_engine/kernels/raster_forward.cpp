@@ -7,32 +7,17 @@
 namespace roigs {
 namespace {
 
+constexpr int kTogether = 4;  // splats evaluated side by side
+
 // What a tile's pixels have gathered so far.
 struct Gathered {
     Floats transmittance[kBlocks], red[kBlocks], green[kBlocks], blue[kBlocks], depth[kBlocks];
 };
 
-// Turns "blocks per splat" into "splats per block": bit i of words[b] becomes what bit b of
-// words[i] was. Transposes the bit matrix by swapping ever smaller squares; while a square is
-// wider than the matrix has columns, there is only one half to move.
-void transpose_bits(uint64_t (&words)[64]) {
-    for (int half = 32; half >= kBlocks; half /= 2)
-        for (int i = 0; i < half; ++i) words[i] |= words[i + half] << half;
-    for (int half = std::min(kBlocks / 2, 32); half; half /= 2) {
-        const uint64_t low = ~uint64_t(0) / ((uint64_t(1) << half) + 1);
-        for (int base = 0; base < kBlocks; base += 2 * half)
-            for (int i = base; i < base + half; ++i) {
-                const uint64_t swap = ((words[i] >> half) ^ words[i + half]) & low;
-                words[i] ^= swap << half;
-                words[i + half] ^= swap;
-            }
-    }
-}
-
 // What is asked for of the weights that a batch's splats have, over the blocks blended so far.
 template <bool kMax, bool kSum>
 struct TileWeights {
-    Floats largest[kMax ? kBatch : 1], sum[kSum ? kBatch : 1];
+    Floats largest[kMax ? kBatch + 1 : 1], sum[kSum ? kBatch + 1 : 1];  // as Batch::splats
     Floats pixel[kSum ? kBlocks : 1];  // what the pixels of each block count in the sums
 
     TileWeights(const TilePlace& place, const float* pixel_weights) {
@@ -44,6 +29,8 @@ struct TileWeights {
     }
     // Clears all, and starts fetching the slots, which lie scattered in memory.
     void begin(const View& view, const Batch& batch) {
+        if (kMax) largest[kBatch] = Floats{};
+        if (kSum) sum[kBatch] = Floats{};
         for (int i = 0; i < batch.count; ++i) {
             const int32_t slot = batch.splats[i].slot;
             if (kMax) largest[i] = Floats{}, __builtin_prefetch(&view.slot_max_weights[slot], 1);
@@ -84,21 +71,19 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathere
     const Floats pixel_weight = kSum ? weights.pixel[b] : Floats{};
     bool alive = true;
     do {
-        const int i = __builtin_ctzll(todo);
-        todo &= todo - 1;
-        const LocalSplat& s = batch.splats[i];
-        Floats u, v;
-        const Floats exponent = exponent_at(s, x, y, u, v);
-        const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
-        const Floats alpha = keep(drawn, min(exp2(exponent), splat(kAlphaMax)));
-        const Floats weight = alpha * transmittance;
-        transmittance -= weight;
-        red += weight * s.red;
-        green += weight * s.green;
-        blue += weight * s.blue;
-        if (kDepth) depth += weight * s.depth;
-        if (kMax) weights.largest[i] = max(weights.largest[i], weight);
-        if (kSum) weights.sum[i] += weight * pixel_weight;
+        const Together<kTogether> next(batch, todo, x, y);
+        for (int k = 0; k < kTogether; ++k) {
+            const int i = next.index[k];
+            const LocalSplat& s = batch.splats[i];
+            const Floats weight = next.alpha[k] * transmittance;
+            transmittance -= weight;
+            red += weight * s.red;
+            green += weight * s.green;
+            blue += weight * s.blue;
+            if (kDepth) depth += weight * s.depth;
+            if (kMax) weights.largest[i] = max(weights.largest[i], weight);
+            if (kSum) weights.sum[i] += weight * pixel_weight;
+        }
         alive = any(greater(transmittance, splat(kTransmittanceEnd)));
     } while (todo && __builtin_expect(alive, 1));
     gathered.transmittance[b] = transmittance;
@@ -138,17 +123,18 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
         if (place.block_is_outside(b)) live &= ~(uint64_t(1) << b);
     }
     const int64_t end = view.tile_begin[tile + 1];
+    const int64_t plane = int64_t(place.width) * place.height;  // store_tile will write there
+    for (int c = 0; c < 3; ++c) place.prefetch<true>(out.image + c * plane);
+    place.prefetch<true>(out.alpha);
     Batch batch;
     TileWeights<kMax, kSum> weights(place, out.pixel_weights);
     int64_t visits = 0;
     for (int64_t k = view.tile_begin[tile]; k < end && live;) {
         k += take_batch(view, &view.entries[k], end - k, place, live, batch, [](int32_t) {});
-        std::fill(batch.blocks + batch.count, batch.blocks + kBatch, 0);
-        transpose_bits(batch.blocks);
         if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
-            uint64_t splats = batch.blocks[b];
+            uint64_t splats = batch.splats_of[b];
             if (!splats) continue;
             visits += __builtin_popcountll(splats);
             if (!blend_block<kDepth>(batch, splats, b, gathered, weights))

@@ -177,7 +177,7 @@ ROIGS_INLINE Mask is_finite(Floats x) {
 // an x outside, and the raster loops, which drop such lanes, are spared a clamp.
 ROIGS_INLINE Floats exp2(Floats x) {
 #if defined(ROIGS_AVX512)
-    const Floats f = _mm512_reduce_ps(x, 0x08);
+    const Floats n = _mm512_roundscale_ps(x, 0x08), f = x - n;
 #else
     const Ints n = round_to_ints(x);
     const Floats f = x - to_floats(n);
@@ -189,7 +189,7 @@ ROIGS_INLINE Floats exp2(Floats x) {
     p = p * f + 0.69314693f;
     p = p * f + 1.0f;
 #if defined(ROIGS_AVX512)
-    return _mm512_scalef_ps(p, x - f);
+    return _mm512_scalef_ps(p, n);
 #else
     return floats_of(bits_of(p) + (n << 23));
 #endif

@@ -69,6 +69,13 @@ struct TilePlace {
             std::memcpy(plane + pixel, lanes + lane, bytes);
         });
     }
+    // Starts fetching the tile's part of a plane, to be read or written when it has arrived.
+    template <bool kWrite>
+    void prefetch(const float* plane) const {
+        const int rows = std::min(height - y, kTile);
+        for (int r = 0; r < rows; ++r)
+            __builtin_prefetch(plane + int64_t(y + r) * width + x, kWrite);
+    }
     // 1 where the lane is a pixel of the image, else 0. As a starting transmittance, 0 keeps
     // lanes off the image from weighing in anywhere and from holding up a block's end.
     Floats start_transmittance(int b) const {
@@ -138,10 +145,32 @@ ROIGS_INLINE uint64_t touched_blocks(const Splat& s, float centre_x, float centr
     return touched;
 }
 
+// Turns "blocks per splat" into "splats per block": bit i of words[b] becomes what bit b of
+// words[i] was. Transposes the bit matrix by swapping ever smaller squares; while a square is
+// wider than the matrix has columns, there is only one half to move.
+inline void transpose_bits(uint64_t (&words)[64]) {
+    for (int half = 32; half >= kBlocks; half /= 2)
+        for (int i = 0; i < half; ++i) words[i] |= words[i + half] << half;
+    for (int half = std::min(kBlocks / 2, 32); half; half /= 2) {
+        const uint64_t low = ~uint64_t(0) / ((uint64_t(1) << half) + 1);
+        for (int base = 0; base < kBlocks; base += 2 * half)
+            for (int i = base; i < base + half; ++i) {
+                const uint64_t swap = ((words[i] >> half) ^ words[i + half]) & low;
+                words[i] ^= swap << half;
+                words[i + half] ^= swap;
+            }
+    }
+}
+
 struct Batch {
-    LocalSplat splats[kBatch];
-    uint64_t blocks[kBatch];  // touched blocks per splat
+    LocalSplat splats[kBatch + 1];  // the last one draws nothing
+    uint64_t splats_of[kBatch];     // per block, a bit for each splat that touches it
     int count = 0;
+
+    Batch() {
+        splats[kBatch] = {};
+        splats[kBatch].log2_opacity = 2 * kLog2AlphaMin;
+    }
 };
 
 // Takes up to kBatch entries and keeps those that touch a live block; calls skip(slot) for the
@@ -153,6 +182,7 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
     constexpr int kAhead = 12;  // the splats lie scattered in memory
     const int taken = int(std::min<int64_t>(left, kBatch));
     batch.count = 0;
+    std::fill_n(batch.splats_of, kBatch, 0);
     for (int i = 0; i < taken; ++i) {
         __builtin_prefetch(&view.splats[entries[std::min<int64_t>(i + kAhead, left - 1)].splat]);
         const Splat& s = view.splats[entries[i].splat];
@@ -163,16 +193,42 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
             continue;
         }
         batch.splats[batch.count] = LocalSplat(s, entries[i].slot, x, y);
-        batch.blocks[batch.count++] = blocks;
+        batch.splats_of[batch.count++] = blocks;  // blocks per splat, as yet
     }
+    transpose_bits(batch.splats_of);
     return taken;
 }
 
-// log2(alpha) of a splat at pixels (x, y) from the tile's corner, and their whitened offset (u, v).
-ROIGS_INLINE Floats exponent_at(const LocalSplat& s, Floats x, Floats y, Floats& u, Floats& v) {
-    u = s.l11 * x + (s.l21 * y + s.u0);
-    v = s.l22 * y + s.v0;
-    return (s.log2_opacity - u * u) - v * v;
-}
+// The next splats of a block, evaluated side by side. One evaluation is a chain of some twenty
+// operations that wait for each other. A processor sees a hundred operations ahead or so: with
+// several chains among these, it works on one while another waits.
+template <int kTogether>
+struct Together {
+    int index[kTogether];               // in the batch
+    Floats u[kTogether], v[kTogether];  // whitened offset
+    Floats alpha[kTogether];
+    Mask moves[kTogether];  // alpha depends on the parameters: drawn and not capped
+
+    // Takes splats out of `todo`, front to back; when there are too few, some draw nothing.
+    ROIGS_INLINE Together(const Batch& batch, uint64_t& todo, Floats x, Floats y) {
+        for (int k = 0; k < kTogether; ++k) {
+            index[k] = todo ? __builtin_ctzll(todo) : kBatch;
+            todo &= todo - 1;
+        }
+        Floats exponent[kTogether];
+        for (int k = 0; k < kTogether; ++k) {
+            const LocalSplat& s = batch.splats[index[k]];
+            u[k] = s.l11 * x + (s.l21 * y + s.u0);
+            v[k] = s.l22 * y + s.v0;
+            exponent[k] = (s.log2_opacity - u[k] * u[k]) - v[k] * v[k];
+        }
+        for (int k = 0; k < kTogether; ++k) {
+            const Mask drawn = greater(exponent[k], splat(kLog2AlphaMin));
+            const Floats uncapped = exp2(exponent[k]);
+            alpha[k] = keep(drawn, min(uncapped, splat(kAlphaMax)));
+            moves[k] = both(drawn, less(uncapped, splat(kAlphaMax)));
+        }
+    }
+};
 
 }  // namespace roigs
