@@ -245,7 +245,7 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
             average_steps=roi_steps // 10,
         ),
         roi_order="shuffled",
-        selected_share=0.4,
+        selected_share=0.2,
     )
 
 
