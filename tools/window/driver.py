@@ -60,6 +60,18 @@ class Screen:
         subprocess.run(["convert", whole, *cut, *options, "-strip", path], check=True)
         whole.unlink()
 
+    def place_of(self, name: str) -> str:
+        """ImageMagick's WxH+X+Y of the window with a title."""
+        found = subprocess.run(
+            ["xdotool", "search", "--name", name, "getwindowgeometry", "--shell"],
+            env=self.variables,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        values = dict(line.split("=") for line in found.stdout.split() if "=" in line)
+        return "{WIDTH}x{HEIGHT}+{X}+{Y}".format(**values)
+
     def close(self) -> None:
         """End it."""
         self._process.terminate()

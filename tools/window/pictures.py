@@ -15,8 +15,8 @@ from pathlib import Path
 from .driver import REPOSITORY, Blender, Screen, with_extension
 from .scenario import BUSY, import_demo, load_boxes, parser, prepare
 
-SIZE = (1040, 900)
-COLOURS = ("-colors", "160")
+SIZE = (1040, 980)
+COLOURS = ("+dither", "-colors", "72")
 """Small files; what is lost is not seen."""
 
 LOOK = """
@@ -29,6 +29,14 @@ call("preferences.addon_show", module="bl_ext.user_default.roigs")
 """
 
 
+def select(blender: Blender, kind: str) -> None:
+    """Select the objects of a kind, which then fill the view."""
+    blender.ask(
+        f"[o.select_set(o.roigs.kind == {kind!r}) for o in bpy.context.scene.objects] and None"
+    )
+    blender.ask("call('view3d.view_selected')")
+
+
 def look_at_boxes(blender: Blender) -> None:
     """The boxes fill the view."""
     blender.ask("[o.select_set(o.roigs.kind == 'ROI') for o in bpy.context.scene.objects] and None")
@@ -39,21 +47,23 @@ def look_at_boxes(blender: Blender) -> None:
 def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     """From the empty file to the result."""
 
-    def picture(name: str) -> None:
+    def picture(name: str, crop: str = "780x958+260+0") -> None:
         blender.screen.do("mousemove", "3", "450")
         blender.pause(2.0)
-        blender.screen.picture(out / f"{name}.png", "", *COLOURS)
+        blender.screen.picture(out / f"{name}.png", crop, *COLOURS)
 
     prepare(blender)
     blender.ask(LOOK)
     blender.pause(1.0)
     import_demo(blender)
+    select(blender, "CAMERA")
+    blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
     blender.ask(f"s = bpy.context.scene.roigs; s.max_side = {max_side}; s.run_dir = {str(run)!r}")
-    picture("1-scene")
+    picture("1-scene", "1040x660+0+0")
 
     load_boxes(blender)
     look_at_boxes(blender)
-    picture("2-regions")
+    picture("2-regions", "1040x780+0+0")
 
     blender.click(blender.find("roigs.select_cameras"))
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
@@ -62,7 +72,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     )
     blender.until(f"not {BUSY}")
     blender.pause(2.0)
-    picture("3-cameras")
+    picture("3-cameras", "1040x958+0+0")
 
     blender.ask("bpy.context.scene.camera.data.show_background_images = False")
     blender.click(blender.find("roigs.train_roi", x=0.3))
@@ -76,7 +86,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
 
     blender.ask(PREFERENCES)
     blender.pause(2.0)
-    picture("6-preferences")
+    picture("6-preferences", blender.screen.place_of("Preferences"))
 
 
 def main() -> int:
