@@ -8,11 +8,18 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import clouds, lookup
+from . import clouds, jobs, lookup
 from .errors import AddonError
 from .frames import Box
+from .viewport.worker import Worker
 
 Counts = tuple[int, int | None]
+Key = tuple[float, ...]
+LARGE = 200_000
+"""Points from which counting takes long enough to be felt while a box is dragged."""
+
+_counter = Worker("box counter")
+_last: dict[str, Counts] = {}
 
 
 class _Model:
@@ -23,7 +30,7 @@ class _Model:
         self.points = np.zeros((0, 3), np.float32)
         self.observations: np.ndarray | None = None
         self.offsets: np.ndarray | None = None
-        self.counts: dict[tuple[float, ...], Counts] = {}
+        self.counts: dict[Key, Counts] = {}
 
     def load(self, scene: bpy.types.Scene) -> None:
         """Read the points again when another model is in the scene."""
@@ -52,12 +59,51 @@ def count(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
     except AddonError:
         return None
     _model.load(scene)
-    key = (*box.world_to_box.ravel(), *box.half_extents)
-    if key not in _model.counts:
-        if len(_model.counts) > 64:
-            _model.counts.clear()
-        _model.counts[key] = _count(box)
-    return _model.counts[key]
+    return _known(_key(box)) or _keep(_key(box), _count(box))
+
+
+def count_soon(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
+    """The same for a panel: in a large model, the last count until a thread has the new one."""
+    try:
+        box = lookup.box(roi, scene)
+    except AddonError:
+        return None
+    _model.load(scene)
+    outcome = _counter.take(roi.name)
+    if outcome is not None and outcome.value is not None and outcome.value[0] == _model.key:
+        _last[roi.name] = _keep(*outcome.value[1:])
+    if known := _known(_key(box)):
+        return known
+    if len(_model.points) < LARGE or roi.name not in _last:
+        _last[roi.name] = count(roi, scene) or (0, None)
+        return _last[roi.name]
+    model, key = _model.key, _key(box)
+    _counter.submit(roi.name, lambda: (model, key, _count(box)))
+    if not bpy.app.timers.is_registered(_redraw_when_counted):
+        bpy.app.timers.register(_redraw_when_counted, first_interval=0.05)
+    return _last[roi.name]
+
+
+def _redraw_when_counted() -> float | None:
+    if not _counter.idle():
+        return 0.05
+    jobs.redraw_sidebars()
+    return None
+
+
+def _key(box: Box) -> Key:
+    return (*box.world_to_box.ravel(), *box.half_extents)
+
+
+def _known(key: Key) -> Counts | None:
+    return _model.counts.get(key)
+
+
+def _keep(key: Key, found: Counts) -> Counts:
+    if len(_model.counts) > 64:
+        _model.counts.clear()
+    _model.counts[key] = found
+    return found
 
 
 def _count(box: Box) -> Counts:
@@ -73,4 +119,15 @@ def _count(box: Box) -> Counts:
 
 def forget() -> None:
     """Drop what was read."""
+    _last.clear()
     _model.__init__()  # type: ignore[misc]
+
+
+def close() -> None:
+    """Drop what was read, and end the thread."""
+    global _counter
+    forget()
+    if bpy.app.timers.is_registered(_redraw_when_counted):
+        bpy.app.timers.unregister(_redraw_when_counted)
+    _counter.close()
+    _counter = Worker("box counter")

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import jobs, lookup, preferences, requests
+from . import counts, jobs, lookup, preferences, requests
 from .engine import python, runs
 from .errors import AddonError
 
@@ -56,13 +56,22 @@ def _same(roi: bpy.types.Object, scene: bpy.types.Scene, trained: dict) -> bool:
     )
 
 
+def photos(scene: bpy.types.Scene) -> int:
+    """How many photos the scene has."""
+    return len(_short_names(scene))
+
+
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
     """A photo's file name without folders and suffix, where no other photo has the same."""
+    return _short_names(scene).get(photo, photo)
+
+
+def _short_names(scene: bpy.types.Scene) -> dict[str, str]:
     key = (scene.roigs.colmap, scene.roigs.model_cache, len(scene.objects))
     if key not in _names:
         _names.clear()
         _names[key] = _shorter([*lookup.cameras(scene)])
-    return _names[key].get(photo, photo)
+    return _names[key]
 
 
 def _shorter(photos: list[str]) -> dict[str, str]:
@@ -130,6 +139,7 @@ def register() -> None:
 def unregister() -> None:
     """The reverse."""
     forget()
+    counts.close()
     jobs.on_end.remove(forget)
     bpy.app.handlers.load_post.remove(forget)
     if bpy.app.timers.is_registered(_redraw_when_known):

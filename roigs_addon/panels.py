@@ -93,7 +93,7 @@ class ScenePanel(_Panel, bpy.types.Panel):
         if not settings.colmap:
             _say(layout, "Missing: the folder of a COLMAP project", MISSING)
             return
-        photos = sum(1 for item in scene.objects if item.type == "CAMERA" and item.roigs.photo)
+        photos = facts.photos(scene)
         cloud = lookup.points(scene)
         points = len(cloud.data.vertices) if cloud else 0
         name = Path(settings.colmap).name
@@ -140,7 +140,7 @@ class RegionsPanel(_Panel, bpy.types.Panel):
 
 
 def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    found = counts.count(roi, scene)
+    found = counts.count_soon(roi, scene)
     if found is None:
         _say(layout, "Slanted or flat: see its rotation and size", WRONG)
         return
@@ -207,7 +207,8 @@ class CamerasPanel(_Panel, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         column.prop(scene.roigs, "method")
-        column.prop(scene.roigs, "count", text="Photos (0: auto)")
+        automatic = not scene.roigs.count
+        column.prop(scene.roigs, "count", text="Photos (auto)" if automatic else "Photos")
         layout.operator(SelectCameras.bl_idname, icon="CAMERA_DATA")
         roi = lookup.active_roi(context)
         if _job(layout, "Selecting"):
@@ -252,7 +253,7 @@ class TrainPanel(_Panel, bpy.types.Panel):
         for name in ("preset", "max_side"):
             column.prop(scene.roigs, name)
         found = facts.run(scene)
-        begun = not found.result and bool(found.left or found.done)
+        begun = not jobs.busy() and bool(found.left or (found.done and not found.result))
         row = layout.row(align=True)
         text = "Continue" if begun else "Train ROI"
         row.operator(train.TrainRoi.bl_idname, text=text, icon="PLAY").active_only = False

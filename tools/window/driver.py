@@ -60,6 +60,18 @@ class Screen:
         subprocess.run(["convert", whole, *cut, *options, "-strip", path], check=True)
         whole.unlink()
 
+    def place_of(self, name: str) -> str:
+        """ImageMagick's WxH+X+Y of the window with a title."""
+        found = subprocess.run(
+            ["xdotool", "search", "--name", name, "getwindowgeometry", "--shell"],
+            env=self.variables,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        values = dict(line.split("=") for line in found.stdout.split() if "=" in line)
+        return "{WIDTH}x{HEIGHT}+{X}+{Y}".format(**values)
+
     def close(self) -> None:
         """End it."""
         self._process.terminate()
@@ -91,6 +103,7 @@ class Blender:
         """
         self.screen, self.log = screen, log
         self._number = 0
+        self._found: dict[tuple[str, float], tuple[int, int]] = {}
         self._answers: queue.SimpleQueue[list[Any]] = queue.SimpleQueue()
         width, height = screen.size
         self.process = subprocess.Popen(
@@ -175,16 +188,23 @@ class Blender:
         Raises:
             WindowError: there is none.
         """
+        before = self._found.get((command, x))
+        if before is not None and command in self._command_at(*before):
+            return before
         left, top, width, height = self.ask("sidebar()")
         column = left + int(x * width)
         for turn in range(6):
             for y in range(top + 8, top + height - 4, STEP):
-                self.screen.do("mousemove", str(column), str(y))
-                time.sleep(0.03)
-                if command in self.ask("under_mouse()"):
+                if command in self._command_at(column, y):
+                    self._found[command, x] = (column, y + 3)
                     return column, y + 3
             self.scroll(-100 if turn == 0 else 8)
         raise WindowError(f"There is no button for {command} in the sidebar.")
+
+    def _command_at(self, x: int, y: int) -> str:
+        self.screen.do("mousemove", str(x), str(y))
+        time.sleep(0.03)
+        return str(self.ask("under_mouse()"))
 
     def scroll(self, steps: int) -> None:
         """Turn the wheel over the sidebar; up when negative."""

@@ -18,13 +18,13 @@ import traceback
 import bpy
 
 lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-events: list[tuple[float, str]] = []
-"""(seconds since 1970, text): what was noted with `note`."""
+events: list[tuple[float, float, str]] = []
+"""(seconds since 1970, processor seconds of Blender, text): what was noted with `note`."""
 
 
 def note(text: str) -> None:
     """Remember that something happened now."""
-    events.append((time.time(), text))
+    events.append((time.time(), time.process_time(), text))
 
 
 def view() -> dict[str, object]:

@@ -9,6 +9,9 @@ from .driver import REPOSITORY, Blender
 
 SCENE = REPOSITORY / "demo" / "scene"
 TAB = "ROI-GS"
+ENGINE = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.jobs'].current"
+BUSY = f"({ENGINE} is not None and not {ENGINE}.finished)"
+"""Code for `Blender.ask`: the job, and whether one is running."""
 
 PREPARE = """
 bpy.context.preferences.view.show_splash = False

@@ -1,0 +1,122 @@
+"""Makes the pictures of docs/user_guide.md, in a real Blender window.
+
+    python -m tools.window.pictures BLENDER --engine-python PYTHON [--out docs/pictures]
+
+Needs what `driver` needs, and some minutes: the demo scene is trained.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from .driver import REPOSITORY, Blender, Screen, with_extension
+from .scenario import BUSY, import_demo, load_boxes, parser, prepare
+
+SIZE = (1040, 980)
+COLOURS = ("+dither", "-colors", "72")
+"""Small files; what is lost is not seen."""
+
+LOOK = """
+bpy.context.preferences.view.ui_scale = 0.85
+call("screen.screen_full_area", use_hide_panels=False)
+view()["area"].spaces.active.overlay.show_floor = False
+"""
+PREFERENCES = """
+call("preferences.addon_show", module="bl_ext.user_default.roigs")
+"""
+
+
+def select(blender: Blender, kind: str) -> None:
+    """Select the objects of a kind, which then fill the view."""
+    blender.ask(
+        f"[o.select_set(o.roigs.kind == {kind!r}) for o in bpy.context.scene.objects] and None"
+    )
+    blender.ask("call('view3d.view_selected')")
+
+
+def look_at_boxes(blender: Blender) -> None:
+    """The boxes fill the view."""
+    blender.ask("[o.select_set(o.roigs.kind == 'ROI') for o in bpy.context.scene.objects] and None")
+    blender.ask("call('view3d.view_selected')")
+    blender.ask("call('roigs.select_roi', name='vase')")
+
+
+def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
+    """From the empty file to the result."""
+
+    def picture(name: str, crop: str = "780x958+260+0") -> None:
+        blender.screen.do("mousemove", "3", "450")
+        blender.pause(2.0)
+        blender.screen.picture(out / f"{name}.png", crop, *COLOURS)
+
+    prepare(blender)
+    blender.ask(LOOK)
+    blender.pause(1.0)
+    import_demo(blender)
+    select(blender, "CAMERA")
+    blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
+    blender.ask(f"s = bpy.context.scene.roigs; s.max_side = {max_side}; s.run_dir = {str(run)!r}")
+    picture("1-scene", "1040x660+0+0")
+
+    load_boxes(blender)
+    look_at_boxes(blender)
+    picture("2-regions", "1040x780+0+0")
+
+    blender.click(blender.find("roigs.select_cameras"))
+    blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
+    blender.ask(
+        "call('roigs.look_through', photo=bpy.data.objects['vase'].roigs.selection[1].name)"
+    )
+    blender.until(f"not {BUSY}")
+    blender.pause(2.0)
+    picture("3-cameras", "1040x958+0+0")
+
+    blender.ask("bpy.context.scene.camera.data.show_background_images = False")
+    blender.click(blender.find("roigs.train_roi", x=0.3))
+    blender.until("bpy.context.window_manager.roigs.stage == 'joint'", 3600)
+    blender.until("bpy.context.window_manager.roigs.step > 600", 3600)
+    picture("4-training")
+
+    blender.until(f"not {BUSY}", 3600)
+    blender.pause(10.0)
+    picture("5-result")
+
+    blender.ask(PREFERENCES)
+    blender.pause(2.0)
+    picture("6-preferences", blender.screen.place_of("Preferences"))
+
+
+def main() -> int:
+    """Make them."""
+    options = parser(__doc__)
+    options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
+    options.add_argument("--max-side", type=int, default=240, help="of the photos in training")
+    given = options.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        resources = with_extension(given.blender, folder)
+        screen = Screen(*SIZE)
+        log = folder / "blender.log"
+        try:
+            with Blender(
+                given.blender,
+                screen,
+                resources,
+                log=log,
+                variables={"ROIGS_ENGINE_PYTHON": os.fspath(given.engine_python)},
+            ) as blender:
+                story(blender, given.out, folder / "run", given.max_side)
+        except Exception:
+            screen.picture(given.out / "failed.png")
+            print(log.read_text(encoding="utf-8") if log.exists() else "", file=sys.stderr)
+            raise
+        finally:
+            screen.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
