@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import clouds, lookup
+from . import clouds, lookup, native
 from .errors import AddonError
 from .gaussian_ply import SplatCloud, read_splats
 
@@ -71,9 +71,9 @@ def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
 def set_points(scene: bpy.types.Scene, points: bool) -> None:
     """Show points in the viewport in place of Gaussians."""
     for item in lookup.splats(scene):
-        item.roigs.as_points = points
         modifier = item.modifiers.get(HIDE)
-        if modifier is not None:
+        if modifier is not None:  # Blender's own splats are drawn by Blender
+            item.roigs.as_points = points
             modifier.show_viewport = not points
 
 
@@ -81,10 +81,10 @@ def remove(scene: bpy.types.Scene, level: str) -> None:
     """Take the Gaussians of one level out of the scene; what was hidden for them comes back."""
     for item in lookup.splats(scene):
         if item.roigs.level == level:
-            mesh = item.data
+            data = item.data
             bpy.data.objects.remove(item)
-            if not mesh.users:
-                bpy.data.meshes.remove(mesh)
+            if not data.users:
+                bpy.data.batch_remove([data])
     if level == "PREVIEW":
         for item in lookup.splats(scene):
             coarse = item.roigs.level == "SCENE"
@@ -114,14 +114,12 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None
 
 
 def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types.Object:
-    try:
-        cloud = read_splats(path)
-    except (OSError, ValueError) as error:
-        raise AddonError(f"{path} cannot be read ({error}). Train again.") from error
     name = {"RESULT": "Surroundings", "SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}[level]
-    fresh = clouds.new_points(name, cloud.means)
-    add_attributes(fresh.data, cloud)
+    fresh = native.import_splats(path) or _points(name, path)
     old = _of(scene, level, roi)
+    if old is not None and old.type != fresh.type:  # made by a Blender with other splats
+        bpy.data.objects.remove(old)
+        old = None
     if old is None:
         item = _new_object(scene, name, fresh)
     else:  # keeps its name, place and whatever the user did with it
@@ -129,8 +127,19 @@ def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types
         item.data = fresh.data
         bpy.data.objects.remove(fresh)
         if not before.users:
-            bpy.data.meshes.remove(before)
+            bpy.data.batch_remove([before])
     item.roigs.level, item.roigs.roi, item.roigs.ply = level, roi, str(path)
+    return item
+
+
+def _points(name: str, path: Path) -> bpy.types.Object:
+    """A mesh of points with all of the Gaussians' attributes."""
+    try:
+        cloud = read_splats(path)
+    except (OSError, ValueError) as error:
+        raise AddonError(f"{path} cannot be read ({error}). Train again.") from error
+    item = clouds.new_points(name, cloud.means)
+    add_attributes(item.data, cloud)
     return item
 
 
@@ -142,7 +151,12 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     if shelf is None:
         shelf = bpy.data.collections.new(COLLECTION)
         scene.collection.children.link(shelf)
+    for other in item.users_collection:  # where Blender's importer has put it
+        other.objects.unlink(item)
     shelf.objects.link(item)
+    if item.type != "MESH":
+        item.roigs.as_points = True
+        return item
     material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
     clouds.show_as_points(item, material, "radius")
     item.modifiers.new(HIDE, "NODES").node_group = _nothing_group()
