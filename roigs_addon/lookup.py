@@ -43,6 +43,13 @@ def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
     return found
 
 
+def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Object]:
+    """The camera objects of some photos, quickly: by the objects' names, which are the photos'
+    unless these are long or not unique."""
+    found = (scene.objects.get(name) for name in photos)
+    return [item for item in found if item is not None and item.roigs.kind == "CAMERA"]
+
+
 def points(scene: bpy.types.Scene) -> bpy.types.Object | None:
     """The sparse points."""
     return next(of_kind(scene, "POINTS"), None)

@@ -10,6 +10,7 @@
 | `targets` | pictures on the GPU: the splats' own, and the scene's depth |
 | `painter` | keeps the sets and orders on the GPU, and draws them |
 | `draw` | the handler in the viewport, `draw_view` for any other picture |
+| `marks` | boxes and chosen cameras as coloured lines |
 
 The first three need numpy alone. Nothing of `gpu` is built before the first picture.
 """
@@ -19,9 +20,10 @@ from __future__ import annotations
 
 def register() -> None:
     """Start to draw; nothing in background mode."""
-    from . import draw
+    from . import draw, marks
 
     draw.register()
+    marks.register()
 
 
 def problems() -> dict[str, str]:
@@ -33,6 +35,7 @@ def problems() -> dict[str, str]:
 
 def unregister() -> None:
     """Stop to draw and free everything."""
-    from . import draw
+    from . import draw, marks
 
+    marks.unregister()
     draw.unregister()

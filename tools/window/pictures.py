@@ -16,7 +16,7 @@ from .driver import REPOSITORY, Blender, Screen, with_extension
 from .scenario import BUSY, import_demo, load_boxes, parser, prepare
 
 SIZE = (1040, 980)
-COLOURS = ("+dither", "-colors", "72")
+COLOURS = ("+dither", "-colors", "128")
 """Small files; what is lost is not seen."""
 
 LOOK = """
@@ -58,6 +58,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     import_demo(blender)
     select(blender, "CAMERA")
     blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
+    blender.ask("call('view3d.zoom', delta=1)")
     blender.ask(f"s = bpy.context.scene.roigs; s.max_side = {max_side}; s.run_dir = {str(run)!r}")
     picture("1-scene", "1040x660+0+0")
 
