@@ -72,7 +72,9 @@ class EngineJob:
         if runner.finished:
             context.window_manager.event_timer_remove(self._timer)
             if runner.outcome.failed:
-                return failed(self, AddonError(runner.outcome.message))
+                # An error would pop up over the panel, which has the message to stay.
+                self.report({"WARNING"}, runner.outcome.message)
+                return {"CANCELLED"}
             return {"FINISHED"}
         if event.type == "ESC" and event.value == "PRESS" and not runner.stopping:
             runner.stop()

@@ -69,9 +69,8 @@ def _lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, 
     shader.uniform_float("lineWidth", WIDTH * context.preferences.system.ui_scale)
     shader.uniform_float("color", colour)
     gpu.state.blend_set("ALPHA")
-    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.depth_test_set("NONE")  # Blender's own lines are at the same depth
     batch.draw(shader)
-    gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("NONE")
 
 

@@ -82,6 +82,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     picture("4-training")
 
     blender.until(f"not {BUSY}", 3600)
+    blender.ask("view()['area'].spaces.active.overlay.show_overlays = False")
     blender.pause(10.0)
     picture("5-result")
 
