@@ -30,6 +30,7 @@ from .scene import PosedImage
 REPORT_SECONDS = 0.5
 RESET_OPACITY = 0.01
 AVERAGE_EVERY = 10  # steps between the models that are averaged: neighbours hardly differ
+PSNR_EVERY = 50  # steps
 RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
 
 
@@ -204,7 +205,7 @@ class Trainer:
         """Keep the running loss; the PSNR costs a pass over the image, so only now and then."""
         self.last_loss = loss
         self._loss = loss if self._loss != self._loss else RECENT * self._loss + (1 - RECENT) * loss
-        if self.step % 20 == 0:
+        if self.step % PSNR_EVERY == 0:
             error = rendered.detach()[0] - target / 255.0
             psnr = float(-10 * torch.log10(error.square().mean().clamp(min=1e-10)))
             self._psnr = psnr if self._psnr != self._psnr else 0.7 * self._psnr + 0.3 * psnr

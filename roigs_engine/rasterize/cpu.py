@@ -12,6 +12,7 @@ import functools
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
@@ -203,8 +204,8 @@ def render(request: RenderRequest) -> RenderOutput:
 
 def _camera_structures(request: RenderRequest, tile_mask: Tensor | None) -> list[_Camera]:
     # in float64: the position is a difference of numbers that may be large
-    views = request.viewmats.detach().to("cpu", torch.float64)
-    positions = -(views[:, :3, :3].transpose(1, 2) @ views[:, :3, 3:])[:, :, 0]
+    views = request.viewmats.detach().cpu().numpy().astype(np.float64)
+    positions = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
     background = request.background.tolist()
     structures = []
     for view, position, K in zip(
