@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from .evaluate import EvaluatedModel
@@ -110,7 +111,7 @@ def _side_by_side(
     roi: OrientedBox,
     panels: Sequence[tuple[ModelScore, EvaluatedModel]],
     label: str,
-) -> np.ndarray:
+) -> NDArray[np.uint8]:
     """(H, W, 3) uint8: the photo's part around the box, then each model's, labelled."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
     pictures = [load_photo(image)[rows, columns]]
@@ -135,7 +136,7 @@ def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> t
     return window
 
 
-def _panel(picture: np.ndarray, caption: str) -> Image.Image:
+def _panel(picture: NDArray[np.uint8], caption: str) -> Image.Image:
     """The picture at about `HEIGHT` pixels height with its caption below.
 
     Small ones grow by a whole factor, pixel by pixel, so that no resampling is taken for sharpness.
@@ -156,7 +157,7 @@ def _panel(picture: np.ndarray, caption: str) -> Image.Image:
     return panel
 
 
-def _joined(panels: Sequence[Image.Image]) -> np.ndarray:
+def _joined(panels: Sequence[Image.Image]) -> NDArray[np.uint8]:
     """(H, W, 3) uint8: the panels beside one another."""
     width = sum(panel.width for panel in panels) + GAP * (len(panels) - 1)
     sheet = Image.new("RGB", (width, max(panel.height for panel in panels)), PAPER)
@@ -167,7 +168,7 @@ def _joined(panels: Sequence[Image.Image]) -> np.ndarray:
     return np.asarray(sheet)
 
 
-def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> np.ndarray:
+def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> NDArray[np.uint8]:
     """(H, W, 3) uint8: the whole photo and the whole render, the box's edges drawn into both."""
     view = render_view(model.gaussians, image.camera, image.world_to_camera)
     panels = []

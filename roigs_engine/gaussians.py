@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -82,7 +83,7 @@ class Gaussians:
     def from_points(
         cls,
         points: Float64,  # (P, 3)
-        colors: np.ndarray,  # (P, 3) uint8
+        colors: NDArray[np.uint8],  # (P, 3) uint8
         *,
         sh_degree: int = 3,
     ) -> Gaussians:
@@ -113,7 +114,7 @@ class Gaussians:
         )
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Gaussians:
+    def from_arrays(cls, arrays: dict[str, NDArray[np.float32]]) -> Gaussians:
         """From the arrays that `ply.read_ply` returns."""
         return cls(**{name: torch.from_numpy(np.ascontiguousarray(arrays[name])) for name in NAMES})
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def read_ply(path: Path) -> dict[str, Float32]:
     }
 
 
-def _parse_header(path: Path, data: bytes) -> tuple[int, np.dtype, int]:
+def _parse_header(path: Path, data: bytes) -> tuple[int, np.dtype[Any], int]:
     """Vertex count, row type and offset of the first row."""
     end = re.search(rb"end_header\r?\n", data[:MAX_HEADER])
     if not data.startswith(b"ply") or end is None:

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
@@ -157,12 +158,12 @@ def render_sequence(
     return written
 
 
-def to_uint8(image: Tensor) -> np.ndarray:
+def to_uint8(image: Tensor) -> NDArray[np.uint8]:
     """(H, W, 3) values in [0, 1] -> (H, W, 3) uint8, rounded to nearest."""
     return (image.detach().clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
 
 
-def save_png(path: Path, image: np.ndarray) -> None:
+def save_png(path: Path, image: NDArray[np.uint8]) -> None:
     """Write (H, W, 3) uint8 as a PNG under `path`, whole or not at all."""
     with atomic_write(path) as file:
         Image.fromarray(image).save(file, format="PNG")

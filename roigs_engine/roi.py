@@ -69,7 +69,8 @@ class OrientedBox:
     def to_box(self, points: Float64) -> Float64:
         """(N, 3) world positions -> (N, 3) in units of the half extents (inside: all |x| <= 1)."""
         local = points @ self.world_to_box[:3, :3].T + self.world_to_box[:3, 3]
-        return local / self.half_extents
+        scaled: Float64 = local / self.half_extents
+        return scaled
 
     def contains(self, points: Float64) -> NDArray[np.bool_]:
         """(N, 3) world positions -> (N,) whether each lies inside or on the box."""
@@ -81,7 +82,8 @@ class OrientedBox:
         """(8, 3) world positions; corner k has the sign bits of k."""
         bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
         local = (2 * bits - 1) * self.half_extents
-        return (local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3]
+        corners: Float64 = (local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3]
+        return corners
 
     def silhouette_polygon(self, camera: Camera, world_to_camera: Float64) -> Float64 | None:
         """The projected box as a convex polygon, (M, 2) pixels, or None when it is not seen.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 PhotoAt = Callable[[int], int]
 
@@ -18,7 +19,7 @@ def ordered(photos: Sequence[int]) -> PhotoAt:
 def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
     """Epochs of random permutations, as 3DGS draws them."""
     photos = list(photos)
-    cached: tuple[int, np.ndarray] = (-1, np.empty(0, dtype=np.int64))
+    cached: tuple[int, NDArray[np.int64]] = (-1, np.empty(0, dtype=np.int64))
 
     def photo_at(step: int) -> int:
         nonlocal cached

@@ -28,7 +28,8 @@ def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
     cells = np.ceil(2 * roi.half_extents / edge - 1e-9).astype(np.int64)
     cell = np.clip(np.floor(offset / edge).astype(np.int64), 0, cells - 1)
     flat = np.ravel_multi_index((cell[:, 0], cell[:, 1], cell[:, 2]), tuple(cells.tolist()))
-    return np.unique(flat, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    numbers: Int64 = np.unique(flat, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    return numbers
 
 
 class DensityOccupancy:
