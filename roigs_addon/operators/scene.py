@@ -14,7 +14,7 @@ from ..engine.client import Outcome
 from ..engine.python import FOR_READING
 from ..errors import AddonError
 from ..photo import Photo
-from .base import EngineJob, OperatorResult
+from .base import EngineJob, OperatorResult, failed
 from .select import mark_chosen
 
 
@@ -46,6 +46,16 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
             return EngineJob.invoke(self, context, event)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Wait for the end in a script; leave the window to its user after the file browser."""
+        if bpy.app.background or not self.options.is_invoke:
+            return EngineJob.execute(self, context)
+        try:
+            jobs.start(preferences.engine(self.packages), self.work(context))
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}
 
     def work(self, context: bpy.types.Context) -> jobs.Work:
         """Export the model to the cache, then build objects from that."""
