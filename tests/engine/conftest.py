@@ -6,21 +6,26 @@ from collections.abc import Iterator
 
 import pytest
 
+from roigs_engine import losses, optimizer
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import library
 from roigs_engine.rasterize import cpu
 
 
-@pytest.fixture(params=["generic", "avx2", "avx512", "neon"])
-def isa(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+@pytest.fixture(scope="module", params=["generic", "avx2", "avx512", "neon"])
+def isa(request: pytest.FixtureRequest) -> Iterator[str]:
     """Runs a test on every instruction set that was built and that this processor has."""
-    monkeypatch.setenv(library.ISA_VARIABLE, request.param)
-    monkeypatch.setattr(library, "load", library.load.__wrapped__)
-    try:
-        kernels = cpu._kernels.__wrapped__()
-    except KernelError as error:
-        pytest.skip(str(error))
-    monkeypatch.setattr(cpu, "_kernels", lambda: kernels)
-    cpu.View._idle.clear()
-    yield request.param
-    cpu.View._idle.clear()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(library.ISA_VARIABLE, request.param)
+        try:
+            kernels = library.load.__wrapped__()
+        except KernelError as error:
+            pytest.skip(str(error))
+        patch.setattr(library, "load", lambda: kernels)
+        for module, name in ((cpu, "_kernels"), (losses, "_kernel"), (optimizer, "_kernel")):
+            loaded = getattr(module, name).__wrapped__()
+            patch.setattr(module, name, lambda loaded=loaded: loaded)
+        cpu.View._idle.clear()  # they belong to another library
+        yield request.param
+        library.set_threads(None)
+        cpu.View._idle.clear()

@@ -9,7 +9,6 @@ The scenes are drawn from one seed, so a failure can be repeated; `-m slow` draw
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -18,12 +17,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roigs_engine import losses, optimizer
-from roigs_engine.errors import KernelError
 from roigs_engine.kernels import library
 from roigs_engine.losses import photo_loss
 from roigs_engine.optimizer import VisibleAdam
-from roigs_engine.rasterize import RenderOutput, cpu, rasterize, reference
+from roigs_engine.rasterize import RenderOutput, rasterize, reference
 
 from .rasterize_cases import NAMES, gradient_errors, largest_difference
 
@@ -195,25 +192,6 @@ def gradients(scene: Scene, backend: str, dtype: torch.dtype) -> tuple[Tensor, l
     leaves = [p.to(dtype, copy=True).requires_grad_() for p in scene.parameters]
     image = step(scene, leaves, backend).image
     return image, [leaf.grad for leaf in leaves if leaf.grad is not None]
-
-
-@pytest.fixture(scope="module", params=["generic", "avx2", "avx512", "neon"])
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Runs a test on every instruction set that was built and that this processor has."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(library.ISA_VARIABLE, request.param)
-        try:
-            kernels = library.load.__wrapped__()
-        except KernelError as error:
-            pytest.skip(str(error))
-        patch.setattr(library, "load", lambda: kernels)
-        for module, name in ((cpu, "_kernels"), (losses, "_kernel"), (optimizer, "_kernel")):
-            loaded = getattr(module, name).__wrapped__()
-            patch.setattr(module, name, lambda loaded=loaded: loaded)
-        cpu.View._idle.clear()  # they belong to another library
-        yield request.param
-        library.set_threads(None)
-        cpu.View._idle.clear()
 
 
 def agrees_with_float64(kind: SceneKind) -> None:
