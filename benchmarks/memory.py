@@ -13,6 +13,10 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from roigs_engine.trainer import Trainer
 
 MIB = 1 << 20
 STATUS = Path("/proc/self/status")
@@ -100,9 +104,9 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
         print(f"| {name} | {megabytes:.0f} |")
 
 
-def known(trainer: object, photo_bytes: int) -> list[tuple[str, float]]:
-    """MiB of the arrays whose sizes are known; `trainer` is a `Trainer`."""
-    tensors = list(trainer.gaussians.tensors().values())  # type: ignore[attr-defined]
+def known(trainer: Trainer, photo_bytes: int) -> list[tuple[str, float]]:
+    """MiB of the arrays whose sizes are known."""
+    tensors = list(trainer.gaussians.tensors().values())
     parameters = sum(t.nbytes for t in tensors) / MIB
     return [
         ("of it: parameters", parameters),

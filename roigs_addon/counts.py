@@ -119,8 +119,9 @@ def _count(box: Box) -> Counts:
 
 def forget() -> None:
     """Drop what was read."""
+    global _model
     _last.clear()
-    _model.__init__()  # type: ignore[misc]
+    _model = _Model()
 
 
 def close() -> None:

@@ -368,14 +368,4 @@ CLASSES = (
     *(TrainPanel, TrainSettingsPanel, ResultPanel),
 )
 
-
-def register() -> None:
-    """The panels, in their order."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -141,14 +141,4 @@ class SelectRoi(bpy.types.Operator):
 
 CLASSES = (AddRoi, AddBox, LoadRois, RemoveRoi, SelectRoi)
 
-
-def register() -> None:
-    """The classes."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

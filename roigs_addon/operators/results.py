@@ -149,14 +149,4 @@ def box_levels(scene: bpy.types.Scene) -> dict[str, bool]:
 
 CLASSES = (LoadResults, SetDetail, ShowPoints, RenderSplats)
 
-
-def register() -> None:
-    """The classes."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -195,14 +195,4 @@ class EditSelection(bpy.types.Operator):
 
 CLASSES = (SelectCameras, EditSelection)
 
-
-def register() -> None:
-    """The classes."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

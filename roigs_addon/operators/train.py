@@ -133,14 +133,4 @@ def finished(scene: bpy.types.Scene) -> list[str]:
 
 CLASSES = (TrainRoi, StopJob, ShowLog)
 
-
-def register() -> None:
-    """The classes."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """The reverse."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)
