@@ -13,10 +13,17 @@ from .errors import RunFolderError
 
 
 @contextmanager
-def atomic_write(path: Path) -> Iterator[BinaryIO]:
+def atomic_write(
+    path: Path, *, durable: bool = True, before: Path | None = None
+) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path`; rename it to `path` once the block ends well.
 
     What stood under `path` before is untouched until then, and stays when the block fails.
+
+    Args:
+        path: where the whole file shall be.
+        durable: wait until the disk has it; otherwise a power cut some seconds later may damage it.
+        before: what stood under `path` is kept under this name, and is durable by then.
 
     Raises:
         RunFolderError: the folder cannot be written to, or the disk is full.
@@ -27,8 +34,13 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(temporary, "wb") as file:
             yield file
-            file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        if before is not None and path.exists():
+            with open(path, "r+b") as earlier:
+                os.fsync(earlier.fileno())
+            os.replace(path, before)
         os.replace(temporary, path)
     except OSError as error:
         raise RunFolderError(

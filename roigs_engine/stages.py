@@ -1,7 +1,7 @@
 """One stage of a run in its own folder: begun, continued, or taken as it was finished before.
 
-A stage folder holds `checkpoint.pt` while the stage runs, and `model.ply` with `stage.json` once it
-is done. The fingerprint in both names everything that decides the stage's result.
+A stage folder holds `checkpoint.bin` while the stage runs, and `model.ply` with `stage.json` once
+it is done. The fingerprint in both names everything that decides the stage's result.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .checkpoint import checkpoint_fingerprint, load_checkpoint, save_checkpoint
+from .checkpoint import (
+    checkpoint_exists,
+    checkpoint_fingerprint,
+    load_checkpoint,
+    remove_checkpoint,
+    save_checkpoint,
+)
 from .config import TrainConfig
 from .errors import RunFolderError, Stopped
 from .events import Emit, Message, Preview, StageStarted
@@ -96,6 +102,7 @@ class Stage:
             self._make_room(emit)
         finished = self._finished()
         if finished is not None:
+            remove_checkpoint(self._checkpoint)  # left where the engine was killed at the very end
             emit(Message(text=f"{self.name}: done before, {len(finished.gaussians)} Gaussians."))
             return finished
         trainer = self._trainer(emit)
@@ -110,20 +117,18 @@ class Stage:
         )
         if not done:
             self._save(trainer)
-            if self.preview_seconds > 0:
-                self._preview(trainer, emit)
             raise Stopped(self.name)
         return self._finish(trainer)
 
     @property
     def _checkpoint(self) -> Path:
-        return self.folder / "checkpoint.pt"
+        return self.folder / "checkpoint.bin"
 
     def _trainer(self, emit: Emit) -> Trainer:
         """At step 0, or where the checkpoint says."""
-        if not self._checkpoint.exists():
+        if not checkpoint_exists(self._checkpoint):
             return Trainer(self.start, self.data, self.config)
-        state = load_checkpoint(self._checkpoint, self.fingerprint)
+        state = load_checkpoint(self._checkpoint, self.fingerprint, emit)
         trainer = Trainer(Gaussians(**state["parameters"]), self.data, self.config)
         trainer.load_state_dict(state)
         emit(Message(text=f"{self.name}: goes on at step {trainer.step}."))
@@ -156,7 +161,11 @@ class Stage:
         if finished.exists():
             record = read_json(finished)
             return str(record.get("fingerprint")) if isinstance(record, dict) else "damaged"
-        return checkpoint_fingerprint(self._checkpoint) if self._checkpoint.exists() else None
+        return (
+            checkpoint_fingerprint(self._checkpoint)
+            if checkpoint_exists(self._checkpoint)
+            else None
+        )
 
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached()
@@ -168,7 +177,7 @@ class Stage:
             "gaussians": len(model),
         }
         write_json(self.folder / "stage.json", record)
-        self._checkpoint.unlink(missing_ok=True)
+        remove_checkpoint(self._checkpoint)
         return StageResult(
             name=self.name,
             gaussians=model,

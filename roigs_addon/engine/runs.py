@@ -34,7 +34,7 @@ class Run:
 def read(folder: Path) -> Run:
     """Look; a folder that is not there is an empty run."""
     stages = sorted(folder.glob("*/stage.json"), key=_age)
-    left = [path.parent.name for path in folder.glob("*/checkpoint.pt")]
+    left = [path.parent.name for path in folder.glob("*/checkpoint*.bin")]
     return Run(
         done=tuple(path.parent.name for path in stages),
         left=left[0] if left else "",

@@ -287,7 +287,7 @@ def test_a_python_that_does_not_start(blender: ModuleType, work, tmp_path: Path)
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    return list(folder.glob("*/checkpoint.pt"))
+    return list(folder.glob("*/checkpoint.bin"))
 
 
 def training(state) -> bool:

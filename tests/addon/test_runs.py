@@ -29,7 +29,7 @@ def write(path: Path, text: str = "{}") -> None:
 def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:
     assert runs.read(tmp_path / "none") == runs.Run()
     write(tmp_path / "scene" / "stage.json")
-    write(tmp_path / "object-vase" / "checkpoint.pt")
+    write(tmp_path / "object-vase" / "checkpoint.bin")
     box = {"name": "vase", "world_to_box": [[1]], "half_extents": [1]}
     write(tmp_path / "request.json", json.dumps({"rois": [box]}))
     run = runs.read(tmp_path)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
+from roigs_engine.checkpoint import checkpoint_fingerprint, load_checkpoint
 from roigs_engine.config import RunConfig
 from roigs_engine.errors import ConfigError, RunFolderError, Stopped
 from roigs_engine.events import Event, Message, Preview, check_of
@@ -158,10 +158,10 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
 
     with pytest.raises(Stopped):
         Run(tmp_path, scene, [BOX], production(), should_stop=soon).train()
-    assert (tmp_path / "joint" / "checkpoint.pt").exists()
+    assert (tmp_path / "joint" / "checkpoint.bin").exists()
     Run(tmp_path, scene, [MOVED], production(), update=True).train()
-    (kept,) = (tmp_path / "older").glob("joint-*/checkpoint.pt")
-    step = torch.load(kept, weights_only=True)["state"]["step"]
+    (kept,) = (tmp_path / "older").glob("joint-*/checkpoint.bin")
+    step = load_checkpoint(kept, checkpoint_fingerprint(kept))["step"]
     events: list[Event] = []
     Run(tmp_path, scene, [BOX], production(), update=True, emit=events.append).train()
     texts = [event.text for event in events if isinstance(event, Message)]
