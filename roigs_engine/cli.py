@@ -7,8 +7,11 @@ checkpoint written, 130 interrupted at once.
 from __future__ import annotations
 
 import argparse
+import atexit
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -129,5 +132,14 @@ def _typed(option: argparse.Action, value: Any, where: str) -> Any:
 
 
 def entry() -> None:
-    """What `python -m roigs_engine` calls."""
-    sys.exit(main())
+    """What `python -m roigs_engine` calls.
+
+    The process ends at once: taking Python, torch and a large scene apart piece by piece takes most
+    of a second, in which whoever asked for a stop waits.
+    """
+    status = main()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    os._exit(status)

@@ -1,0 +1,145 @@
+"""Hours of training in one process: `python -m benchmarks.long_run FOLDER --hours 2` (Linux).
+
+The demo scene is trained with growing Gaussians, again and again. Every cycle begins at the sparse
+points, in a stage folder of its own, with photos, checkpoints and previews as a run has them. A
+cycle repeats the one before bit for bit, so memory and the time of a step are compared at equal
+numbers of Gaussians. A line goes to FOLDER/log.csv every 50 steps: `python -m benchmarks.long_run
+FOLDER --evaluate` says what is in it, also while the run goes on or after it was cut short.
+
+Time is the processor's, not the clock's: the machine may do other work, or pause this process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import shutil
+import statistics
+import time
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.memory import resident
+
+SCENE = Path(__file__).resolve().parent.parent / "demo" / "scene"
+LOG_STEPS = 50
+PREVIEW_SECONDS = 30.0
+
+
+class Log:
+    """Writes a row every `LOG_STEPS` steps; `should_stop` of a stage counts them."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115 - open to the end
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(["cycle", "step", "gaussians", "clock_s", "cpu_ms", "resident_mib"])
+        self._began, self._cpu = time.monotonic(), 0.0
+        self._cycle, self._step, self.gaussians = -1, 0, 0
+
+    def begin_cycle(self) -> None:
+        """Steps count from 0 again."""
+        self._cycle, self._step, self._cpu = self._cycle + 1, 0, time.process_time()
+
+    def before_step(self) -> bool:
+        """Called before every step of a stage; never stops it."""
+        if self._step % LOG_STEPS == 0 and self._step:
+            now, cpu = time.monotonic() - self._began, time.process_time()
+            spent = 1000 * (cpu - self._cpu) / LOG_STEPS
+            row = [self._cycle, self._step, self.gaussians, f"{now:.1f}", f"{spent:.3f}"]
+            self._rows.writerow([*row, f"{resident():.1f}"])
+            self._file.flush()
+            self._cpu = cpu
+        self._step += 1
+        return False
+
+
+def train(folder: Path, hours: float, steps: int, threads: int) -> None:
+    """Whole cycles until `hours` have passed on the clock."""
+    from roigs_engine import sampling
+    from roigs_engine.colmap import load_colmap
+    from roigs_engine.config import preset
+    from roigs_engine.events import Event, Progress
+    from roigs_engine.gaussians import Gaussians
+    from roigs_engine.images import PhotoCache
+    from roigs_engine.kernels import library
+    from roigs_engine.stages import Stage
+    from roigs_engine.trainer import StageData
+
+    library.set_threads(threads)
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = load_colmap(SCENE, cache=folder / "cache")
+    config = replace(
+        preset("standard").scene,
+        steps=steps,
+        densify_from=100,
+        densify_until=steps,
+        grad_threshold=4e-4,
+        reset_every=0,
+    )
+    log, began = Log(folder / "log.csv"), time.monotonic()
+
+    def watch(event: Event) -> None:
+        if isinstance(event, Progress):
+            log.gaussians = event.gaussians
+
+    while time.monotonic() - began < 3600 * hours:
+        log.begin_cycle()
+        shutil.rmtree(folder / "stage", ignore_errors=True)
+        with PhotoCache(scene.images) as photos:
+            data = StageData(
+                images=scene.images,
+                photos=photos,
+                photo_at=sampling.shuffled(range(len(scene.images)), 0),
+                extent=scene.extent(),
+            )
+            Stage(
+                name="stage",
+                folder=folder / "stage",
+                data=data,
+                config=config,
+                start=Gaussians.from_points(scene.points, scene.colors),
+                fingerprint="long run",
+                preview_seconds=PREVIEW_SECONDS,
+            ).run(watch, log.before_step)
+
+
+def evaluate(folder: Path) -> None:
+    """Compare the cycles with the second: the first warms up the allocator."""
+    cycles: dict[int, dict[int, dict[str, float]]] = defaultdict(dict)
+    with open(folder / "log.csv", encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            values = {name: float(value) for name, value in row.items()}
+            cycles[int(row["cycle"])][int(row["step"])] = values
+    minutes = max(row["clock_s"] for row in cycles[max(cycles)].values()) / 60
+    print(f"{len(cycles)} cycles in {minutes:.0f} minutes\n")
+    print("| cycle | steps | Gaussians | CPU ms a step | of cycle 1 | MiB | of cycle 1 |")
+    print("|---|---|---|---|---|---|---|")
+    for cycle, rows in cycles.items():
+        cells = [str(cycle), str(max(rows)), f"{rows[max(rows)]['gaussians']:,.0f}"]
+        for field in ("cpu_ms", "resident_mib"):
+            cells.append(f"{statistics.median(row[field] for row in rows.values()):.1f}")
+            shared = rows.keys() & cycles.get(1, {}).keys()
+            ratios = [100 * rows[s][field] / cycles[1][s][field] for s in shared] or [math.nan]
+            middle = statistics.median(ratios)
+            cells.append(f"{middle:.1f} % ({min(ratios):.1f} to {max(ratios):.1f})")
+        print(f"| {' | '.join(cells)} |")
+
+
+def main() -> None:
+    """Train, or evaluate what was logged."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--steps", type=int, default=2500, help="of a cycle")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--evaluate", action="store_true")
+    args = parser.parse_args()
+    if not args.evaluate:
+        train(args.folder, args.hours, args.steps, args.threads)
+    evaluate(args.folder)
+
+
+if __name__ == "__main__":
+    main()
