@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from .errors import RunFolderError
+
+LEFTOVER = re.compile(r"^\..+\.\d+\.part$")  # what `atomic_write` calls its temporary files
 
 
 @contextmanager
@@ -50,6 +53,14 @@ def atomic_write(
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Delete the temporary files that a killed process has left; nobody else may write there."""
+    for path in folder.rglob(".*.part"):
+        if LEFTOVER.search(path.name):
+            with suppress(OSError):
+                path.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -35,6 +35,7 @@ def locked(folder: Path) -> Iterator[None]:
     path = folder / NAME
     try:
         file = _hold(path)
+        _write_record(file, folder / "events.jsonl")
     except BlockingIOError as error:
         raise RunFolderError(
             f"Another engine is at work in {folder}{_holder(path)}.",
@@ -42,19 +43,10 @@ def locked(folder: Path) -> Iterator[None]:
         ) from error
     except OSError as error:
         raise RunFolderError(
-            f"Cannot write {path} ({error.strerror or error}).", "Choose another folder."
+            f"Cannot write {path} ({error.strerror or error}).",
+            "Free some space or choose another folder.",
         ) from error
     try:
-        log = folder / "events.jsonl"
-        record = {
-            "pid": os.getpid(),
-            "started": round(time.time(), 3),
-            "events_from": log.stat().st_size if log.exists() else 0,
-        }
-        file.truncate(0)
-        file.seek(0)
-        file.write(json.dumps(record).encode() + b"\n")
-        file.flush()
         yield
     finally:
         if sys.platform == "win32":  # a file that is open cannot be removed there
@@ -80,6 +72,24 @@ def _hold(path: Path) -> BinaryIO:
             file.close()
             raise
         file.close()
+
+
+def _write_record(file: BinaryIO, log: Path) -> None:
+    """Say in the file who holds it."""
+    record = {
+        "pid": os.getpid(),
+        "started": round(time.time(), 3),
+        "events_from": log.stat().st_size if log.exists() else 0,
+    }
+    try:
+        file.truncate(0)
+        file.seek(0)
+        file.write(json.dumps(record).encode() + b"\n")
+        file.flush()
+    except OSError:
+        with suppress(OSError):  # what could not be written is tried again here
+            file.close()
+        raise
 
 
 def _lock(file: BinaryIO) -> None:

@@ -7,11 +7,12 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TextIO
 
-from ..errors import Stopped
+from ..errors import RunFolderError, Stopped
 from ..events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 
 if TYPE_CHECKING:
@@ -49,18 +50,44 @@ class Console:
             raise Stopped
 
     def log_to(self, folder: Path) -> None:
-        """Also append every event as a JSON line to `folder`/events.jsonl."""
-        folder.mkdir(parents=True, exist_ok=True)
-        self._log = open(folder / "events.jsonl", "a", encoding="utf-8")  # noqa: SIM115
+        """Also append every event as a JSON line to `folder`/events.jsonl.
+
+        Raises:
+            RunFolderError: the file cannot be written.
+        """
+        path = folder / "events.jsonl"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with open(path, "a+b") as file:
+                # A killed engine may have left half a line.
+                file.seek(max(file.tell() - 1, 0))
+                if file.read(1) not in (b"", b"\n"):
+                    file.write(b"\n")
+            self._log = open(path, "a", encoding="utf-8")  # noqa: SIM115
+        except OSError as error:
+            raise RunFolderError(
+                f"Cannot write {path} ({error.strerror or error}).", "Choose another folder."
+            ) from error
 
     def emit(self, event: Event) -> None:
         """Show one event."""
         if self._log is not None:
-            print(to_json(event), file=self._log, flush=True)
+            self._append(to_json(event), self._log)
         if self._json_lines:
             self._write(to_json(event), sys.stdout)
         else:
             self._show(event)
+
+    def _append(self, line: str, log: TextIO) -> None:
+        """A line of the log. A full disk ends the log, not what it tells of."""
+        try:
+            print(line, file=log, flush=True)
+        except OSError as error:
+            self._log = None
+            with suppress(OSError):  # what could not be written is tried again here
+                log.close()
+            text = f"Events are no longer written to events.jsonl ({error.strerror or error})."
+            self.emit(Message(text=text, level="warning"))
 
     def print(self, text: str) -> None:
         """Text that is the command's answer: standard output, but never among JSON lines."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
+from ..files import remove_leftovers
 from ..lock import locked
 from ..selection.given import load_given
 from .console import Console
@@ -76,6 +77,7 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
     if not 0 <= args.preview_seconds < math.inf:
         raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
     with locked(args.run_dir):
+        remove_leftovers(args.run_dir)
         scene = load_scene(args, console, args.run_dir / "cache")
         work = Run(
             args.run_dir,
