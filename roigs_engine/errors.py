@@ -43,5 +43,9 @@ class KernelError(EngineError):
     """The compiled kernels are missing, cannot be built, or refuse their input."""
 
 
+class TrainingError(EngineError):
+    """Training has come to numbers that are none."""
+
+
 class Stopped(Exception):  # noqa: N818 - a request that was followed, not an error
     """The run was asked to stop; what is done so far is on disk and can be gone on with."""

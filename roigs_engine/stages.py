@@ -22,7 +22,7 @@ from .checkpoint import (
     save_checkpoint,
 )
 from .config import TrainConfig
-from .errors import RunFolderError, Stopped
+from .errors import RunFolderError, Stopped, TrainingError
 from .events import Emit, Message, Preview, StageStarted
 from .files import read_json, write_json
 from .gaussians import Gaussians
@@ -97,6 +97,7 @@ class Stage:
         Raises:
             Stopped: `should_stop` said so; a checkpoint was written.
             RunFolderError: the folder belongs to other settings, or is damaged.
+            TrainingError: twice, training came to numbers that are none.
         """
         if self.update:
             self._make_room(emit)
@@ -105,8 +106,20 @@ class Stage:
             remove_checkpoint(self._checkpoint)  # left where the engine was killed at the very end
             emit(Message(text=f"{self.name}: done before, {len(finished.gaussians)} Gaussians."))
             return finished
-        trainer = self._trainer(emit)
         emit(StageStarted(stage=self.name, total=self.config.steps))
+        try:
+            trainer = self._trained(emit, should_stop)
+        except TrainingError as error:
+            text = f"{self.name}: {error.message} Training goes back once, and on from there."
+            emit(Message(text=text, level="warning"))
+            trainer = self._trained(emit, should_stop)
+        for text in trainer.health.outliers():
+            emit(Message(text=f"{self.name}: {text}", level="warning"))
+        return self._finish(trainer)
+
+    def _trained(self, emit: Emit, should_stop: Callable[[], bool]) -> Trainer:
+        """Train to the end from the last checkpoint, which is always a good one."""
+        trainer = self._trainer(emit)
         done = trainer.run(
             stage=self.name,
             emit=emit,
@@ -118,7 +131,8 @@ class Stage:
         if not done:
             self._save(trainer)
             raise Stopped(self.name)
-        return self._finish(trainer)
+        trainer.check()
+        return trainer
 
     @property
     def _checkpoint(self) -> Path:
@@ -135,6 +149,7 @@ class Stage:
         return trainer
 
     def _save(self, trainer: Trainer) -> None:
+        trainer.check()
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
 
     def _preview(self, trainer: Trainer, emit: Emit) -> None:

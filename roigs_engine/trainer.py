@@ -20,6 +20,7 @@ from .config import TrainConfig
 from .densify import DensityStats, Edit
 from .events import Emit, Progress, ignore
 from .gaussians import NAMES, Gaussians
+from .health import CHECK_EVERY, Health
 from .losses import photo_loss
 from .optimizer import VisibleAdam
 from .rasterize import rasterize
@@ -109,6 +110,7 @@ class Trainer:
         self._stats = DensityStats.zeros(len(order))
         self._mean = ModelMean()
         self._window = 0
+        self.health = Health([image.name for image in data.images])
         self.last_loss = float("nan")
         self._loss, self._psnr = float("nan"), float("nan")
 
@@ -180,9 +182,16 @@ class Trainer:
         self._optimizer.step(visible)
         self._stats.add(visible, output.grad2d[0], output.max_weight)
         self._observe(float(loss.loss.detach()), output.image, target)
+        self.health.saw(self.step, index, loss.loss.detach())
         self.step += 1
+        if self.step % min(CHECK_EVERY, config.densify_every) == 0:
+            self.check()
         self._edit()
         self._average()
+
+    def check(self) -> None:
+        """Look whether all is well so far. Raises TrainingError where numbers are none."""
+        self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
 
     def _render(self, image: PosedImage) -> Any:
         p, camera = self._parameters, image.camera

@@ -34,7 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         ),
         *("inspect", "export", "selection", "split", "config"),
         *("rasterize", "losses", "optimizer", "metrics", "render"),
-        *("averaging", "densify", "capacity", "checkpoint", "compose", "report"),
+        *("averaging", "densify", "capacity", "checkpoint", "health", "compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),
     "run": ("pipeline",),

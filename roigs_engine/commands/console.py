@@ -59,9 +59,9 @@ class Console:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with open(path, "a+b") as file:
-                # A killed engine may have left half a line.
-                file.seek(max(file.tell() - 1, 0))
-                if file.read(1) not in (b"", b"\n"):
+                size = file.seek(0, os.SEEK_END)
+                file.seek(max(size - 1, 0))
+                if size and file.read(1) != b"\n":  # a killed engine has left half a line
                     file.write(b"\n")
             self._log = open(path, "a", encoding="utf-8")  # noqa: SIM115
         except OSError as error:

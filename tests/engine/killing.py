@@ -1,4 +1,4 @@
-"""An engine that dies at a chosen moment: killed by itself, with SIGKILL, where a test wants it.
+"""An engine that dies, or finds the disk full, at the moment that a test wants.
 
 A moment is a training step, an edit of the Gaussians, a question whether to stop (between photos,
 picks and pictures) or a place within the writing of a file: half written, not yet renamed, just
@@ -8,14 +8,17 @@ renamed. It is named after the stage and what goes on: «scene: half of checkpoi
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
 import io
 import json
 import multiprocessing
 import os
+import random
 import re
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,36 +27,55 @@ from typing import Any
 from roigs_engine import cli, config, files, trainer
 from roigs_engine.commands.console import Console
 from roigs_engine.config import RunConfig, TrainConfig
+from tests.engine.synthetic_colmap import camera, write_project
 
 CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
 CONTEXT.set_forkserver_preload([__name__, "roigs_engine.pipeline", "roigs_engine.crops"])
 STEPS_BETWEEN_CHECKPOINTS = 7
+SEED = 6
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The n-th moment, from 1, whose name the pattern is found in."""
+    """The n-th moment, from 1, whose name the pattern is found in; what happens then.
+
+    The engine is killed with SIGKILL, or (`full`) what it writes or renames fails: no space left.
+    """
 
     pattern: str
     number: int
+    full: bool = False
 
 
-def engine(
-    arguments: Sequence[object], kill_at: Moment | None = None, moments: Path | None = None
-) -> int:
-    """Exit status of `python -m roigs_engine ARGUMENTS`; it knows a preset `tiny` besides.
+@dataclass(frozen=True)
+class Ended:
+    """How it ended: exit status, -9 when killed; what it wrote on standard error; its moments."""
+
+    status: int
+    errors: str
+    moments: list[str]
+
+
+def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
+    """`python -m roigs_engine ARGUMENTS` in a process of its own; it has a preset `tiny` besides.
 
     Args:
         arguments: of the command line.
-        kill_at: the moment at which it is killed (exit status -9).
-        moments: where a list of all moments' names goes, as JSON, once it has ended.
+        at: the moment at which something happens to it.
     """
     texts = [str(argument) for argument in arguments]
-    process = CONTEXT.Process(target=_engine, args=(texts, kill_at, moments))
-    process.start()
-    process.join()
-    assert process.exitcode is not None
-    return process.exitcode
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        process = CONTEXT.Process(target=_engine, args=(texts, at, folder))
+        process.start()
+        process.join()
+        assert process.exitcode is not None
+        moments = folder / "moments"
+        return Ended(
+            status=process.exitcode,
+            errors=(folder / "errors").read_text(encoding="utf-8"),
+            moments=json.loads(moments.read_text(encoding="utf-8")) if moments.exists() else [],
+        )
 
 
 def tiny() -> RunConfig:
@@ -70,11 +92,62 @@ def tiny() -> RunConfig:
     )
 
 
-def _engine(arguments: list[str], kill_at: Moment | None, moments: Path | None) -> None:
+class Request:
+    """A scene with lens distortion, and what a run that nobody killed has made of it."""
+
+    def __init__(self, folder: Path) -> None:
+        lens = camera("OPENCV", params=[100.0, 90.0, 45.0, 40.0, 0.05, 0.01, 0.001, 0.002])
+        names = [f"{k}.png" for k in range(10)]
+        write_project(folder / "scene", names=names, cameras=[lens], dots=True)
+        self._scene, self.whole = folder / "scene", folder / "whole"
+        ended = engine(self.arguments(self.whole))
+        assert ended.status == 0, ended.errors
+        self.moments = ended.moments
+
+    def arguments(self, run: Path, threads: int = 2) -> list[object]:
+        """Of the command line."""
+        box = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+        request = ["run", self._scene, "--roi", box, "--preset", "tiny"]
+        return [*request, "--run-dir", run, "--threads", threads]
+
+    def moment(self, place: str, *, full: bool = False) -> Moment:
+        """One of the moments at a place, drawn from the seed."""
+        number = sum(bool(re.search(place, name)) for name in self.moments)
+        assert number, f"nothing happens at «{place}»"
+        return Moment(place, random.Random(f"{SEED} {place}").randint(1, number), full)
+
+    def finish(self, run: Path) -> None:
+        """Go on with a run to its end, and compare it with the whole one."""
+        ended = engine(self.arguments(run))
+        assert ended.status == 0, ended.errors
+        assert contents(run) == contents(self.whole)
+        for line in (run / "events.jsonl").read_text(encoding="utf-8").splitlines():
+            assert json.loads(line)
+
+
+def contents(run: Path) -> dict[str, Any]:
+    """File -> bytes, without what tells of times: the log, and seconds in the reports."""
+    files = {str(p.relative_to(run)): p.read_bytes() for p in run.rglob("*") if p.is_file()}
+    for name in ("events.jsonl", "report.md"):
+        del files[name]
+    return {
+        name: timeless(json.loads(data)) if name.endswith(".json") else data
+        for name, data in files.items()
+    }
+
+
+def timeless(value: Any) -> Any:
+    """JSON without what was measured by the clock."""
+    if isinstance(value, dict):
+        return {k: timeless(v) for k, v in value.items() if k not in ("seconds", "stages")}
+    return [timeless(item) for item in value] if isinstance(value, list) else value
+
+
+def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     """In a process of its own."""
     sys.modules["tqdm"] = None  # type: ignore[assignment] # its semaphores would outlive a kill
     config.PRESETS["tiny"] = tiny
-    clock = _Clock(kill_at)
+    clock = _Clock(at)
     trainer._Break = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))
     _before(trainer.Trainer, "_apply", lambda *_: clock.tick("edit"))
@@ -85,29 +158,32 @@ def _engine(arguments: list[str], kill_at: Moment | None, moments: Path | None) 
     files.os = _OS(clock, rename)  # type: ignore[assignment]
     with (
         open(os.devnull, "w", encoding="utf-8") as nowhere,
+        open(folder / "errors", "w", encoding="utf-8") as errors,
         contextlib.redirect_stdout(nowhere),
-        contextlib.redirect_stderr(nowhere),
+        contextlib.redirect_stderr(errors),
     ):
         status = cli.main(arguments)
-    if moments is not None:
-        moments.write_text(json.dumps(clock.names), encoding="utf-8")
+    (folder / "moments").write_text(json.dumps(clock.names), encoding="utf-8")
     sys.exit(status)
 
 
 class _Clock:
-    """Counts moments, and kills the process at one of them."""
+    """Counts moments, and has something happen at one of them."""
 
-    def __init__(self, kill_at: Moment | None) -> None:
+    def __init__(self, at: Moment | None) -> None:
         self.names: list[str] = []
-        self._kill_at, self._stage, self._found = kill_at, "load", 0
+        self._at, self._stage, self._found = at, "load", 0
 
     def tick(self, what: str) -> None:
         name = f"{self._stage}: {what}"
         self.names.append(name)
-        if self._kill_at is not None and re.search(self._kill_at.pattern, name):
-            self._found += 1
-            if self._found == self._kill_at.number:
-                os.kill(os.getpid(), signal.SIGKILL)
+        if self._at is None or not re.search(self._at.pattern, name):
+            return
+        self._found += 1
+        if self._found == self._at.number and self._at.full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if self._found == self._at.number:
+            os.kill(os.getpid(), signal.SIGKILL)
 
     def watch(self, event: Any) -> None:
         self._stage = getattr(event, "stage", self._stage)
