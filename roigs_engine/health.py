@@ -16,11 +16,11 @@ from torch import Tensor
 from .errors import TrainingError
 
 CHECK_EVERY = 100  # steps; not less often than Gaussians are added
-RECENT_VISITS = 5  # of a photo: what its loss is now
-FEWEST_VISITS, FEWEST_PHOTOS = 3, 8  # below, nothing is said of a photo, or of any
+VISITS = 5  # the last ones of a photo; with fewer, nothing is said of it
+FEWEST_PHOTOS = 8  # with fewer, nothing is said of any
 # An outlier is so many standard deviations above the median, estimated from the median deviation
 # (Iglewicz and Hoaglin 1993 take 3.5; photos differ in what they show), and so many times as large.
-DEVIATIONS, TIMES = 6.0, 2.0
+DEVIATIONS, TIMES = 6.0, 1.5
 HINT = (
     "Look at the photos that were named in warnings, and at the model's scale. The last good"
     " checkpoint is kept; the same command goes on from it."
@@ -77,13 +77,13 @@ class Health:
                     f"The loss became {loss} at step {step}, on the photo «{self._photos[photo]}».",
                     HINT,
                 )
-            self._recent.setdefault(photo, deque(maxlen=RECENT_VISITS)).append(loss)
+            self._recent.setdefault(photo, deque(maxlen=VISITS)).append(loss)
 
     def outliers(self) -> list[str]:
         """Photos whose loss stays far above that of the others, the worst first, in words."""
         self._read_losses()
         # The least of its last losses: a photo must be bad on every visit.
-        least = {k: min(v) for k, v in self._recent.items() if len(v) >= FEWEST_VISITS}
+        least = {k: min(v) for k, v in self._recent.items() if len(v) == VISITS}
         if len(least) < FEWEST_PHOTOS:
             return []
         values = np.array(list(least.values()))

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from roigs_engine import stages, trainer
+from roigs_engine.config import TrainConfig
 from roigs_engine.errors import Stopped, TrainingError
 from roigs_engine.events import Event, Message
 from roigs_engine.health import Health
@@ -143,23 +144,24 @@ def test_a_photo_whose_loss_stays_high_is_named() -> None:
 
 
 def test_a_photo_of_something_else_is_named(scene: SfmScene) -> None:
-    class OneInverted:
+    class OneNoisy:
         def __init__(self, photos: object) -> None:
             self._photos = photos
 
         def __getitem__(self, index: int) -> np.ndarray:
             pixels = self._photos[index]  # type: ignore[index]
-            return 255 - pixels if index == 4 else pixels
+            noise = 255 * np.random.default_rng(0).integers(0, 2, pixels.shape, dtype=np.uint8)
+            return noise if index == 4 else pixels
 
         def prefetch(self, indices: object) -> None:
             pass
 
-    good = Trainer(first_model(scene), stage_data(scene), SHORT)
+    config = TrainConfig(steps=150, densify_until=0)
+    good = Trainer(first_model(scene), stage_data(scene), config)
     good.run()
     assert not good.health.outliers()
-    bad = Trainer(
-        first_model(scene), stage_data(scene, photos=OneInverted(good.data.photos)), SHORT
-    )
+    data = stage_data(scene, photos=OneNoisy(good.data.photos))
+    bad = Trainer(first_model(scene), data, config)
     bad.run()
     (text,) = bad.health.outliers()
     assert f"«{scene.images[4].name}»" in text
