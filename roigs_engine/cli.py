@@ -80,6 +80,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = f"`{args.command}` needs {error.name}, which this Python lacks ({sys.executable})."
         console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
+    except MemoryError:
+        text = "The machine's memory is full."
+        console.emit(Failed(message=text, hint="Use a smaller --max-side or --image-cache."))
+        return 2
     except Stopped:
         console.emit(Done(outputs={}, stopped=True))
         return STOPPED

@@ -34,6 +34,7 @@ from .events import Emit, Message, check_of, ignore
 from .files import read_json, write_json
 from .gaussians import Gaussians
 from .images import PhotoCache
+from .memory import plan_memory
 from .older import put_away_parts, take_back_parts
 from .roi import OrientedBox
 from .sampling import PhotoAt
@@ -78,6 +79,7 @@ class Run:
         given: Mapping[str, Sequence[str]] | None = None,
         update: bool = False,
         preview_seconds: float = 0.0,
+        image_cache: int | None = None,
         emit: Emit = ignore,
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -89,11 +91,13 @@ class Run:
             update: take a folder of another request over: what still fits is kept, the rest goes
                 to its folder `older`.
             preview_seconds: of training between two writings of `preview.ply`; 0: never.
+            image_cache: bytes of decoded photos to keep; None: as `plan_memory` says.
             emit, should_stop: as everywhere.
 
         Raises:
             RunFolderError: the folder holds a run with other settings.
-            SceneError: no photo sees a box, or too few photos are there to test on.
+            SceneError: no photo sees a box, too few photos are there to test on, or the scene does
+                not fit into the machine's memory.
             ConfigError: `given` names photos that cannot be used.
             Stopped: `should_stop` said so.
         """
@@ -102,6 +106,8 @@ class Run:
         self._update, self._preview_seconds = update, preview_seconds
         if len(scene.points) == 0:
             raise SceneError("The model holds no 3D points.", "Triangulate it in COLMAP first.")
+        self._image_cache = image_cache
+        self.memory = plan_memory(scene.images, len(scene.points), config, image_cache)
         self.test = choose_test_views(scene, self.rois, config.test_every, self._check)
         self.given = {
             roi: check_given(names, scene, self.test, roi, emit)
@@ -238,7 +244,7 @@ class Run:
         if key not in self._photos:
             for cache in self._photos.values():
                 cache.close()
-            self._photos = {key: PhotoCache(images)}
+            self._photos = {key: PhotoCache(images, self.memory.cache)}
         return self._photos[key]
 
     # --- results ---
@@ -292,6 +298,7 @@ class Run:
             given=self.given,
             update=self._update,
             preview_seconds=self._preview_seconds,
+            image_cache=self._image_cache,
             emit=self._emit,
             should_stop=self._should_stop,
         )

@@ -62,6 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="write the present Gaussians to preview.ply every S seconds of training",
     )
+    parser.add_argument(
+        "--image-cache",
+        type=float,
+        metavar="MB",
+        help="keep so many megabytes of decoded photos in memory (default: a quarter of it)",
+    )
 
 
 @contextmanager
@@ -76,6 +82,8 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
     given = load_given(args.selection, rois) if args.selection else {}
     if not 0 <= args.preview_seconds < math.inf:
         raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
+    if args.image_cache is not None and not 0 <= args.image_cache < math.inf:
+        raise ConfigError(f"--image-cache is {args.image_cache}.", "Use 0 or more megabytes.")
     with locked(args.run_dir):
         remove_leftovers(args.run_dir)
         scene = load_scene(args, console, args.run_dir / "cache")
@@ -87,10 +95,13 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
             given=given,
             update=args.update,
             preview_seconds=args.preview_seconds,
+            image_cache=None if args.image_cache is None else int(1e6 * args.image_cache),
             emit=console.emit,
             should_stop=console.should_stop,
         )
         console.log_to(args.run_dir)
+        for message in work.memory.messages():
+            console.emit(message)
         yield work
 
 
