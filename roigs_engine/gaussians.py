@@ -69,7 +69,7 @@ class Gaussians:
 
     def in_box(self, roi: OrientedBox) -> Tensor:
         """(N,) bool: whose centre lies inside the box."""
-        centres = self.means.detach().cpu().numpy().astype(np.float64)
+        centres = self.means.detach().cpu().double().numpy()
         return torch.from_numpy(roi.contains(centres))
 
     @staticmethod

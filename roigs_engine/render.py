@@ -92,7 +92,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"Cannot read {path} ({error.strerror}).") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not JSON ({error}).", hint) from error
     records = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(records, list) or not records:
@@ -178,4 +178,4 @@ def safe_name(name: str) -> str:
     clean = clean[:80].rstrip(" .") or "unnamed"
     if clean == name:
         return clean
-    return f"{clean}-{hashlib.sha1(name.encode('utf-8')).hexdigest()[:6]}"
+    return f"{clean}-{hashlib.sha1(name.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..config import INITS, ORDERS, PRESETS, STRATEGIES, RunConfig, preset
 from ..errors import ConfigError, RoiError
-from ..roi import OrientedBox, load_rois, parse_roi
+from ..roi import OrientedBox, first_taken, load_rois, parse_roi
 from ..scene import SfmScene
 from ..selection import METHODS
 from .console import Console
@@ -111,9 +111,9 @@ def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBo
     rois = load_rois(args.rois) if args.rois else []
     rois += [parse_roi(text) for text in args.roi]
     names = [roi.name for roi in rois]
-    for name in names:
-        if names.count(name) > 1:
-            raise RoiError(f"Two ROIs are named «{name}».", "Give each its own name.")
+    taken = first_taken(names)
+    if taken is not None:
+        raise RoiError(f"Two ROIs are named «{taken}».", "Give each its own name.")
     for name in args.only:
         if name not in names:
             raise RoiError(f"There is no ROI «{name}».", f"There are: {', '.join(names)}.")
