@@ -126,7 +126,7 @@ def _write_selections(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> P
     for roi in rois:
         if len(roi.roigs.selection):
             names = [item.name for item in roi.roigs.selection]
-            (folder / f"{roi.name}.json").write_text(
+            (folder / f"{regions.file_name(roi)}.json").write_text(
                 json.dumps({"roi": roi.name, "names": names}, ensure_ascii=False),
                 encoding="utf-8",
             )
