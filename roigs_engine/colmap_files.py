@@ -57,7 +57,7 @@ HINT_DAMAGED = "The file is damaged or unfinished: export the model again."
 POINT_HEAD = np.dtype(
     [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
 )
-ROWS_AT_ONCE = 1 << 16  # rows whose bytes are gathered at a time: the index takes 8 bytes for each
+ROWS_AT_ONCE = 1 << 14  # rows whose bytes are gathered at a time: the index takes 8 bytes for each
 SMALLEST_IMAGE = 73  # bytes of one photo of images.bin, its name of no letter and unseeing
 OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
 

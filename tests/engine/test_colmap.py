@@ -146,7 +146,7 @@ def test_reading_takes_memory_as_the_file_has_bytes(tmp_path: Path) -> None:
     assert len(read_model(path.parent).points) == count
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 7 * path.stat().st_size + (8 << 20)
+    assert peak < 5 * path.stat().st_size + (8 << 20)
 
 
 @pytest.mark.parametrize("binary", [True, False])

@@ -435,18 +435,18 @@ def splits(dice: random.Random, folder: Path) -> Command:
 
 Family = Callable[[random.Random, Path], Command]
 FAMILIES: dict[str, tuple[Family, int]] = {
-    "model_values": (model_values, 1200),
-    "model_bytes": (model_bytes, 1000),
-    "model_text": (model_text, 700),
-    "lenses": (lenses, 400),
-    "photos": (photos, 900),
-    "gaussians": (gaussians, 1000),
-    "rois": (rois, 600),
-    "requests": (requests, 800),
-    "selections": (selections, 200),
-    "paths": (paths, 300),
-    "run_folders": (run_folders, 150),
-    "splits": (splits, 60),
+    "model_values": (model_values, 900),
+    "model_bytes": (model_bytes, 750),
+    "model_text": (model_text, 550),
+    "lenses": (lenses, 300),
+    "photos": (photos, 700),
+    "gaussians": (gaussians, 750),
+    "rois": (rois, 450),
+    "requests": (requests, 600),
+    "selections": (selections, 150),
+    "paths": (paths, 220),
+    "run_folders": (run_folders, 120),
+    "splits": (splits, 50),
 }
 """Family -> how a case is made, and how many there are in the long run."""
 
