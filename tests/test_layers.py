@@ -33,7 +33,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "colmap",
         ),
         *("inspect", "export", "selection", "split", "config"),
-        *("rasterize", "losses", "optimizer", "metrics", "render"),
+        *("cuda", "rasterize", "losses", "optimizer", "metrics", "render"),
         *("averaging", "densify", "capacity", "checkpoint", "compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),
@@ -217,7 +217,8 @@ def test_only_the_command_line_prints() -> None:
 
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    asked = [*project["dependencies"], *project["optional-dependencies"]["train"]]
+    extras = project["optional-dependencies"]
+    asked = [*project["dependencies"], *extras["train"], *extras["cuda"]]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}
     importable = {IMPORT_NAMES.get(name, name) for name in declared}
