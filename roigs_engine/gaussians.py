@@ -72,6 +72,10 @@ class Gaussians:
         centres = self.means.detach().cpu().double().numpy()
         return torch.from_numpy(roi.contains(centres))
 
+    def to(self, device: torch.device) -> Gaussians:
+        """The Gaussians on a device; shared where they are there already."""
+        return Gaussians(**{name: t.to(device) for name, t in self.tensors().items()})
+
     @staticmethod
     def concatenate(parts: list[Gaussians]) -> Gaussians:
         """All parts after one another."""

@@ -23,11 +23,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from . import sampling
 from .capacity import box_capacities
 from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
+from .cuda.device import CPU
 from .errors import RunFolderError, SceneError
 from .evaluate import EvaluatedModel
 from .events import Emit, Message, check_of, ignore
@@ -78,6 +81,7 @@ class Run:
         given: Mapping[str, Sequence[str]] | None = None,
         update: bool = False,
         preview_seconds: float = 0.0,
+        device: torch.device = CPU,
         emit: Emit = ignore,
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -89,6 +93,7 @@ class Run:
             update: take a folder of another request over: what still fits is kept, the rest goes
                 to its folder `older`.
             preview_seconds: of training between two writings of `preview.ply`; 0: never.
+            device: where to train; no part of the request.
             emit, should_stop: as everywhere.
 
         Raises:
@@ -100,6 +105,7 @@ class Run:
         self.folder, self.scene, self.rois, self.config = folder, scene, list(rois), config
         self._emit, self._should_stop, self._check = emit, should_stop, check_of(should_stop)
         self._update, self._preview_seconds = update, preview_seconds
+        self.device = device
         if len(scene.points) == 0:
             raise SceneError("The model holds no 3D points.", "Triangulate it in COLMAP first.")
         self.test = choose_test_views(scene, self.rois, config.test_every, self._check)
@@ -190,6 +196,7 @@ class Run:
             rois=margins,
             capacities=box_capacities(start, images, margins, config, self._check),
             seed=self.config.seed,
+            device=self.device,
         )
         stage = Stage(
             name=name,
@@ -292,6 +299,7 @@ class Run:
             given=self.given,
             update=self._update,
             preview_seconds=self._preview_seconds,
+            device=self.device,
             emit=self._emit,
             should_stop=self._should_stop,
         )

@@ -16,6 +16,7 @@ from typing import Any
 
 from .checkpoint import checkpoint_fingerprint, load_checkpoint, save_checkpoint
 from .config import TrainConfig
+from .cuda.device import CPU
 from .errors import RunFolderError, Stopped
 from .events import Emit, Message, Preview, StageStarted
 from .files import read_json, write_json
@@ -159,13 +160,14 @@ class Stage:
         return checkpoint_fingerprint(self._checkpoint) if self._checkpoint.exists() else None
 
     def _finish(self, trainer: Trainer) -> StageResult:
-        model = trainer.gaussians.detached()
+        model = trainer.gaussians.detached().to(CPU)
         model.save_ply(self.folder / "model.ply")
         record = {
             "fingerprint": self.fingerprint,
             "seconds": trainer.seconds,
             "steps": trainer.step,
             "gaussians": len(model),
+            "device": self.data.device.type,
         }
         write_json(self.folder / "stage.json", record)
         self._checkpoint.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..config import INITS, ORDERS, PRESETS, STRATEGIES, RunConfig, preset
 from ..errors import ConfigError, RoiError
@@ -12,6 +13,9 @@ from ..roi import OrientedBox, first_taken, load_rois, parse_roi
 from ..scene import SfmScene
 from ..selection import METHODS
 from .console import Console
+
+if TYPE_CHECKING:
+    import torch
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +80,23 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--roi-init", choices=INITS, help="what the ROI stage starts from")
     group.add_argument("--roi-order", choices=ORDERS, help="order of the selected photos")
     group.add_argument("--sh-degree", type=int, choices=range(4), help="spherical harmonics")
+
+
+def add_device_option(parser: argparse.ArgumentParser) -> None:
+    """Where Gaussians are drawn and trained."""
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="the CPU or an NVIDIA card (default: auto, the card where gsplat can use it)",
+    )
+
+
+def device(args: argparse.Namespace, console: Console) -> torch.device:
+    """The device of `add_device_option`; KernelError when it cannot be had."""
+    from ..cuda.device import choose_device
+
+    return choose_device(args.device, console.emit)
 
 
 def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = None) -> SfmScene:

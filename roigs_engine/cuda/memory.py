@@ -13,14 +13,12 @@ GIB = 1 << 30
 
 
 @contextmanager
-def memory_explained(
-    doing: Callable[[], str], size: Callable[[], tuple[int, int]]
-) -> Iterator[None]:
+def memory_explained(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
     """Turns torch's out-of-memory error into one line.
 
     Args:
-        doing: what goes on, with its numbers, to be said after «is full».
-        size: width and height of what is drawn, pixels.
+        doing: what goes on, with its numbers; said after «is full».
+        advice: what to change.
 
     Raises:
         KernelError: the card's memory is full.
@@ -28,12 +26,13 @@ def memory_explained(
     try:
         yield
     except torch.OutOfMemoryError as error:
-        smaller = max(64, max(size()) * 3 // 4)
-        raise KernelError(
-            f"The graphics card's memory{_used()} is full: {doing()}.",
-            f"Close what else uses the card, or use smaller photos (--max-side {smaller}) or fewer"
-            " Gaussians (a smaller --preset). The last checkpoint is untouched.",
-        ) from error
+        message = f"The graphics card's memory{_used()} is full: {doing()}."
+        raise KernelError(message, advice()) from error
+
+
+def smaller(width: int, height: int) -> int:
+    """A longest side, in pixels, to propose in place of that of (width, height)."""
+    return max(64, max(width, height) * 3 // 4)
 
 
 def _used() -> str:
