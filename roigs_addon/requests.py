@@ -88,6 +88,7 @@ def write_training_request(
         "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
         "preview_seconds": preview_seconds,
+        "device": getattr(preferences.get(), "device", "auto"),
         "update": True,
     }
     if any(len(roi.roigs.selection) for roi in rois):
