@@ -47,7 +47,7 @@ class VisibleAdam:
         eps: float = 1e-15,
         backend: str = "auto",
     ) -> None:
-        """Begin with zero moments, and allocate `.grad` of every parameter.
+        """Begin with zero moments, and allocate `.grad` of every parameter (but for "triton").
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
@@ -80,7 +80,9 @@ class VisibleAdam:
         parameter = self.parameters[name]
         width = parameter.shape[1:].numel()
         if isinstance(rate, float):  # filled in there: no copy to a device to wait for
-            self._rates[name] = torch.full((width,), rate, device=parameter.device)
+            self._rates[name] = torch.full(
+                (width,), rate, dtype=torch.float32, device=parameter.device
+            )
             return
         given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         if given.numel() not in (1, width):

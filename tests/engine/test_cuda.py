@@ -5,7 +5,6 @@ Every test is skipped by itself, with the reason, where the card or gsplat is mi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -35,12 +34,11 @@ CARD = torch.device("cuda")
 
 
 @pytest.fixture(autouse=True)
-def _card() -> Iterator[None]:
+def _card() -> None:
     try:
         check_cuda()
     except KernelError as error:
         pytest.skip(str(error))
-    yield
 
 
 def on_card(values: Any) -> Any:
