@@ -75,7 +75,8 @@ def without_kernels(patch: pytest.MonkeyPatch) -> None:
     """What a card runs but for gsplat: loss and Adam in torch."""
     for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
         patch.setattr(trainer, name, partial(function, backend="reference"))
-    patch.setattr(trainer, "VisibleAdam", partial(VisibleAdam, backend="reference"))
+    plain = lambda parameters, **_: VisibleAdam(parameters, backend="reference")  # noqa: E731
+    patch.setattr(trainer, "VisibleAdam", plain)
 
 
 def test_steps_without_kernels_are_those_with_them(
