@@ -50,10 +50,13 @@ def _same(roi: bpy.types.Object, scene: bpy.types.Scene, trained: dict) -> bool:
         return False
     matrix, half = trained[roi.name]
     size = float(np.max(box.half_extents))
-    return bool(
-        np.allclose(box.world_to_box, matrix, atol=1e-4 * max(size, 1.0))
-        and np.allclose(box.half_extents, half, rtol=1e-4)
-    )
+    try:
+        return bool(
+            np.allclose(box.world_to_box, matrix, atol=1e-4 * max(size, 1.0))
+            and np.allclose(box.half_extents, half, rtol=1e-4)
+        )
+    except (ValueError, TypeError, OverflowError):  # no numbers in the run folder's record
+        return False
 
 
 def photos(scene: bpy.types.Scene) -> int:

@@ -88,6 +88,7 @@ def write_training_request(
         "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
         "preview_seconds": preview_seconds,
+        "device": getattr(preferences.get(), "device", "auto"),
         "update": True,
     }
     if any(len(roi.roigs.selection) for roi in rois):
@@ -126,7 +127,7 @@ def _write_selections(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> P
     for roi in rois:
         if len(roi.roigs.selection):
             names = [item.name for item in roi.roigs.selection]
-            (folder / f"{roi.name}.json").write_text(
+            (folder / f"{regions.file_name(roi)}.json").write_text(
                 json.dumps({"roi": roi.name, "names": names}, ensure_ascii=False),
                 encoding="utf-8",
             )

@@ -18,6 +18,7 @@ from .selection import SelectionConfig
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
+MAX_FACTOR = 1000  # of the steps: a larger one is a slip of the finger
 COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
 
 
@@ -131,6 +132,8 @@ class RunConfig:
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        if not 0 <= self.seed < 1 << 32:
+            raise ConfigError(f"The seed is {self.seed}.", "Use a number from 0 to 4294967295.")
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
                 "roi_init «box» throws the surroundings away, which `joint` needs.",
@@ -148,8 +151,10 @@ class RunConfig:
 
     def scaled(self, factor: float) -> RunConfig:
         """Both stages with their steps multiplied, see `with_steps`."""
-        if not factor > 0:
-            raise ConfigError(f"The step factor is {factor:g}.", "Use a number above 0.")
+        if not 0 < factor <= MAX_FACTOR:
+            raise ConfigError(
+                f"The step factor is {factor:g}.", f"Use a number above 0, {MAX_FACTOR} at most."
+            )
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
         return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
 

@@ -57,6 +57,10 @@ class EvaluatedModel:
     rois: tuple[str, ...] | None = None
     stages: dict[str, float] = field(default_factory=dict)
 
+    def to(self, device: torch.device) -> EvaluatedModel:
+        """The same with its Gaussians on a device, where they are then drawn."""
+        return dataclasses.replace(self, gaussians=self.gaussians.to(device))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:

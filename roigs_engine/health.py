@@ -42,7 +42,9 @@ class Health:
         """Keep the loss, a scalar tensor, of a step."""
         self._new.append((step, photo, loss))
 
-    def check(self, step: int, parameters: Mapping[str, Tensor], skipped_rows: int) -> None:
+    def check(
+        self, step: int, parameters: Mapping[str, Tensor], skipped_rows: int | Tensor
+    ) -> None:
         """Look at what came since the last check.
 
         Args:
@@ -55,7 +57,7 @@ class Health:
         """
         self._read_losses()
         since = f"between step {max(step - CHECK_EVERY, 0)} and step {step}"
-        if skipped_rows:
+        if int(skipped_rows):
             raise TrainingError(f"Gradients became NaN or infinite {since}.", HINT)
         for name, tensor in parameters.items():
             # A sum is finite only where all it adds up is, and costs one pass over memory.

@@ -5,6 +5,9 @@ Two rules keep a step's cost in proportion to the view and not to the scene:
 * Each parameter's `.grad` is allocated once, as zeros. The rasterizer's backward pass adds to the
   rows of visible Gaussians in place; `VisibleAdam.step` consumes these rows and zeroes them.
 * Rows that are not visible keep their value and their moments: no decay.
+
+On an NVIDIA card a gradient is dense in any case: there the one that the backward pass has made is
+taken as it is, and dropped after the step.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .cuda.library import has_triton
 from .errors import EngineError
 from .kernels import library
 
@@ -31,7 +35,8 @@ class VisibleAdam:
         exp_avg: first moments by name, shaped as the parameters.
         exp_avg_sq: second moments by name.
         step_count: how many steps were taken.
-        skipped_rows: rows so far that were not updated because their gradient was not finite.
+        skipped_rows: rows so far that were not updated because their gradient was not finite; a
+            tensor on devices where reading it would be waiting for them.
     """
 
     def __init__(
@@ -42,27 +47,27 @@ class VisibleAdam:
         eps: float = 1e-15,
         backend: str = "auto",
     ) -> None:
-        """Begin with zero moments, and allocate `.grad` of every parameter.
+        """Begin with zero moments, and allocate `.grad` of every parameter (but for "triton").
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
                 a tensor with one number per element of a row, (48,) for sh (N, 16, 3).
             betas: decay of the two moments.
             eps: added to the root of the second moment.
-            backend: "cpu" (compiled kernel: float32 on the CPU), "reference" (plain torch), or
-                "auto", the first where it can be used.
+            backend: "cpu" (compiled kernel: float32 on the CPU), "triton" (float32 on an NVIDIA
+                card), "reference" (plain torch), or "auto", the first that can be used.
 
         Raises:
             EngineError: rows, rates or strides that do not fit.
         """
-        if backend not in ("auto", "cpu", "reference"):
+        if backend not in ("auto", "cpu", "triton", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
         self.betas, self.eps, self.backend = betas, eps, backend
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
         self.step_count = 0
-        self.skipped_rows = 0
+        self.skipped_rows: int | Tensor = 0
         self._rates: dict[str, Tensor] = {}
         self._adopt({name: tensor for name, (tensor, _) in parameters.items()})
         for name, (tensor, rate) in parameters.items():
@@ -73,40 +78,56 @@ class VisibleAdam:
     def set_lr(self, name: str, rate: float | Tensor) -> None:
         """Set a parameter's learning rate: one number, or one per element of a row."""
         parameter = self.parameters[name]
-        given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         width = parameter.shape[1:].numel()
+        if isinstance(rate, float):  # filled in there: no copy to a device to wait for
+            self._rates[name] = torch.full(
+                (width,), rate, dtype=torch.float32, device=parameter.device
+            )
+            return
+        given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         if given.numel() not in (1, width):
             raise EngineError(f"{name}: {given.numel()} learning rates for {width} columns.")
         self._rates[name] = given.expand(width).contiguous().to(parameter.device)
 
     @torch.no_grad()
-    def step(self, visible: Tensor) -> int:
+    def step(self, visible: Tensor) -> int | Tensor:
         """Update the visible rows of all parameters by their gradient, and zero that gradient.
 
         Args:
             visible: (N,) bool. The gradient of all other rows has to be zero and is left alone.
 
         Returns:
-            How many rows were skipped (and their gradient zeroed) because of a NaN or an infinity.
+            How many rows were skipped (and their gradient zeroed) because of a NaN or an infinity,
+            as `skipped_rows`.
 
         Raises:
             EngineError: `visible` does not fit the parameters.
         """
         self.step_count += 1
-        skipped = 0
+        skipped: int | Tensor = 0
         for name, parameter in self.parameters.items():
             if visible.shape != parameter.shape[:1] or visible.dtype != torch.bool:
                 raise EngineError(
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
-            native = parameter.dtype == torch.float32 and parameter.device.type == "cpu"
-            if self.backend == "cpu" or (self.backend == "auto" and native):
+            backend = self._backend(parameter)
+            if backend == "cpu":
                 skipped += self._kernel_step(name, visible.contiguous())
+            elif backend == "triton":
+                skipped += self._triton_step(name, visible)
             else:
                 skipped += self._reference_step(name, visible)
         self.skipped_rows += skipped
         return skipped
+
+    def _backend(self, parameter: Tensor) -> str:
+        """What is used for a parameter."""
+        if self.backend != "auto" or parameter.dtype != torch.float32:
+            return "reference" if self.backend == "auto" else self.backend
+        if parameter.device.type == "cuda" and has_triton():
+            return "triton"
+        return "cpu" if parameter.device.type == "cpu" else "reference"
 
     def _kernel_step(self, name: str, visible: Tensor) -> int:
         parameter, rates = self.parameters[name], self._rates[name]
@@ -128,8 +149,28 @@ class VisibleAdam:
             )
         )
 
-    def _reference_step(self, name: str, visible: Tensor) -> int:
-        """The same step in plain torch, on all rows with a mask; `_kernel_step` is tested by it."""
+    def _triton_step(self, name: str, visible: Tensor) -> Tensor | int:
+        from .cuda import adam
+
+        parameter, gradient = self.parameters[name], self.parameters[name].grad
+        if gradient is None:
+            return 0
+        skipped = adam.step(
+            parameter,
+            gradient,
+            self.exp_avg[name],
+            self.exp_avg_sq[name],
+            visible,
+            self._rates[name],
+            self.betas,
+            self.eps,
+            self.step_count,
+        )
+        parameter.grad = None
+        return skipped
+
+    def _reference_step(self, name: str, visible: Tensor) -> Tensor:
+        """The same step in plain torch, on all rows with a mask; the others are tested by it."""
         parameter, gradient = self.parameters[name], self.parameters[name].grad
         mean, square = self.exp_avg[name], self.exp_avg_sq[name]
         assert gradient is not None, "the buffer is allocated here"
@@ -146,7 +187,7 @@ class VisibleAdam:
         change = rate * mean / (1 - beta1**self.step_count) / denominator
         parameter.copy_(torch.where(on, parameter - change, parameter))
         gradient.copy_(torch.where(visible.view(row), 0, gradient))
-        return int((visible & ~finite).sum())
+        return (visible & ~finite).sum()
 
     @torch.no_grad()
     def replace(self, parameters: Mapping[str, Tensor], rows: Tensor) -> None:
@@ -186,15 +227,15 @@ class VisibleAdam:
     def permute(self, order: Tensor) -> None:
         """Reorder parameters, gradients and moments in place: new row i is old row order[i]."""
         for name, parameter in self.parameters.items():
-            assert parameter.grad is not None, "the buffer is allocated here"
-            for tensor in (parameter, parameter.grad, self.exp_avg[name], self.exp_avg_sq[name]):
+            gradient = () if parameter.grad is None else (parameter.grad,)
+            for tensor in (parameter, *gradient, self.exp_avg[name], self.exp_avg_sq[name]):
                 tensor.copy_(tensor[order])
 
     def state_dict(self) -> dict[str, Any]:
         """Step count, moments and learning rates; tensors are shared, not copied."""
         return {
             "step_count": self.step_count,
-            "skipped_rows": self.skipped_rows,
+            "skipped_rows": int(self.skipped_rows),
             "exp_avg": dict(self.exp_avg),
             "exp_avg_sq": dict(self.exp_avg_sq),
             "rates": dict(self._rates),
@@ -222,7 +263,7 @@ class VisibleAdam:
             if not tensor.is_leaf or not tensor.is_contiguous():
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
-            tensor.grad = torch.zeros_like(tensor)
+            tensor.grad = None if self._backend(tensor) == "triton" else torch.zeros_like(tensor)
             self.parameters[name] = tensor
 
 

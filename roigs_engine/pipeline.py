@@ -23,11 +23,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from . import sampling
 from .capacity import box_capacities
 from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
+from .cuda.device import CPU
 from .errors import RunFolderError, SceneError
 from .evaluate import EvaluatedModel
 from .events import Emit, Message, check_of, ignore
@@ -80,6 +83,7 @@ class Run:
         update: bool = False,
         preview_seconds: float = 0.0,
         image_cache: int | None = None,
+        device: torch.device = CPU,
         emit: Emit = ignore,
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -92,6 +96,7 @@ class Run:
                 to its folder `older`.
             preview_seconds: of training between two writings of `preview.ply`; 0: never.
             image_cache: bytes of decoded photos to keep; None: as `plan_memory` says.
+            device: where to train; no part of the request.
             emit, should_stop: as everywhere.
 
         Raises:
@@ -104,6 +109,7 @@ class Run:
         self.folder, self.scene, self.rois, self.config = folder, scene, list(rois), config
         self._emit, self._should_stop, self._check = emit, should_stop, check_of(should_stop)
         self._update, self._preview_seconds = update, preview_seconds
+        self.device = device
         if len(scene.points) == 0:
             raise SceneError("The model holds no 3D points.", "Triangulate it in COLMAP first.")
         self._image_cache = image_cache
@@ -196,6 +202,7 @@ class Run:
             rois=margins,
             capacities=box_capacities(start, images, margins, config, self._check),
             seed=self.config.seed,
+            device=self.device,
         )
         stage = Stage(
             name=name,
@@ -299,6 +306,7 @@ class Run:
             update=self._update,
             preview_seconds=self._preview_seconds,
             image_cache=self._image_cache,
+            device=self.device,
             emit=self._emit,
             should_stop=self._should_stop,
         )

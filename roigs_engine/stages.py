@@ -22,6 +22,7 @@ from .checkpoint import (
     save_checkpoint,
 )
 from .config import TrainConfig
+from .cuda.device import CPU
 from .errors import RunFolderError, Stopped, TrainingError
 from .events import Emit, Message, Preview, StageStarted
 from .files import read_json, write_json
@@ -183,13 +184,14 @@ class Stage:
         )
 
     def _finish(self, trainer: Trainer) -> StageResult:
-        model = trainer.gaussians.detached()
+        model = trainer.gaussians.detached().to(CPU)
         model.save_ply(self.folder / "model.ply")
         record = {
             "fingerprint": self.fingerprint,
             "seconds": trainer.seconds,
             "steps": trainer.step,
             "gaussians": len(model),
+            "device": self.data.device.type,
         }
         write_json(self.folder / "stage.json", record)
         remove_checkpoint(self._checkpoint)

@@ -14,12 +14,32 @@ import queue
 import subprocess
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-KNOWN_EVENTS = ("stagestarted", "progress", "message", "preview", "done", "failed")
+FIELDS: dict[str, dict[str, type]] = {
+    "stagestarted": {"stage": str, "total": int},
+    "progress": {
+        "stage": str,
+        "step": int,
+        "total": int,
+        "gaussians": int,
+        "loss": float,
+        "psnr": float,
+        "seconds_left": float,
+    },
+    "message": {"text": str, "level": str},
+    "preview": {"path": str},
+    "done": {"outputs": dict, "stopped": bool},
+    "failed": {"message": str, "hint": str},
+}
+"""What the events carry (docs/files.md); all else that a line may hold is passed over."""
+MAX_NUMBER = 1 << 31  # Blender's integers hold less
+MAX_LINE = 1 << 16  # letters; a longer line is no event
+MAX_WAITING = 10_000  # events that nobody has taken: further ones are dropped, but for the last
+FINAL = ("done", "failed")
 KEPT_LINES = 200
 STOPPED = 3
 """Exit status of a command that stopped on request (docs/files.md)."""
@@ -124,7 +144,7 @@ class Job:
                 event = self._events.get_nowait()
             except queue.Empty:
                 return arrived
-            if event["event"] in ("done", "failed"):
+            if event["event"] in FINAL:
                 self._final = event
             else:
                 arrived.append(event)
@@ -165,17 +185,10 @@ class Job:
             self._log_file = None
         status, final = self._process.wait(), self._final
         if final is not None and final["event"] == "done":
-            outputs = final.get("outputs")
-            stopped = bool(final.get("stopped")) or status == STOPPED
-            paths = (
-                {str(k): str(v) for k, v in outputs.items()} if isinstance(outputs, dict) else {}
-            )
-            return Outcome(status=status, outputs=paths, stopped=stopped)
+            stopped = final.get("stopped", False) or status == STOPPED
+            return Outcome(status=status, outputs=final.get("outputs", {}), stopped=stopped)
         if final is not None:
-            parts = (
-                str(final.get("message") or "The engine failed."),
-                str(final.get("hint") or ""),
-            )
+            parts = (final.get("message") or "The engine failed.", final.get("hint", ""))
             return Outcome(status=status, message=" ".join(p for p in parts if p))
         return Outcome(status=status, message=self._unexplained(status))
 
@@ -189,16 +202,16 @@ class Job:
 
     def _read_events(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
+        for line in _lines(self._process.stdout):
             event = parse_event(line)
             if event is None:
                 self._note(line)
-            else:
+            elif event["event"] in FINAL or self._events.qsize() < MAX_WAITING:
                 self._events.put(event)
 
     def _read_text(self) -> None:
         assert self._process.stderr is not None
-        for line in self._process.stderr:
+        for line in _lines(self._process.stderr):
             self._note(line)
 
     def _note(self, line: str) -> None:
@@ -213,11 +226,50 @@ class Job:
 
 
 def parse_event(line: str) -> dict[str, Any] | None:
-    """The event on a line, or None when it is none that the add-on knows."""
+    """The event on a line, or None when it is none that the add-on knows.
+
+    Beside `event` it holds those of its fields (see `FIELDS`) that are there with the right type:
+    finite numbers, text that Blender can show, names and paths as text.
+    """
+    if len(line) > MAX_LINE:
+        return None
     try:
-        event = json.loads(line)
+        record = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(event, dict) or event.get("event") not in KNOWN_EVENTS:
+    name = record.get("event") if isinstance(record, dict) else None
+    if not isinstance(name, str) or name not in FIELDS:
         return None
+    event = {"event": name}
+    for key, kind in FIELDS[name].items():
+        value = _typed(record.get(key), kind)
+        if value is not None:
+            event[key] = value if key == "path" else _shown(value)
     return event
+
+
+def _typed(value: Any, kind: type) -> Any:
+    """The value when it is of that kind, else None."""
+    if kind is dict and isinstance(value, dict):
+        return {key: path for key, path in value.items() if isinstance(path, str)}
+    if kind in (int, float):
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        # The comparison is exact for integers of any size, and False for NaN.
+        return kind(value) if number and abs(value) < MAX_NUMBER else None
+    return value if isinstance(value, kind) else None
+
+
+def _shown(value: Any) -> Any:
+    """A text in one line that Blender's properties take: no control letters, no half ones."""
+    if not isinstance(value, str):
+        return value
+    return "".join(c if c.isprintable() else " " for c in value)
+
+
+def _lines(stream: IO[str]) -> Iterator[str]:
+    """The stream's lines; of one that is too long, the beginning: the rest is not kept."""
+    begins = True
+    while part := stream.readline(MAX_LINE + 1):
+        if begins:
+            yield part
+        begins = part.endswith("\n")

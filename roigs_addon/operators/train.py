@@ -52,6 +52,7 @@ class TrainRoi(EngineJob, bpy.types.Operator):
             title="Training",
             arguments=["train", str(request), "--run-dir", str(folder)],
             log=folder / "blender" / "engine.log",
+            folder=folder,
             on_preview=preview,
             on_done=take,
         )

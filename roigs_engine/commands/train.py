@@ -15,11 +15,13 @@ from ..lock import locked
 from ..selection.given import load_given
 from .console import Console
 from .options import (
+    add_device_option,
     add_roi_options,
     add_scene_options,
     add_selection_options,
     add_training_options,
     boxes,
+    device,
     load_scene,
     run_config,
 )
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_roi_options(parser)
     add_selection_options(parser)
     add_training_options(parser)
+    add_device_option(parser)
     parser.add_argument(
         "--run-dir", type=Path, required=True, metavar="DIR", help="folder of the run"
     )
@@ -77,6 +80,7 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
     Its folder is locked as long as the block lasts.
     """
     from ..pipeline import Run
+    from ..sessions import session
 
     rois, config = boxes(args), run_config(args)
     given = load_given(args.selection, rois) if args.selection else {}
@@ -86,6 +90,7 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
         raise ConfigError(f"--image-cache is {args.image_cache}.", "Use 0 or more megabytes.")
     with locked(args.run_dir):
         remove_leftovers(args.run_dir)
+        place = device(args, console)
         scene = load_scene(args, console, args.run_dir / "cache")
         work = Run(
             args.run_dir,
@@ -96,13 +101,15 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
             update=args.update,
             preview_seconds=args.preview_seconds,
             image_cache=None if args.image_cache is None else int(1e6 * args.image_cache),
+            device=place,
             emit=console.emit,
             should_stop=console.should_stop,
         )
         console.log_to(args.run_dir)
         for message in work.memory.messages():
             console.emit(message)
-        yield work
+        with session(args.run_dir, config.seed, str(place)):
+            yield work
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:

@@ -4,6 +4,7 @@
 
     reference   plain torch, float32 or float64, any device: to read, and to test the others by
     cpu         the compiled kernels: float32 tensors on the CPU
+    cuda        gsplat's kernels: float32 tensors on an NVIDIA card
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from roigs_engine.rasterize.common import (
 
 __all__ = ["RenderOutput", "rasterize"]
 
-BACKENDS = ("auto", "cpu", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "reference")
 
 
 def rasterize(
@@ -70,7 +71,8 @@ def rasterize(
         region: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16
             tiles that touch it are worked on, forward and backward; other pixels hold the
             background.
-        backend: "reference", "cpu", or "auto" (cpu for float32 tensors on the CPU).
+        backend: "reference", "cpu", "cuda", or "auto" (the compiled one of the tensors' device for
+            float32, else the reference).
 
     Gradients. When an input is a leaf whose `.grad` is already allocated, the cpu backend adds to
     that buffer itself and touches the rows of visible Gaussians only, so that the cost of a
@@ -79,7 +81,8 @@ def rasterize(
 
     Raises:
         EngineError: arguments that do not fit together.
-        KernelError: more Gaussians and tiles meet than the kernels can count or memory holds.
+        KernelError: more Gaussians and tiles meet than the kernels can count or memory holds, or
+            the backend cannot be used.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)
@@ -108,8 +111,9 @@ def rasterize(
         tile_mask=tile_mask,
     )
     if backend == "auto":
-        native = all(p.dtype == torch.float32 and p.device.type == "cpu" for p in parameters)
-        backend = "cpu" if native else "reference"
+        native = all(p.dtype == torch.float32 for p in parameters)
+        compiled = native and means.device.type in ("cpu", "cuda")
+        backend = means.device.type if compiled else "reference"
     if backend == "reference":
         from roigs_engine.rasterize import reference
 
@@ -118,4 +122,8 @@ def rasterize(
         from roigs_engine.rasterize import cpu
 
         return cpu.render(request)
+    if backend == "cuda":
+        from roigs_engine.rasterize import cuda
+
+        return cuda.render(request)
     raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")

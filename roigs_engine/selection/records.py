@@ -57,8 +57,10 @@ class SelectionConfig:
             raise ConfigError(f"Cannot select {self.count} photos.", "Set count to 1 or more.")
         if not (math.isfinite(self.beta) and self.beta >= 0):
             raise ConfigError(f"beta is {self.beta}.", "Set it to a number from 0 on (default 2).")
-        if self.seed < 0:
-            raise ConfigError(f"The selection's seed is {self.seed}.", "Use 0 or more.")
+        if not 0 <= self.seed < 1 << 32:
+            raise ConfigError(
+                f"The selection's seed is {self.seed}.", "Use a number from 0 to 4294967295."
+            )
         if self.gp_refit_every < 1:
             raise ConfigError(f"gp_refit_every is {self.gp_refit_every}.", "Set it to 1 or more.")
         if not 6 <= self.direction_bins <= 512:

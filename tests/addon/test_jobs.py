@@ -239,6 +239,47 @@ def test_odd_numbers_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> No
 
 
 @pytest.mark.blender
+def test_odd_texts_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> None:
+    from roigs_addon import jobs
+
+    odd = ["a\0b", "\ud800", "\udcff", "x" * 60_000, "\x1b[2J", "a\nb", "\u202e", "{}%s"]
+    code = "\n".join(
+        f"say(event={kind!r}, stage={text!r}, text={text!r}, path={text!r})"
+        for text in odd
+        for kind in ("stagestarted", "progress", "message", "preview")
+    )
+    taken: list[Path] = []
+    code += "\nsay(event='failed', message='\\ud800 no', hint='a\\0b'); sys.exit(2)"
+    given = work(folder=tmp_path, on_preview=taken.append)
+    outcome = jobs.wait(jobs.start(fake(tmp_path, code), given))
+    assert outcome.failed and "no" in blender.context.window_manager.roigs.error
+    assert not taken
+
+
+@pytest.mark.blender
+def test_previews_outside_the_run_are_not_looked_at(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "preview.ply").write_text("mine")
+    (tmp_path / "secret").write_text("not mine")
+    (run / "link.ply").symlink_to(tmp_path / "secret")
+    (run / "loop").symlink_to(run / "loop")
+    paths = [tmp_path / "secret", run / ".." / "secret", run / "link.ply", run / "loop", run,
+             "/etc/passwd", "/dev/zero", "preview.ply", "a\0b", run / "preview.ply"]  # fmt: skip
+    code = "\n".join(f"say(event='preview', path={str(path)!r})" for path in paths)
+    taken: list[Path] = []
+    for folder, expected in ((run, [run / "preview.ply"]), (None, [])):
+        taken.clear()
+        given = work(folder=folder, on_preview=taken.append)
+        jobs.wait(jobs.start(fake(tmp_path / str(folder is None), code), given))
+        assert taken == expected
+
+
+@pytest.mark.blender
 def test_one_job_at_a_time_and_none_outlives_the_addon(
     blender: ModuleType, work, tmp_path: Path
 ) -> None:

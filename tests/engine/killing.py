@@ -33,6 +33,7 @@ CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "s
 CONTEXT.set_forkserver_preload([__name__, "roigs_engine.pipeline", "roigs_engine.crops"])
 STEPS_BETWEEN_CHECKPOINTS = 7
 SEED = 6
+SECRET = "s3cr3t-0f-th3-sh3ll"  # in every engine's environment
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ class Request:
 def contents(run: Path) -> dict[str, Any]:
     """File -> bytes, without what tells of times: the log, and seconds in the reports."""
     files = {str(p.relative_to(run)): p.read_bytes() for p in run.rglob("*") if p.is_file()}
-    for name in ("events.jsonl", "report.md"):
+    for name in ("events.jsonl", "report.md", "run.json"):
         del files[name]
     return {
         name: timeless(json.loads(data)) if name.endswith(".json") else data
@@ -146,6 +147,7 @@ def timeless(value: Any) -> Any:
 def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     """In a process of its own."""
     sys.modules["tqdm"] = None  # type: ignore[assignment] # its semaphores would outlive a kill
+    os.environ["SOME_TOKEN"] = SECRET
     config.PRESETS["tiny"] = tiny
     clock = _Clock(at)
     trainer._Break = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
 import pytest
+import torch
 
-from tests.engine.killing import Request, contents, engine
+from tests.engine.killing import SECRET, Request, contents, engine
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
 
@@ -52,6 +54,12 @@ def test_killed_again_and_again(request_: Request, tmp_path: Path) -> None:
     ):
         assert engine(request_.arguments(tmp_path), request_.moment(place)).status == KILLED
     request_.finish(tmp_path)
+    sessions = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["sessions"]
+    assert [s["ended"] for s in sessions][-2:] == ["killed", "done"]
+    assert sessions[-1]["versions"]["torch"] == torch.__version__
+    assert sessions[-1]["threads"] == 2 and sessions[-1]["seed"] == 0
+    assert sessions[-1]["machine"]["chip"] and sessions[-1]["kernels"]
+    assert set(sessions[-1]["stages"]) == {"full-scene", "scene", "object-thing"}
 
 
 @pytest.mark.slow
@@ -64,3 +72,8 @@ def test_killed_once(request_: Request, tmp_path: Path, place: str) -> None:
 def test_any_number_of_threads_makes_the_same_bytes(request_: Request, tmp_path: Path) -> None:
     assert engine(request_.arguments(tmp_path, threads=1)).status == 0
     assert contents(tmp_path) == contents(request_.whole)
+
+
+def test_no_secret_of_the_environment_is_written(request_: Request) -> None:
+    for path in request_.whole.rglob("*"):
+        assert path.is_dir() or SECRET.encode() not in path.read_bytes()
