@@ -63,16 +63,16 @@ def remove_leftovers(folder: Path) -> None:
                 path.unlink()
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text under `path`, whole or not at all."""
-    with atomic_write(path) as file:
+def write_text(path: Path, text: str, *, durable: bool = True) -> None:
+    """Write UTF-8 text under `path`, whole or not at all; `durable` as `atomic_write`."""
+    with atomic_write(path, durable=durable) as file:
         # Names on disk that are no UTF-8 come with surrogates, written as JSON writes them.
         file.write(text.encode("utf-8", "backslashreplace"))
 
 
-def write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
     """Write `value` as indented UTF-8 JSON under `path`, whole or not at all."""
-    write_text(path, json.dumps(value, indent=1, ensure_ascii=False) + "\n")
+    write_text(path, json.dumps(value, indent=1, ensure_ascii=False) + "\n", durable=durable)
 
 
 def read_json(path: Path) -> Any:

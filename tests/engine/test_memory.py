@@ -120,4 +120,5 @@ def test_training_on_2000_large_photos(tmp_path: Path) -> None:
     process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
     allowed = memory.ENGINE + 500e6 + 3 * ONE + memory.PER_PIXEL * ONE / 3
-    assert 500e6 < usage.ru_maxrss * 1024 < 1.15 * allowed
+    print(f"{usage.ru_maxrss / 1024:.0f} MiB at most, {allowed / 2**20:.0f} were planned for")
+    assert 500e6 < usage.ru_maxrss * 1024 < allowed
