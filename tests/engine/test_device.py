@@ -108,7 +108,7 @@ def test_densifying_without_kernels_gives_as_good_a_model(
 
 def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between edits no tensor becomes a number or a list, which on a card would be waited for."""
-    config = replace(CONFIG, steps=20, densify_from=100)
+    config = replace(CONFIG, steps=20, densify_from=100, densify_every=100)
     without_kernels(monkeypatch)
     start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
     steps = Trainer(start, stage_data(scene), config)
