@@ -2,16 +2,17 @@
 
 Two rules keep a step's cost in proportion to the view and not to the scene:
 
-* Each parameter's `.grad` is allocated once, as zeros. The rasterizer's backward pass adds to the
-  rows of visible Gaussians in place; `VisibleAdam.step` consumes these rows and zeroes them.
 * Rows that are not visible keep their value and their moments: no decay.
+* There is no dense gradient. Either each parameter's `.grad` is allocated once, as zeros, the
+  rasterizer's backward pass adds to the rows of visible Gaussians in place, and `VisibleAdam.step`
+  consumes these rows and zeroes them. Or, `fused`, that backward pass takes the step itself.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -21,6 +22,27 @@ from .errors import EngineError
 from .kernels import library
 
 
+class _Parameter(ctypes.Structure):
+    """roigs.h: struct AdamParameter."""
+
+    _fields_ = [
+        *((n, ctypes.c_void_p) for n in ("values", "exp_avg", "exp_avg_sq", "gradient", "rates")),
+        ("width", ctypes.c_int64),
+    ]
+
+
+class Adam(ctypes.Structure):
+    """roigs.h: struct Adam."""
+
+    _fields_ = [
+        ("parameters", ctypes.POINTER(_Parameter)),
+        ("count", ctypes.c_int64),
+        ("betas", ctypes.c_double * 2),
+        ("epsilon", ctypes.c_double),
+        ("step", ctypes.c_int64),
+    ]
+
+
 class VisibleAdam:
     """Adam on named parameters (N, ...) that all have one row per Gaussian.
 
@@ -28,6 +50,7 @@ class VisibleAdam:
 
     Attributes:
         parameters: the leaf tensors by name.
+        fused: `rasterize(..., optimizer=self)` takes the steps; parameters have no `.grad`.
         exp_avg: first moments by name, shaped as the parameters.
         exp_avg_sq: second moments by name.
         step_count: how many steps were taken.
@@ -41,8 +64,9 @@ class VisibleAdam:
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-15,
         backend: str = "auto",
+        fused: bool = False,
     ) -> None:
-        """Begin with zero moments, and allocate `.grad` of every parameter.
+        """Begin with zero moments, and allocate `.grad` of every parameter unless `fused`.
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
@@ -51,13 +75,14 @@ class VisibleAdam:
             eps: added to the root of the second moment.
             backend: "cpu" (compiled kernel: float32 on the CPU), "reference" (plain torch), or
                 "auto", the first where it can be used.
+            fused: see the class; with the compiled kernel only.
 
         Raises:
             EngineError: rows, rates or strides that do not fit.
         """
         if backend not in ("auto", "cpu", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
-        self.betas, self.eps, self.backend = betas, eps, backend
+        self.betas, self.eps, self.backend, self.fused = betas, eps, backend, fused
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
@@ -92,44 +117,44 @@ class VisibleAdam:
         Raises:
             EngineError: `visible` does not fit the parameters.
         """
-        self.step_count += 1
-        skipped = 0
         for name, parameter in self.parameters.items():
             if visible.shape != parameter.shape[:1] or visible.dtype != torch.bool:
                 raise EngineError(
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
-            native = parameter.dtype == torch.float32 and parameter.device.type == "cpu"
-            if self.backend == "cpu" or (self.backend == "auto" and native):
-                skipped += self._kernel_step(name, visible.contiguous())
-            else:
-                skipped += self._reference_step(name, visible)
+        native = all(
+            p.dtype == torch.float32 and p.device.type == "cpu" for p in self.parameters.values()
+        )
+        if self.backend == "cpu" or (self.backend == "auto" and native):
+            on = visible.contiguous()
+            return self.step_by(lambda adam: _kernel()(len(on), adam, library.pointer(on)))
+        self.step_count += 1
+        skipped = sum(self._reference_step(name, visible) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
 
-    def _kernel_step(self, name: str, visible: Tensor) -> int:
-        parameter, rates = self.parameters[name], self._rates[name]
-        gradient = parameter.grad
-        assert gradient is not None and gradient.is_contiguous(), "the buffer is allocated here"
-        return int(
-            _kernel()(
-                len(parameter),
-                rates.numel(),
-                library.pointer(parameter),
-                library.pointer(self.exp_avg[name]),
-                library.pointer(self.exp_avg_sq[name]),
-                library.pointer(gradient),
-                library.pointer(visible),
-                library.pointer(rates),
-                *self.betas,
-                self.eps,
-                self.step_count,
-            )
-        )
+    def step_by(self, kernel: Callable[[Any], int]) -> int:
+        """Take a step by a kernel, which gets a pointer to an `Adam` and returns what `step` does.
+
+        The tensors that the structure points to are float32 in main memory.
+        """
+        self.step_count += 1
+        parameters = (_Parameter * len(self.parameters))()
+        for place, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
+            rates = self._rates[name]
+            place.values = parameter.data_ptr()
+            place.exp_avg = self.exp_avg[name].data_ptr()
+            place.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
+            place.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
+            place.rates, place.width = rates.data_ptr(), rates.numel()
+        adam = Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
+        skipped = int(kernel(ctypes.byref(adam)))
+        self.skipped_rows += skipped
+        return skipped
 
     def _reference_step(self, name: str, visible: Tensor) -> int:
-        """The same step in plain torch, on all rows with a mask; `_kernel_step` is tested by it."""
+        """The same step in plain torch, on all rows with a mask; the kernel is tested by it."""
         parameter, gradient = self.parameters[name], self.parameters[name].grad
         mean, square = self.exp_avg[name], self.exp_avg_sq[name]
         assert gradient is not None, "the buffer is allocated here"
@@ -186,9 +211,9 @@ class VisibleAdam:
     def permute(self, order: Tensor) -> None:
         """Reorder parameters, gradients and moments in place: new row i is old row order[i]."""
         for name, parameter in self.parameters.items():
-            assert parameter.grad is not None, "the buffer is allocated here"
             for tensor in (parameter, parameter.grad, self.exp_avg[name], self.exp_avg_sq[name]):
-                tensor.copy_(tensor[order])
+                if tensor is not None:
+                    tensor.copy_(tensor[order])
 
     def state_dict(self) -> dict[str, Any]:
         """Step count, moments and learning rates; tensors are shared, not copied."""
@@ -222,7 +247,7 @@ class VisibleAdam:
             if not tensor.is_leaf or not tensor.is_contiguous():
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
-            tensor.grad = torch.zeros_like(tensor)
+            tensor.grad = None if self.fused else torch.zeros_like(tensor)
             self.parameters[name] = tensor
 
 
@@ -233,10 +258,6 @@ def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:
 @functools.cache
 def _kernel() -> Any:
     function = library.load().roigs_adam
-    address = ctypes.c_void_p
-    # rows, width, parameter, exp_avg, exp_avg_sq, gradient, visible, rates, betas, eps, step
-    function.argtypes = (
-        [ctypes.c_int64] * 2 + [address] * 6 + [ctypes.c_double] * 3 + [ctypes.c_int64]
-    )
+    function.argtypes = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p]
     function.restype = ctypes.c_int64
     return function

@@ -177,7 +177,8 @@ class Trainer:
         loss = photo_loss(output.image, target, ssim_weight=config.ssim_weight)
         loss.loss.backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
-        self._optimizer.step(visible)
+        if not self._optimizer.fused:
+            self._optimizer.step(visible)
         self._stats.add(visible, output.grad2d[0], output.max_weight)
         self._observe(float(loss.loss.detach()), output.image, target)
         self.step += 1
@@ -199,6 +200,7 @@ class Trainer:
             sh_degree=self.config.degree(self.step),
             raw=True,
             with_max_weight=self.config.contribution_every > 0,
+            optimizer=self._optimizer if self._optimizer.fused else None,
         )
 
     def _observe(self, loss: float, rendered: Tensor, target: Tensor) -> None:
@@ -289,7 +291,8 @@ class Trainer:
             "logit_opacities": config.lr_opacities,
             "sh": sh_rates.flatten(),
         }
-        return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
+        parameters = {name: (tensors[name], rates[name]) for name in NAMES}
+        return VisibleAdam(parameters, fused=tensors["means"].device.type == "cpu")
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides how training goes on; tensors and plain numbers only."""

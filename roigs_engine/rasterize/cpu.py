@@ -17,9 +17,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from roigs_engine.errors import KernelError
+from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.kernels import library
 from roigs_engine.kernels.library import pointer
+from roigs_engine.optimizer import VisibleAdam
 from roigs_engine.rasterize.common import RenderOutput, RenderRequest
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
@@ -81,6 +82,7 @@ def _kernels() -> ctypes.CDLL:
         "roigs_pair_evaluations": (ctypes.c_int64, [address]),
         "roigs_render_backward": (ctypes.c_int64, [address, image, image]),
         "roigs_project_backward": (None, [address, address, address, address]),
+        "roigs_project_backward_adam": (ctypes.c_int64, [address, address, address, address]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(kernels, name)
@@ -158,6 +160,7 @@ class _Cameras:
     with_max_weight: bool
     with_weight_sum: bool
     pixel_weights: Tensor | None
+    optimizer: VisibleAdam | None
 
 
 def render(request: RenderRequest) -> RenderOutput:
@@ -187,6 +190,7 @@ def render(request: RenderRequest) -> RenderOutput:
         with_max_weight=request.with_max_weight,
         with_weight_sum=request.with_weight_sum,
         pixel_weights=None if pixel_weights is None else pixel_weights.contiguous(),
+        optimizer=request.optimizer,
     )
     image, alpha, visible, grad2d, depth, max_weight, weight_sum = _Rasterize.apply(  # type: ignore[no-untyped-call]
         cameras, *request.parameters
@@ -283,13 +287,16 @@ class _Rasterize(torch.autograd.Function):
             return (None,) * (1 + len(parameters))
         image_gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
         packed = [p.contiguous() for p in parameters]
+        gaussians = _gaussians(ctx.cameras, packed)
+        views, ctx.lease.views = ctx.lease.views, []
+        if ctx.cameras.optimizer is not None:
+            _step(ctx, views, gaussians, image, image_gradient)
+            return (None,) * (1 + len(parameters))
         targets = [
             _gradient_target(p, needed)
             for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
         ]
-        gaussians = _gaussians(ctx.cameras, packed)
         gradients = _Gradients(*(pointer(buffer) for buffer, _ in targets))
-        views, ctx.lease.views = ctx.lease.views, []
         for c, image_gradient_c in enumerate(image_gradient):
             if views:
                 view = views[c]
@@ -305,6 +312,25 @@ class _Rasterize(torch.autograd.Function):
             )
             view.give_back()
         return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+
+
+def _step(
+    ctx: Any, views: list[View], gaussians: _Gaussians, image: Tensor, image_gradient: Tensor
+) -> None:
+    """The backward pass of one camera that ends in a step of its optimiser."""
+    if not views:
+        raise EngineError("rasterize: with an optimizer, backward() can be called only once.")
+    view = views[0]
+    view.call("roigs_render_backward", pointer(image), pointer(image_gradient))
+    ctx.cameras.optimizer.step_by(
+        lambda adam: view.call(
+            "roigs_project_backward_adam",
+            ctypes.byref(gaussians),
+            adam,
+            pointer(ctx.grad2d),
+        )
+    )
+    view.give_back()
 
 
 def _prepare(
