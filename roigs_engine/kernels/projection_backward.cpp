@@ -123,18 +123,16 @@ void centre_gradient(const Camera& camera, const Geometry& g, const Gradient2d& 
 
 // Gradient of the colours: adds to the SH rows, and to `mean` through the viewing direction.
 void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBatch& batch,
-                     const Floats (&moments)[16], float* sh_gradient, Floats (&mean)[3]) {
+                     const Geometry& g, const Floats (&moments)[16], float* sh_gradient,
+                     Floats (&mean)[3]) {
     const int used = used_coefficients(gaussians), stride = 3 * gaussians.sh_coefficients;
-    Floats colour[3], drawn[3];
-    for (int i = 0; i < kLanes; ++i) {
-        const Splat& s = view.splats[batch.splat[i]];
-        drawn[0][i] = s.red, drawn[1][i] = s.green, drawn[2][i] = s.blue;
-    }
+    Floats colour[3], drawn[4];
+    load_few_columns<3>(&view.splats[0].red, sizeof(Splat) / sizeof(float), batch.splat, drawn);
     for (int c = 0; c < 3; ++c)  // colours clamped to 0 pass no gradient
         colour[c] = keep(greater(drawn[c], Floats{}), moments[kRed + c]);
 
     Floats direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
-    const Floats inverse_distance = view_direction(gaussians, view.camera, batch.id, direction);
+    const Floats inverse_distance = view_direction(g.mean, view.camera, direction);
     if (used > 1) {
         load_columns(gaussians.sh, stride, 3 * used, batch.id, sh);
         Floats weight[kMaxCoefficients] = {};
@@ -153,7 +151,12 @@ void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBa
 
 template <int kColumns>
 void add_rows(float* matrix, const SplatBatch& batch, const Floats (&columns)[kColumns]) {
-    if (matrix) add_columns(matrix, kColumns, kColumns, batch.row, batch.count, columns);
+    if (!matrix) return;
+    for_each_quad(columns, [&](int i, Quad row) {
+        if (i >= batch.count) return;
+        float* place = matrix + int64_t(batch.row[i]) * kColumns;
+        for (int k = 0; k < kColumns; ++k) place[k] += row[k];
+    });
 }
 
 void batch_gradient(const View& view, const Gaussians& gaussians, const Gradients& out,
@@ -166,7 +169,7 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     Floats scale[3], quat[4], dT[2][3], mean[3];
     covariance_gradient(g, d, scale, quat, dT);
     centre_gradient(view.camera, g, d, dT, mean);
-    colour_gradient(view, gaussians, batch, moments, out.sh, mean);
+    colour_gradient(view, gaussians, batch, g, moments, out.sh, mean);
 
     // kS = opacity dL / d(opacity)
     Floats opacity[1] = {gaussians.raw ? moments[kS] * (1.0f - g.opacity)
