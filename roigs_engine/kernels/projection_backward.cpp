@@ -193,10 +193,11 @@ void prefetch_batch(const View& view, const Gaussians& gaussians, int32_t first,
                     const float* const (&matrices)[kMatrices], const int (&widths)[kMatrices]) {
     for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
         const int64_t row = view.splats[i].id;
-        __builtin_prefetch(&view.slot_gradients[view.slot(i)]);
-        prefetch_row(gaussians.sh, 3 * gaussians.sh_coefficients, row);
+        for (int t = 0; t < view.tiles_of[i].count; ++t)
+            __builtin_prefetch(&view.slot_gradients[view.slot(i) + t]);
+        prefetch_row<false>(gaussians.sh, 3 * gaussians.sh_coefficients, row);
         for (int k = 0; k < kMatrices; ++k)
-            if (matrices[k]) prefetch_row(matrices[k], widths[k], row);
+            if (matrices[k]) prefetch_row<true>(matrices[k], widths[k], row);
     }
 }
 

@@ -215,11 +215,12 @@ struct Larger {
     ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return max(a, b); }
 };
 
-// Starts fetching a row that will be needed soon. Rows that belong to visible Gaussians follow no
-// pattern that the processor would fetch ahead by.
+// Starts fetching a row that will be read, or written, soon. Rows that belong to visible Gaussians
+// follow no pattern that the processor would fetch ahead by.
+template <bool kWrite>
 ROIGS_INLINE void prefetch_row(const float* matrix, int stride, int64_t row) {
     constexpr int kLine = 16;  // floats
-    for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, 1);
+    for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, kWrite);
 }
 
 // values[rows[i]] in lane i.
