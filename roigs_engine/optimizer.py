@@ -97,12 +97,15 @@ class VisibleAdam:
 
     def set_lr(self, name: str, rate: float | Tensor) -> None:
         """Set a parameter's learning rate: one number, or one per element of a row."""
+        if isinstance(rate, float) and name in self._rates:  # every step: spares most of the work
+            self._rates[name].fill_(rate)
+            return
         parameter = self.parameters[name]
         given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         width = parameter.shape[1:].numel()
         if given.numel() not in (1, width):
             raise EngineError(f"{name}: {given.numel()} learning rates for {width} columns.")
-        self._rates[name] = given.expand(width).contiguous().to(parameter.device)
+        self._rates[name] = given.expand(width).to(parameter.device, copy=True).contiguous()
 
     @torch.no_grad()
     def step(self, visible: Tensor) -> int:

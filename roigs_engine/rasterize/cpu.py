@@ -12,7 +12,6 @@ import functools
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
@@ -207,17 +206,13 @@ def render(request: RenderRequest) -> RenderOutput:
 
 
 def _camera_structures(request: RenderRequest, tile_mask: Tensor | None) -> list[_Camera]:
-    # in float64: the position is a difference of numbers that may be large
-    views = request.viewmats.detach().cpu().numpy().astype(np.float64)
-    positions = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
     background = request.background.tolist()
     structures = []
-    for view, position, K in zip(
-        views.tolist(), positions.tolist(), request.Ks.tolist(), strict=True
-    ):
+    for view, K in zip(request.viewmats.tolist(), request.Ks.tolist(), strict=True):
         camera = _Camera()
         camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
-        camera.position[:] = position
+        # Python's floats are float64: this is a difference of numbers that may be large
+        camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
         camera.size[:] = [request.width, request.height]
