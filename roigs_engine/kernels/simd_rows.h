@@ -186,7 +186,7 @@ ROIGS_INLINE void store_some(float* p, Floats x, int count) {
 // join and split: a vector's quads. transpose_quads: lane j of quad q of v[i] becomes lane i of quad
 // q of v[j].
 #if defined(ROIGS_AVX512)
-// above
+// .. above, with what else is AVX-512
 #elif defined(__AVX2__)
 
 ROIGS_INLINE Floats join(const Quad (&q)[2]) { return _mm256_set_m128(q[1], q[0]); }
