@@ -333,9 +333,10 @@ class ResultPanel(_Panel, bpy.types.Panel):
                 row.prop(item, "hide_viewport", text="", emboss=False)
             elif item.roigs.level == "ROI":
                 self._box(column.row(align=True), splats, item.roigs.roi, levels)
-        if splats:
+        drawn = [item for item in splats if item.type == "MESH"]  # Blender draws its own kind
+        if drawn:
             row = layout.row(align=True)
-            as_points = splats[0].roigs.as_points
+            as_points = drawn[0].roigs.as_points
             for text, value in (("Gaussians", False), ("Points", True)):
                 button = row.operator(
                     results.ShowPoints.bl_idname, text=text, depress=as_points == value
