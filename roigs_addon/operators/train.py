@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty
 
-from .. import jobs, lookup, preferences, requests, splats
+from .. import facts, jobs, lookup, preferences, requests, splats
 from ..engine import runs
 from ..engine.client import Outcome
 from .base import EngineJob, OperatorResult, available
@@ -119,7 +119,7 @@ def log_path(context: bpy.types.Context) -> Path | None:
     """The log of the last job, or of the run folder's."""
     named = context.window_manager.roigs.log
     path = Path(named) if named else requests.run_folder(context.scene) / "blender" / "engine.log"
-    return path if path.is_file() else None
+    return path if facts.is_file(path) else None
 
 
 def unfinished(scene: bpy.types.Scene) -> str:
