@@ -220,6 +220,35 @@ def test_progress_becomes_properties(blender: ModuleType, work, tmp_path: Path) 
 
 
 @pytest.mark.blender
+def test_no_preview_is_drawn_while_the_engine_stops(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+
+    first, last = tmp_path / "first.ply", tmp_path / "last.ply"
+    first.touch()
+    last.touch()
+    engine = fake(
+        tmp_path,
+        f"""
+        say(event="preview", path={str(first)!r})
+        sys.stdin.read()
+        say(event="preview", path={str(last)!r})
+        time.sleep(0.5)
+        say(event="done", outputs={{}}, stopped=True)
+        """,
+    )
+    shown: list[Path] = []
+    runner = jobs.start(engine, work(on_preview=shown.append))
+    assert until(lambda: runner.poll() and bool(shown))
+    runner.stop()
+    while runner.poll():
+        assert shown == [first]
+        time.sleep(0.02)
+    assert shown == [first, last] and runner.outcome.stopped
+
+
+@pytest.mark.blender
 def test_odd_numbers_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> None:
     from roigs_addon import jobs
 
