@@ -97,7 +97,10 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
         print("for people", file=sys.stderr, flush=True)
         sys.stdout.buffer.write(b"\\xff\\xfe broken\\n")
         sys.stdout.flush()
-        say(event="progress", stage="scene", step=1, total=3)
+        say(event="message", text="17 photos left out")
+        say(event="progress", stage="scene", step=1, total=3, loss=0.12345, gaussians=70)
+        say(event="preview", path="p.ply")
+        say(event="progress", stage="scene", step=2, total=3)
         say(event="done", outputs={"result": "a.ply"}, stopped=False)
         """,
     )
@@ -108,6 +111,11 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
     assert outcome.outputs == {"result": "a.ply"}
     log = (tmp_path / "a" / "log.txt").read_text(encoding="utf-8")
     assert "Zwischentext 庭" in log and "for people" in log and "broken" in log
+    told = [line[10:] for line in log.splitlines()]
+    for line in ("scene: 3 steps", "17 photos left out", "Done."):
+        assert line in told
+    progress = [line for line in told if line.startswith("scene: ") and " of " in line]
+    assert progress == ["scene: 1 of 3, loss 0.123, gaussians 70"]  # the second came too soon
 
 
 @pytest.mark.parametrize(
