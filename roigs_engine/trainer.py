@@ -102,6 +102,7 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         gaussians = gaussians.to(data.device)
+        self.cpu_seconds = 0.0  # of the whole process, all its threads
         order = densify.morton_order(gaussians.means)
         self._parameters = _leaves(gaussians.rows(order))
         self._optimizer = self._new_optimizer()
@@ -157,12 +158,14 @@ class Trainer:
     ) -> bool:
         started = reported = time.perf_counter()
         before, first = self.seconds, self.step
+        cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
             if should_stop():
                 break
             self.train_step()
             now = time.perf_counter()
             self.seconds = before + now - started
+            self.cpu_seconds = time.process_time() - cpu_started
             if now - reported > REPORT_SECONDS or self.step == self.config.steps:
                 reported = now
                 left = (now - started) / (self.step - first) * (self.config.steps - self.step)
@@ -170,6 +173,7 @@ class Trainer:
             for one in breaks:
                 # Writing files is not training: the clock leaves it out.
                 started += one.take_if_due(self.seconds)
+            cpu_started = time.process_time() - self.cpu_seconds
         return self.step >= self.config.steps
 
     def train_step(self) -> None:
@@ -322,6 +326,7 @@ class Trainer:
         state = {
             "step": self.step,
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "window": self._window,
             "loss": float(self._loss),
             "psnr": self._psnr,
@@ -336,6 +341,7 @@ class Trainer:
         """Go on from what `state_dict` returned, on whatever device."""
         state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
+        self.cpu_seconds = float(state["cpu_seconds"])
         self._window = int(state["window"])
         self._loss, self._psnr = self._loss.new_tensor(state["loss"]), float(state["psnr"])
         self._parameters = _leaves(Gaussians(**state["parameters"]))
