@@ -170,7 +170,7 @@ class Run:
         for want of Gaussians.
 
         Args:
-            counts: box -> most Gaussians in it.
+            counts: box -> most Gaussians that belong to it; where boxes overlap, to one of them.
         """
         names = [i.name for i in self.train_scene.images]
         config = self.config.matched_baseline()

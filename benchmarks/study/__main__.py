@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from benchmarks.study.figures import write_figures
 from benchmarks.study.measure import machine
 from benchmarks.study.results import Results, load_records
@@ -34,6 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = _options(given)
     console = Console(json_lines=False)
+    # As in training: torch's pool would fight with the kernels' and with other programs.
+    torch_threads = torch.get_num_threads()
+    torch.set_num_threads(1)
     try:
         console.watch()
         return _run(options, given, console)
@@ -46,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     finally:
+        torch.set_num_threads(torch_threads)
         console.close_bar()
 
 
@@ -101,6 +107,8 @@ def _claim(options: argparse.Namespace) -> None:
                 f" {settings[wrong]}.",
                 "Choose another --out.",
             )
+    elif options.report_only:
+        raise ConfigError(f"{options.out} holds no study.", "Leave --report-only out to begin one.")
     else:
         write_json(path, settings)
 

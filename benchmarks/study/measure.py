@@ -17,6 +17,7 @@ import torch
 from benchmarks.study.rows import BASELINES, FULL_OBJECT, FULL_SCENE, MATCHED, VARIANT, Row
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.commands.console import Console
+from roigs_engine.compose import cut
 from roigs_engine.compose import replace as replace_in_boxes
 from roigs_engine.config import RunConfig
 from roigs_engine.crops import choose_views, write_crops
@@ -131,7 +132,7 @@ class Bench:
             ]
         if row.kind == MATCHED:
             ours = self._trained(run)[-1].gaussians
-            counts = {roi.name: int(ours.in_box(roi).sum()) for roi in run.rois}
+            counts = {roi.name: len(cut(ours, roi, run.rois)) for roi in run.rois}
             stage = run.matched_scene(counts)
             made = self._for_all([stage])
             return [Made(name="Matched", gaussians=stage.gaussians, stages=made)]

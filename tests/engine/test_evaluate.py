@@ -83,6 +83,18 @@ def test_rows_are_those_of_the_box(result: Evaluation) -> None:
         result.roi("none")
 
 
+def test_the_mask_can_come_from_a_named_model(
+    result: Evaluation, scene: SfmScene, models: list[EvaluatedModel]
+) -> None:
+    named = evaluate(models, scene, TEST, [BOX], object_mask_from="Full Scene").roi("thing")
+    alone = evaluate(models[:1], scene, TEST, [BOX]).roi("thing")
+    assert result.roi("thing").object_mask_from != named.object_mask_from == "Full Scene"
+    assert named.views == alone.views != result.roi("thing").views
+    assert named.rows[0].object_psnr == alone.rows[0].object_psnr
+    with pytest.raises(ConfigError, match="No model of ROI «thing» is named «best»"):
+        evaluate(models, scene, TEST, [BOX], object_mask_from="best")
+
+
 def test_numbers_are_those_of_a_plain_computation(
     result: Evaluation, scene: SfmScene, models: list[EvaluatedModel]
 ) -> None:
