@@ -107,7 +107,7 @@ def _ablations() -> list[Row]:
 
 
 def wanted(rows: Sequence[Row], tables: Sequence[str], patterns: Sequence[str]) -> list[Row]:
-    """The rows of these tables, and every variant; with `patterns` (`gp6-*`) only those they name.
+    """The rows of these tables, or, with `patterns` (`gp6-*`), those they name; and the variants.
 
     Raises:
         ConfigError: a pattern fits no row.
@@ -118,7 +118,11 @@ def wanted(rows: Sequence[Row], tables: Sequence[str], patterns: Sequence[str]) 
         if not any(fnmatchcase(row.name, pattern) for row in rows):
             known = ", ".join(row.name for row in rows)
             raise ConfigError(f"No row is named «{pattern}».", f"There are: {known}.")
-    return [row for row in rows if any(fnmatchcase(row.name, p) for p in patterns)]
+    return [
+        row
+        for row in rows
+        if row.kind == VARIANT or any(fnmatchcase(row.name, pattern) for pattern in patterns)
+    ]
 
 
 def parse_variant(text: str, preset_name: str) -> Row:
