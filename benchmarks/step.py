@@ -15,16 +15,28 @@ from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 
-from benchmarks import tables
+import torch
+
+from benchmarks import cuda_step, tables
 from benchmarks.flops import peak_libraries
 from benchmarks.results import Measurement, Row
 from benchmarks.variants import Variant, Worker, engines
+from roigs_engine.cuda.device import choose_device
 from roigs_engine.kernels import library
+
+DEFAULTS = {
+    "cpu": ([50_000, 200_000, 1_000_000], [(480, 320), (1280, 853)]),
+    "cuda": ([100_000, 1_000_000, 4_000_000], [(1280, 853), (2048, 1366)]),
+}
+"""Rows that are measured without options: numbers of Gaussians, sizes of the picture."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measures and prints tables in Markdown; progress goes to standard error."""
     options = _options(arguments)
+    if options.device == "cuda":
+        _on_card(options)
+        return
     rows = [
         Row(gaussians, *size, threads)
         for gaussians, size, threads in product(options.gaussians, options.size, options.threads)
@@ -52,6 +64,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         first = measurements[0]
         _section(f"Medians relative to those of {first.engine} {first.isa}, CPU (wall)")
         print(tables.ratio_table(measurements))
+
+
+def _on_card(options: argparse.Namespace) -> None:
+    """Prints the table of `cuda_step`."""
+    device = choose_device("cuda")
+    rows = []
+    for gaussians, size in product(options.gaussians, options.size):
+        print(gaussians, *size, file=sys.stderr)
+        rows.append(cuda_step.measure(gaussians, size, options.rounds, device))
+    print(f"{torch.cuda.get_device_name(device)}, torch {torch.__version__}")
+    _section("Milliseconds a step; share of it inside kernels, waits for the card in one step")
+    print(cuda_step.table(rows))
 
 
 def measure(
@@ -85,17 +109,20 @@ def measure(
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    counts, sizes = [50_000, 200_000, 1_000_000], [(480, 320), (1280, 853)]
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cpu")
     cores = library.usable_cores()
     threads = [1, cores] if cores > 1 else [1]
-    parser.add_argument("--gaussians", type=int, nargs="+", default=counts, metavar="N")
-    parser.add_argument("--size", type=_size, nargs="+", default=sizes, metavar="WxH")
+    parser.add_argument("--gaussians", type=int, nargs="+", metavar="N")
+    parser.add_argument("--size", type=_size, nargs="+", metavar="WxH")
     parser.add_argument("--threads", type=int, nargs="+", default=threads, metavar="N")
     parser.add_argument("--rounds", type=int, default=5, help="passes over the cameras (5)")
     parser.add_argument("--isa", nargs="+", default=[""], help="instruction sets, taking turns")
     parser.add_argument("--compare", metavar="REV", help="git revision to take turns with")
     parser.add_argument("--extras", action="store_true", help="optional outputs, not steps")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    counts, sizes = DEFAULTS[options.device]
+    options.gaussians, options.size = options.gaussians or counts, options.size or sizes
+    return options
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,11 +62,13 @@ def read_splats(path: str | Path) -> SplatCloud:
     try:
         with open(path, "rb") as file:
             count, row = _read_header(file, path)
+            # Before anything is allocated for what a header promises.
+            there = (os.fstat(file.fileno()).st_size - file.tell()) // row.itemsize
+            if there < count:
+                raise ValueError(f"{path} is cut short: {there} of {count} Gaussians are there.")
             table = np.fromfile(file, row, count)
     except OSError as error:
         raise ValueError(f"Cannot read {path} ({error.strerror}).") from error
-    if len(table) < count:
-        raise ValueError(f"{path} is cut short: {len(table)} of {count} Gaussians are there.")
     return _decode(table, path)
 
 
@@ -85,12 +88,12 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype]:
                 if count < 0 and element != "vertex":
                     raise ValueError(f"{path}: its first element is «{element}», not vertex.")
                 if element == "vertex":
-                    if count >= 0 or not number.isdecimal():
-                        raise ValueError(f"{path}: cannot read «{line}».")
+                    if count >= 0 or not re.fullmatch("[0-9]{1,18}", number):
+                        raise ValueError(f"{path}: cannot read «{line:.60}».")
                     count = int(number)
             case ["property", *words] if element == "vertex":
                 if len(words) != 2 or words[0] not in SCALARS or words[1] in fields:
-                    raise ValueError(f"{path}: cannot read «{line}».")
+                    raise ValueError(f"{path}: cannot read «{line:.60}».")
                 fields[words[1]] = SCALARS[words[0]]
     if count < 0 or not fields:
         raise ValueError(f"{path} has no vertices.")
@@ -123,7 +126,7 @@ def _decode(table: np.ndarray, path: str | Path) -> SplatCloud:
         return np.stack([table[name].astype(np.float32) for name in wanted], axis=1)
 
     quats, log_scales, logits = columns(quat_names), columns(scale_names), columns(["opacity"])
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # what is out of range is left out below
         cloud = {
             "means": columns(["x", "y", "z"]),
             "quats": quats / np.linalg.norm(quats, axis=1, keepdims=True),

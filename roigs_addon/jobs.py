@@ -6,8 +6,6 @@ where no timer runs, the same job is waited for.
 
 from __future__ import annotations
 
-import math
-import os
 import sys
 import time
 import traceback
@@ -40,6 +38,7 @@ class Work:
         title: what the panel calls it.
         arguments: the engine's command line, beginning with the command.
         log: where the engine's text goes.
+        folder: of the run; previews that lie elsewhere are not looked at.
         on_preview: called with the path of each preview.
         on_done: called with the outcome of a job that was done, not stopped; may raise AddonError.
     """
@@ -47,6 +46,7 @@ class Work:
     title: str
     arguments: list[str]
     log: Path
+    folder: Path | None = None
     on_preview: Callable[[Path], None] = nothing
     on_done: Callable[[Outcome], None] = nothing
 
@@ -63,6 +63,9 @@ class Runner:
         self.work = work
         self.stopping = False
         self.finished = False
+        self.news = True
+        """Whether anything came since the panel was last drawn; whoever draws it clears this."""
+        self._preview: Path | None = None
         self.messages: deque[str] = deque(maxlen=100)
         state = bpy.context.window_manager.roigs
         state.title, state.stage, state.message, state.error = work.title, "", "", ""
@@ -81,6 +84,12 @@ class Runner:
         running = self.job.running()
         for event in self.job.events():
             self._take(event)
+            self.news = True
+        # A stopping engine writes a last one and its checkpoint: to draw it now would hold that up.
+        if self._preview is not None and not (running and self.stopping):
+            _guarded(self.work.on_preview, self._preview)
+            self._preview = None
+            redraw()
         if not running and not self.finished:
             self.finished = True
             self._finish()
@@ -88,7 +97,7 @@ class Runner:
 
     def stop(self) -> None:
         """Ask the engine to stop."""
-        self.stopping = True
+        self.stopping = self.news = True
         bpy.context.window_manager.roigs.message = "Stopping …"
         self.job.stop()
 
@@ -96,22 +105,21 @@ class Runner:
         state = bpy.context.window_manager.roigs
         match event["event"]:
             case "stagestarted":
-                state.stage, state.total = str(event.get("stage")), _whole(event.get("total"))
+                state.stage, state.total = event.get("stage", ""), event.get("total", 0)
                 state.step = 0
             case "progress":
-                state.stage = str(event.get("stage"))
-                state.step, state.total = _whole(event.get("step")), _whole(event.get("total"))
-                state.loss, state.psnr = _number(event.get("loss")), _number(event.get("psnr"))
-                state.gaussians = _whole(event.get("gaussians"))
-                state.seconds_left = _number(event.get("seconds_left"))
+                state.stage = event.get("stage", "")
+                state.step, state.total = event.get("step", 0), event.get("total", 0)
+                state.loss, state.psnr = event.get("loss", 0.0), event.get("psnr", 0.0)
+                state.gaussians = event.get("gaussians", 0)
+                state.seconds_left = event.get("seconds_left", 0.0)
             case "message":
-                state.message = str(event.get("text", ""))
+                state.message = event.get("text", "")
                 self.messages.append(state.message)
             case "preview":
-                path = Path(str(event.get("path")))
-                if os.path.isfile(path):  # Path's own raises when the name is too long
-                    _guarded(self.work.on_preview, path)
-                    redraw()
+                path = Path(event.get("path", ""))
+                if _is_file_in(self.work.folder, path):
+                    self._preview = path
 
     def _finish(self) -> None:
         state = bpy.context.window_manager.roigs
@@ -125,6 +133,18 @@ class Runner:
         state.stage = ""
         for listener in on_end:
             listener()
+
+
+def _is_file_in(folder: Path | None, path: Path) -> bool:
+    """Whether the file is there, inside the folder; links are followed first."""
+    try:
+        return (
+            folder is not None
+            and path.is_file()
+            and path.resolve().is_relative_to(folder.resolve())
+        )
+    except (OSError, ValueError, RuntimeError):  # a name too long, a NUL in it, links in a circle
+        return False
 
 
 def _guarded(callback: Callable[[Any], None], value: Any) -> str:
@@ -218,10 +238,11 @@ def _tick() -> float | None:
     if current is None:
         return None
     running = current.poll()
-    if running:  # the pictures beside the sidebar take long to draw, and are as they were
-        redraw_sidebars()
-    else:
+    if not running:
         redraw()
+    elif current.news:  # the pictures beside the sidebar take long to draw, and are as they were
+        redraw_sidebars()
+    current.news = False
     return POLL_SECONDS if running else None
 
 
@@ -241,21 +262,6 @@ def redraw_sidebars() -> None:
                 for region in area.regions:
                     if region.type == "UI":
                         region.tag_redraw()
-
-
-def _whole(value: Any) -> int:
-    """A number that Blender's integers can hold; 0 for anything else."""
-    number = _number(value)
-    return int(number) if abs(number) < 2**31 else 0
-
-
-def _number(value: Any) -> float:
-    """A finite number; 0 for anything else."""
-    try:
-        number = float(value) if isinstance(value, (int, float)) else 0.0
-    except OverflowError:  # an integer of hundreds of digits
-        return 0.0
-    return number if math.isfinite(number) else 0.0
 
 
 def register() -> None:

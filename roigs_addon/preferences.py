@@ -7,7 +7,7 @@ import textwrap
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from .engine import check, install, python
 from .engine.client import Engine
@@ -32,6 +32,15 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     threads: IntProperty(
         name="Threads", default=0, min=0, description="CPU threads of the engine; 0: all"
     )
+    device: EnumProperty(
+        name="Train On",
+        items=(
+            ("auto", "Automatic", "The NVIDIA card where the engine can use one, else the CPU"),
+            ("cpu", "CPU", "The CPU, whatever else there is"),
+            ("cuda", "NVIDIA Card", "The card; an error where it cannot be used"),
+        ),
+        description="What the engine trains on",
+    )
     cache: StringProperty(
         name="Cache Folder",
         subtype="DIR_PATH",
@@ -47,7 +56,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     cuda: BoolProperty(
         name="For NVIDIA Cards",
         description="Set up with the build of torch for CUDA: several gigabytes."
-        " This version of the engine works on the CPU with either build",
+        " Training there needs NVIDIA's CUDA toolkit as well",
     )
     wheels: StringProperty(
         name="Folder of Wheels",
@@ -59,7 +68,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         """The page in the preferences window."""
         layout = self.layout
         layout.use_property_split = True
-        for name in ("engine_python", "threads", "cache", "preview_seconds"):
+        for name in ("engine_python", "device", "threads", "cache", "preview_seconds"):
             layout.prop(self, name)
         _draw_engine(layout.box().column())
 

@@ -54,7 +54,7 @@ def load(path: Path) -> dict[str, Box]:
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise AddonError(f"{path} cannot be read ({error}).") from error
     records = document.get("rois") if isinstance(document, dict) else document
     if not isinstance(records, list) or not records:
@@ -63,7 +63,7 @@ def load(path: Path) -> dict[str, Box]:
     for number, record in enumerate(records, start=1):
         try:
             name, box = str(record["name"]), _from_dict(record)
-        except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, np.linalg.LinAlgError) as error:
             raise AddonError(f"ROI {number} of {path} is no box ({error}).") from error
         if name in boxes:
             raise AddonError(f"Two ROIs of {path} are named «{name}». Give each its own name.")
@@ -94,7 +94,7 @@ def _from_dict(record: dict[str, Any]) -> Box:
     if matrix.shape != (4, 4) or half.shape != (3,) or not (half > 0).all():
         raise ValueError("it needs a 4 x 4 matrix and three half extents above 0")
     rotation = matrix[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+    if not np.isfinite(matrix).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
         raise ValueError("its matrix is no rotation and translation")
     return Box(world_to_box=matrix, half_extents=half)
 
@@ -179,16 +179,25 @@ def to_dict(roi: bpy.types.Object, scene: bpy.types.Scene) -> dict[str, Any]:
     Raises:
         AddonError: it is no box, or its name cannot be that of a file.
     """
+    box = lookup.box(roi, scene)
+    return {
+        "name": file_name(roi),
+        "world_to_box": box.world_to_box.tolist(),
+        "half_extents": box.half_extents.tolist(),
+    }
+
+
+def file_name(roi: bpy.types.Object) -> str:
+    """The box's name, which is also that of its files; a .blend may come from anybody.
+
+    Raises:
+        AddonError: it cannot be that.
+    """
     if any(c in FORBIDDEN for c in roi.name) or not roi.name.strip(" ."):
         raise AddonError(
             f'«{roi.name}» cannot name a file. Rename the ROI without / \\ : * ? " < > |'
         )
-    box = lookup.box(roi, scene)
-    return {
-        "name": roi.name,
-        "world_to_box": box.world_to_box.tolist(),
-        "half_extents": box.half_extents.tolist(),
-    }
+    return roi.name
 
 
 def box_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:

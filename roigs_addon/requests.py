@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,9 @@ def run_folder(scene: bpy.types.Scene) -> Path:
     if bpy.data.filepath:
         blend = Path(bpy.data.filepath)
         return blend.with_name(f"{blend.stem}_roigs")
-    return preferences.cache_folder() / "unsaved" / _plain(scene.roigs.colmap or scene.name)
+    name = scene.roigs.colmap or scene.name
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]  # many projects' folders are called alike
+    return preferences.cache_folder() / "unsaved" / f"{_plain(name)}-{mark}"
 
 
 def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
@@ -88,6 +91,7 @@ def write_training_request(
         "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
         "preview_seconds": preview_seconds,
+        "device": getattr(preferences.get(), "device", "auto"),
         "update": True,
     }
     if any(len(roi.roigs.selection) for roi in rois):
@@ -126,7 +130,7 @@ def _write_selections(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> P
     for roi in rois:
         if len(roi.roigs.selection):
             names = [item.name for item in roi.roigs.selection]
-            (folder / f"{roi.name}.json").write_text(
+            (folder / f"{regions.file_name(roi)}.json").write_text(
                 json.dumps({"roi": roi.name, "names": names}, ensure_ascii=False),
                 encoding="utf-8",
             )

@@ -7,18 +7,17 @@ checkpoint written, 130 interrupted at once.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
-from .errors import ConfigError, EngineError, Stopped
+from .commands.request_file import with_request_file
+from .errors import EngineError, Stopped
 from .events import Done, Failed
-from .files import read_json
 
 COMMANDS: dict[str, ModuleType] = {
     "inspect": inspect,
@@ -63,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     console = Console(json_lines=args.events)
     try:
-        args = _with_request_file(parser, commands[args.command], args, argv)
+        args = with_request_file(parser, commands[args.command], args, argv)
         console.watch()
         outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
@@ -77,6 +76,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = f"`{args.command}` needs {error.name}, which this Python lacks ({sys.executable})."
         console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
+    except (OSError, MemoryError, RuntimeError) as error:
+        failed = _in_words(error)
+        if failed is None:
+            raise
+        console.emit(failed)
+        return 2
     except Stopped:
         console.emit(Done(outputs={}, stopped=True))
         return STOPPED
@@ -86,46 +91,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.close_bar()
 
 
-def _with_request_file(
-    parser: argparse.ArgumentParser,
-    command: argparse.ArgumentParser,
-    args: argparse.Namespace,
-    argv: Sequence[str] | None,
-) -> argparse.Namespace:
-    """When the scene is a request file, its values become defaults; given options still win."""
-    path = getattr(args, "scene", None)
-    if not isinstance(path, Path) or path.suffix.lower() != ".json" or args.command == "render":
-        return args
-    request = read_json(path)
-    if not isinstance(request, dict) or not isinstance(request.get("scene"), str):
-        raise ConfigError(f"The request {path} names no scene.", 'It needs "scene": "FOLDER".')
-    options = {action.dest: action for action in command._actions}
-    values: dict[str, Any] = {}
-    for key, value in request.items():
-        name = key.replace("-", "_")
-        if name not in options or name == "help":
-            known = ", ".join(sorted(set(options) - {"help"}))
-            raise ConfigError(f"The request {path} has an unknown key «{key}».", f"Known: {known}.")
-        values[name] = _typed(options[name], value, f"«{key}» in {path}")
-    scene = values.pop("scene")
-    command.set_defaults(**values)
-    args = parser.parse_args(argv)
-    args.scene = scene
-    return args
-
-
-def _typed(option: argparse.Action, value: Any, where: str) -> Any:
-    """A request's value as the option would have parsed it."""
-    try:
-        if isinstance(value, list):
-            return [option.type(item) if callable(option.type) else item for item in value]
-        typed = option.type(value) if callable(option.type) and value is not None else value
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{where} is {value!r}, which it cannot be.") from error
-    if option.choices is not None and typed not in option.choices:
-        allowed = ", ".join(str(choice) for choice in option.choices)
-        raise ConfigError(f"{where} is {value!r}.", f"Use one of {allowed}.")
-    return typed
+def _in_words(error: Exception) -> Failed | None:
+    """What the system refused, where no command has words of its own; None for faults of ours."""
+    if isinstance(error, OSError) and error.filename is not None:
+        name = f"{os.fsdecode(error.filename):.200}"
+        return Failed(message=f"Cannot use {name!r} ({error.strerror}).", hint="Choose another.")
+    # torch says it in a RuntimeError.
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+        hint = "Use smaller photos (--max-side), smaller pictures, or a computer with more."
+        return Failed(message="The memory does not suffice for this.", hint=hint)
+    return None
 
 
 def entry() -> None:

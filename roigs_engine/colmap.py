@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .colmap_files import NO_IDS, Model, count_images, model_suffix, read_model
-from .colmap_photos import FAR, UNPOSED, PhotoLoader, Shrink, photo_name
+from .colmap_files import MAX_SIDE, NO_IDS, Model, count_images, model_suffix, read_model
+from .colmap_photos import UNPOSED, PhotoLoader, Shrink, photo_name
 from .errors import ConfigError, SceneError
 from .events import Check, Emit, Message, go_on, ignore
 from .photo_files import PhotoFolder, find_photos
-from .scene import Float64, Int64, SfmScene
+from .scene import FAR, Float64, Int64, SfmScene
 
 
 def load_colmap(
@@ -94,7 +94,7 @@ def find_model(path: Path, emit: Emit = ignore) -> Path:
         raise SceneError(f"{path} is not a folder.", "Give the project's folder.")
     found: list[Path] = []
     for parent in (path / "sparse", path):
-        numbered = [child for child in _children(parent) if child.name.isdigit()]
+        numbered = [child for child in _children(parent) if child.name.isdecimal()]
         found += [*sorted(numbered, key=lambda child: int(child.name)), parent]
     counts = {folder: count_images(folder) for folder in found if model_suffix(folder)}
     if not counts:
@@ -126,7 +126,7 @@ def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
     """The function from a photo's (width, height) to those wanted."""
     if downscale is not None and not 1 <= downscale < 1e6:
         raise ConfigError(f"downscale is {downscale:g}.", "Give a number of at least 1.")
-    if max_side is not None and max_side < 1:
+    if max_side is not None and not 1 <= max_side <= MAX_SIDE:
         raise ConfigError(f"max_side is {max_side}.", "Give a number of pixels.")
 
     def shrink(width: int, height: int) -> tuple[int, int]:

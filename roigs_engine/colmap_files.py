@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .errors import SceneError
 from .events import Check, go_on
-from .scene import Float64, Int64
+from .scene import FAR, Float64, Int64
 
 T = TypeVar("T")
 
@@ -45,6 +45,11 @@ CAMERA_MODELS = (
     ("EQUIRECTANGULAR", 2),
 )
 PARAMETER_COUNT = dict(CAMERA_MODELS)
+# Models whose parameters begin with one focal length; of the others' two, fx and fy.
+ONE_FOCAL = {
+    *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "SIMPLE_RADIAL_FISHEYE", "SIMPLE_DIVISION"),
+    *("SIMPLE_FISHEYE", "RADIAL", "RADIAL_FISHEYE"),
+}
 MAX_SIDE = 1 << 20  # pixels; a larger camera is a damaged file
 NO_IDS = np.empty(0, dtype=np.int64)
 HINT_DAMAGED = "The file is damaged or unfinished: export the model again."
@@ -52,6 +57,8 @@ HINT_DAMAGED = "The file is damaged or unfinished: export the model again."
 POINT_HEAD = np.dtype(
     [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
 )
+ROWS_AT_ONCE = 1 << 14  # rows whose bytes are gathered at a time: the index takes 8 bytes for each
+SMALLEST_IMAGE = 73  # bytes of one photo of images.bin, its name of no letter and unseeing
 OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
 
 
@@ -151,7 +158,8 @@ def count_images(folder: Path) -> int:
     try:
         if path.suffix == ".bin":
             with path.open("rb") as file:
-                return int(struct.unpack("<Q", file.read(8))[0])
+                number = int(struct.unpack("<Q", file.read(8))[0])
+            return number if number * SMALLEST_IMAGE <= path.stat().st_size else 0
         return sum(1 for _ in _image_lines(path.read_bytes()))
     except (OSError, struct.error):
         return 0
@@ -179,7 +187,8 @@ def _camera(model: str, width: int, height: int, params: tuple[float, ...]) -> M
         raise ValueError(f"{model} camera with {len(params)} parameters")
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
         raise ValueError(f"camera of {width} x {height} pixels")
-    if not np.isfinite(params).all() or params[0] <= 0:
+    focals = params[: 1 if model in ONE_FOCAL else 2]
+    if not (np.abs(params) < FAR).all() or min(focals) <= 0:  # nor is it for NaN
         raise ValueError(f"{model} camera with parameters {params}")
     return ModelCamera(model=model, width=width, height=height, params=params)
 
@@ -214,7 +223,7 @@ def _cameras_bin(data: bytes) -> dict[int, ModelCamera]:
 
 
 def _images_bin(data: bytes, check: Check) -> list[ModelImage]:
-    number, offset = _count(data, 0, 73)
+    number, offset = _count(data, 0, SMALLEST_IMAGE)
     images = []
     for _ in range(number):
         check()
@@ -262,16 +271,25 @@ def _points_bin(data: bytes, tracks: bool, check: Check) -> Points:
     if offset > len(data):
         raise ValueError(f"it ends after {len(data)} bytes, {number} records announced")
     raw = np.frombuffer(data, dtype=np.uint8)
-    heads = raw[starts[:, None] + np.arange(size)].reshape(-1).view(POINT_HEAD)
+    heads = _gather(raw, starts, size).view(POINT_HEAD)
     ids, points, colors = heads["id"].copy(), heads["xyz"].copy(), heads["rgb"].copy()
     if not tracks:
         return ids, points, colors, NO_IDS, NO_IDS
     lengths = heads["length"].astype(np.int64)
-    # One (T, 4) gather of the tracks' bytes: the image id is the first uint32 of each pair.
+    # The image id is the first uint32 of each pair of a track.
     first = np.repeat(starts + size - 8 * (np.cumsum(lengths) - lengths), lengths)
     at = first + 8 * np.arange(lengths.sum())
-    viewers = raw[at[:, None] + np.arange(4)].reshape(-1).view("<u4").astype(np.int64)
+    viewers = _gather(raw, at, 4).view("<u4").astype(np.int64)
     return ids, points, colors, np.repeat(np.arange(number), lengths), viewers
+
+
+def _gather(raw: NDArray[np.uint8], starts: Int64, size: int) -> NDArray[np.uint8]:
+    """The `size` bytes at each of the (N,) `starts`, after one another."""
+    gathered = np.empty((len(starts), size), dtype=np.uint8)
+    for row in range(0, len(starts), ROWS_AT_ONCE):
+        rows = slice(row, row + ROWS_AT_ONCE)
+        gathered[rows] = raw[starts[rows, None] + np.arange(size)]
+    return gathered.reshape(-1)
 
 
 # --- text -----------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from .errors import RunFolderError, SceneError
 from .events import Check, Emit, StageStarted, go_on, ignore, step_done
 from .photo_files import PhotoFolder
 from .photo_headers import PhotoError, photo_size
-from .scene import Camera, Float64, PosedImage
+from .scene import FAR, Camera, Float64, PosedImage
 from .undistort import (
     Plan,
     as_pinhole,
@@ -34,7 +34,6 @@ WRONG_SIZE = "wrong size"
 UNREADABLE = "unreadable"
 NO_CAMERA = "without a camera"
 DUPLICATE = "twice in the model"
-FAR = 1e15  # world units; larger coordinates are damage, and their squares overflow float32
 Shrink = Callable[[int, int], tuple[int, int]]
 
 

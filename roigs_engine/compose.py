@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,7 +20,7 @@ def owners(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
 
     Where boxes overlap, the one whose centre is nearest in box units owns the Gaussian.
     """
-    centres = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    centres = gaussians.means.detach().cpu().double().numpy()
     return torch.from_numpy(nearest_owner(centres, list(rois))).to(gaussians.means.device)
 
 

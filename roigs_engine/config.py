@@ -18,6 +18,7 @@ from .selection import SelectionConfig
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
+MAX_FACTOR = 1000  # of the steps: a larger one is a slip of the finger
 COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
 
 
@@ -39,6 +40,7 @@ class TrainConfig:
         box_margin: for densification and its limits, boxes are so many times larger: what stands
             close around an object fills much of its silhouette.
         box_capacity: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
+        box_grad_threshold: takes the place of `grad_threshold` in the boxes; 0: the same there.
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
@@ -68,6 +70,7 @@ class TrainConfig:
     densify_in_boxes: bool = False
     box_margin: float = 1.0
     box_capacity: float = 0.0
+    box_grad_threshold: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
@@ -131,6 +134,8 @@ class RunConfig:
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        if not 0 <= self.seed < 1 << 32:
+            raise ConfigError(f"The seed is {self.seed}.", "Use a number from 0 to 4294967295.")
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
                 "roi_init «box» throws the surroundings away, which `joint` needs.",
@@ -148,8 +153,10 @@ class RunConfig:
 
     def scaled(self, factor: float) -> RunConfig:
         """Both stages with their steps multiplied, see `with_steps`."""
-        if not factor > 0:
-            raise ConfigError(f"The step factor is {factor:g}.", "Use a number above 0.")
+        if not 0 < factor <= MAX_FACTOR:
+            raise ConfigError(
+                f"The step factor is {factor:g}.", f"Use a number above 0, {MAX_FACTOR} at most."
+            )
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
         return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
 
@@ -164,6 +171,10 @@ class RunConfig:
             densify_until=self.total_steps // 2,
             lr_means_final=TrainConfig.lr_means_final,
         )
+
+    def matched_baseline(self) -> TrainConfig:
+        """The baseline, densified in the boxes as readily as the ROI stage is."""
+        return replace(self.baseline(), box_grad_threshold=self.roi.grad_threshold)
 
     def in_strategy(self, strategy: str) -> RunConfig:
         """The same steps, tests and seed in another strategy: the paper's own or `standard`'s."""

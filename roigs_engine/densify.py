@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from .config import TrainConfig
 from .gaussians import Gaussians
-from .roi import OrientedBox, nearest_owner
+from .roi import OrientedBox
 
 SPLIT_SHRINK = 1.6  # 3DGS: children of a split have their scales divided by this
 VISIBLE_WEIGHT = 1 / 255  # alpha x T below which a Gaussian cannot change an 8-bit pixel
@@ -38,9 +37,9 @@ class DensityStats:
     weight: Tensor
 
     @classmethod
-    def zeros(cls, count: int) -> DensityStats:
+    def zeros(cls, count: int, device: torch.device | None = None) -> DensityStats:
         """Statistics of `count` Gaussians that nothing has seen."""
-        return cls(*(torch.zeros(count) for _ in range(3)))
+        return cls(*(torch.zeros(count, device=device) for _ in range(3)))
 
     def add(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
         """Take one training view in; all arguments (N,)."""
@@ -55,7 +54,7 @@ class DensityStats:
 
     def after(self, rows: Tensor) -> DensityStats:
         """Statistics for edited Gaussians: gradients start anew, weights follow their rows."""
-        fresh = DensityStats.zeros(len(rows))
+        fresh = DensityStats.zeros(len(rows), rows.device)
         fresh.weight = torch.where(rows >= 0, self.weight[rows.clamp(min=0)], torch.inf)
         return fresh
 
@@ -78,9 +77,22 @@ class Edit:
 
 
 def box_owner(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
-    """(N,) index of the box that owns each Gaussian's centre, -1 for none."""
-    centres = gaussians.means.detach().cpu().numpy().astype(np.float64)
-    return torch.from_numpy(nearest_owner(centres, list(rois)))
+    """(N,) index of the box that owns each Gaussian's centre, -1 for none.
+
+    `roi.nearest_owner` on the model's device.
+    """
+    centres = gaussians.means.detach().double()
+    owner = torch.full((len(centres),), -1, device=centres.device)
+    best = torch.full_like(centres[:, 0], torch.inf)
+    for index, roi in enumerate(rois):
+        pose = torch.from_numpy(roi.world_to_box).to(centres)
+        half_extents = torch.from_numpy(roi.half_extents).to(centres)
+        local = (centres @ pose[:3, :3].T + pose[:3, 3]) / half_extents
+        distance = local.norm(dim=1)
+        mine = (local.abs() <= 1).all(dim=1) & (distance < best)
+        owner[mine] = index
+        best = torch.where(mine, distance, best)
+    return owner
 
 
 def size_reference(
@@ -90,7 +102,7 @@ def size_reference(
 
     A close-up's own extent is never used: it would split or delete the background.
     """
-    reference = torch.full((len(gaussians),), extent)
+    reference = torch.full((len(gaussians),), extent, device=gaussians.means.device)
     if config.densify_in_boxes:
         owner = box_owner(gaussians, rois)
         for index, roi in enumerate(rois):
@@ -109,15 +121,18 @@ def choose(
 
     Args:
         gaussians, stats, config: as trained so far.
-        rois: the boxes, when `config.densify_in_boxes`.
+        rois: the boxes, when the config has rules for them.
         capacities: most Gaussians each box may hold; the largest gradients win. None: no limit.
     """
     gradient = stats.mean_gradient()
     chosen = gradient > config.grad_threshold
-    if not config.densify_in_boxes:
+    if not (config.densify_in_boxes or config.box_grad_threshold or capacities):
         return chosen
     owner = box_owner(gaussians, rois)
-    chosen &= owner >= 0
+    if config.box_grad_threshold:
+        chosen = torch.where(owner >= 0, gradient > config.box_grad_threshold, chosen)
+    if config.densify_in_boxes:
+        chosen &= owner >= 0
     for index, capacity in enumerate(capacities or ()):
         mine = torch.nonzero(chosen & (owner == index)).flatten()
         room = max(0, capacity - int((owner == index).sum()))
@@ -147,14 +162,15 @@ def grow(
     parents = torch.nonzero(chosen & large).flatten().repeat(2)
     children = _children(gaussians.rows(parents), rng)
     edited = Gaussians.concatenate([gaussians.rows(torch.cat([kept, clones])), children])
-    newborn = torch.full((len(clones) + len(parents),), -1, dtype=torch.int64)
+    newborn = kept.new_full((len(clones) + len(parents),), -1)
     return Edit(gaussians=edited, rows=torch.cat([kept, newborn]))
 
 
 def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
     """Each parent moved to a sample of itself and shrunk."""
     scales = parents.log_scales.exp()
-    offsets = torch.randn(scales.shape, generator=rng) * scales
+    # drawn on the CPU: the same numbers on every device
+    offsets = torch.randn(scales.shape, generator=rng).to(scales.device) * scales
     means = parents.means + (rotation_matrices(parents.quats) @ offsets[..., None])[..., 0]
     values = parents.tensors()
     values["means"] = means
@@ -189,7 +205,8 @@ def keep_rows(edit: Edit, keep: Tensor) -> Edit:
 
 def unchanged(gaussians: Gaussians) -> Edit:
     """The edit that changes nothing."""
-    return Edit(gaussians=gaussians, rows=torch.arange(len(gaussians)))
+    rows = torch.arange(len(gaussians), device=gaussians.means.device)
+    return Edit(gaussians=gaussians, rows=rows)
 
 
 def morton_order(means: Tensor) -> Tensor:
@@ -198,13 +215,22 @@ def morton_order(means: Tensor) -> Tensor:
     Neighbours in space become neighbours in memory, which the kernels' caches like. 10 bits an axis
     between the 1st and 99th percentile: a few far Gaussians must not use the resolution up.
     """
-    points = means.detach().cpu().numpy().astype(np.float64)
+    points = means.detach().double()
     if len(points) == 0:
-        return torch.zeros(0, dtype=torch.int64)
-    low, high = np.percentile(points, [1, 99], axis=0)
-    unit = np.clip((points - low) / np.maximum(high - low, 1e-12), 0, 1)
-    cell = (unit * 1023).astype(np.uint64)
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
+    low, high = _percentile(points, 0.01), _percentile(points, 0.99)
+    unit = ((points - low) / (high - low).clamp(min=1e-12)).clamp(0, 1)
+    cell = (unit * 1023).long()
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
-    code = cell[:, 0] | (cell[:, 1] << np.uint64(1)) | (cell[:, 2] << np.uint64(2))
-    return torch.from_numpy(np.argsort(code, kind="stable"))
+        cell = (cell | (cell << shift)) & mask
+    code = cell[:, 0] | (cell[:, 1] << 1) | (cell[:, 2] << 2)
+    return torch.argsort(code, stable=True)
+
+
+def _percentile(points: Tensor, share: float) -> Tensor:
+    """(N, 3) -> (3,) value below which this share of each column lies, between two rows."""
+    position = share * (len(points) - 1)
+    lower, upper = (
+        points.kthvalue(int(k) + 1, dim=0).values for k in (position, -(-position // 1))
+    )
+    return lower + (upper - lower) * (position % 1)

@@ -122,4 +122,6 @@ def to_json(event: Event) -> str:
     for key, value in dataclasses.asdict(event).items():
         missing = isinstance(value, float) and not math.isfinite(value)
         record[key] = None if missing else value
-    return json.dumps(record, ensure_ascii=False, allow_nan=False)
+    line = json.dumps(record, ensure_ascii=False, allow_nan=False)
+    # A file name that is no UTF-8 comes with surrogates, which no stream could write.
+    return line.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -43,7 +43,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text under `path`, whole or not at all."""
     with atomic_write(path) as file:
-        file.write(text.encode("utf-8"))
+        # Names on disk that are no UTF-8 come with surrogates, written as JSON writes them.
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -61,5 +62,5 @@ def read_json(path: Path) -> Any:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RunFolderError(f"{path} is not JSON ({error}).") from error

@@ -69,8 +69,12 @@ class Gaussians:
 
     def in_box(self, roi: OrientedBox) -> Tensor:
         """(N,) bool: whose centre lies inside the box."""
-        centres = self.means.detach().cpu().numpy().astype(np.float64)
+        centres = self.means.detach().cpu().double().numpy()
         return torch.from_numpy(roi.contains(centres))
+
+    def to(self, device: torch.device) -> Gaussians:
+        """The Gaussians on a device; shared where they are there already."""
+        return Gaussians(**{name: t.to(device) for name, t in self.tensors().items()})
 
     @staticmethod
     def concatenate(parts: list[Gaussians]) -> Gaussians:

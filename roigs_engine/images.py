@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from .photo_headers import unreadable
+from .photo_headers import open_photo, unreadable
 from .scene import PosedImage
 
 Pixels = NDArray[np.uint8]
@@ -26,8 +26,6 @@ Pixels = NDArray[np.uint8]
 # A JPEG is decoded at a fraction of its size only where this factor is left for the resampling.
 GAP = 2.0
 FALLBACK_MEMORY = 8 << 30  # bytes, where the machine does not tell
-# What Pillow raises on files it cannot decode.
-DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError)
 
 
 def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
@@ -39,13 +37,15 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
         PhotoError: the file is missing or cannot be decoded; names it.
     """
     try:
-        with Image.open(path) as photo:
+        with open_photo(path) as photo:
             full = photo.size
             if size is not None:
                 photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
             shrink = _draft_factor(full, photo.size)
             rgb = _to_rgb(photo)
-    except DECODE_ERRORS as error:
+    except MemoryError:
+        raise
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise unreadable(path, error) from error
     if size is not None and rgb.size != size:
         # The last column and row of a draft may reach past the photo: leave that share out.
@@ -71,11 +71,14 @@ def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
 def _to_rgb(photo: Image.Image) -> Image.Image:
     """The photo as 8-bit RGB."""
     if photo.mode == "I" or photo.mode.startswith("I;16"):
-        values = np.asarray(photo).astype(np.int64)
+        values = np.asarray(photo)
         grey = values >> 8 if values.max(initial=0) > 255 else values
         return Image.fromarray(grey.clip(0, 255).astype(np.uint8)).convert("RGB")
     if photo.mode in ("P", "PA"):
         return photo.convert("RGBA").convert("RGB")
+    if photo.mode == "RGB":  # no second copy of a large photo
+        photo.load()
+        return photo
     return photo.convert("RGB")
 
 

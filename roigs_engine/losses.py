@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from .cuda.library import fused_ssim
 from .errors import EngineError
 from .kernels import library
 
@@ -23,7 +24,7 @@ WINDOW_RADIUS = 5
 WINDOW_SIGMA = 1.5
 C1 = 0.01**2
 C2 = 0.03**2
-BACKENDS = ("auto", "cpu", "reference")
+BACKENDS = ("auto", "cpu", "fused", "reference")
 
 
 class LossOutput(NamedTuple):
@@ -52,8 +53,9 @@ def photo_loss(
         weights: how much each pixel counts in both terms, not negative; None: all the same. They
             are divided by their sum. The SSIM of a pixel still looks at all pixels around it.
             Where all are zero, so is the loss.
-        backend: "cpu" (compiled kernel: float32 on the CPU), "reference" (plain torch, any dtype
-            and device), or "auto", the first where it can be used.
+        backend: "cpu" (compiled kernel: float32 on the CPU), "fused" (the package fused-ssim:
+            float32 on an NVIDIA card, no weights), "reference" (plain torch, any dtype and device),
+            or "auto", the first of them that can be used.
 
     Raises:
         EngineError: shapes or types that do not fit, or an unknown backend.
@@ -63,9 +65,11 @@ def photo_loss(
     _check(planes, target, weights)
     native = planes.dtype == torch.float32 and planes.device.type == "cpu"
     if backend == "auto":
-        backend = "cpu" if native else "reference"
+        backend = "cpu" if native else _without_kernel(planes, weights)
     if backend == "reference":
         return _reference(planes, target, ssim_weight, weights)
+    if backend == "fused":
+        return _fused(planes, target, ssim_weight)
     if backend != "cpu":
         raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
     if not native:
@@ -102,6 +106,24 @@ def _reference(
         l1, dissimilarity = (share * error).sum(), (share * difference).sum()
     loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
     return LossOutput(loss, l1.detach(), 1 - dissimilarity.detach())
+
+
+def _without_kernel(image: Tensor, weights: Tensor | None) -> str:
+    """The backend for what the compiled kernel does not take."""
+    suits = image.device.type == "cuda" and image.dtype == torch.float32 and weights is None
+    return "fused" if suits and fused_ssim() is not None else "reference"
+
+
+def _fused(image: Tensor, target: Tensor, ssim_weight: float) -> LossOutput:
+    """With the mean SSIM of fused-ssim, whose window, borders and constants are those above."""
+    ssim = fused_ssim()
+    if ssim is None:
+        raise EngineError("photo_loss: fused-ssim is not installed.", "Use another backend.")
+    x = image.permute(2, 0, 1)[None].contiguous()
+    t = _unit_values(target, image.dtype).permute(2, 0, 1)[None].contiguous()
+    similarity, l1 = ssim(x, t), (x - t).abs().mean()
+    loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - similarity)
+    return LossOutput(loss, l1.detach(), similarity.detach())
 
 
 class _KernelLoss(torch.autograd.Function):

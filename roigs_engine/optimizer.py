@@ -6,6 +6,9 @@ Two rules keep a step's cost in proportion to the view and not to the scene:
 * There is no dense gradient. Either each parameter's `.grad` is allocated once, as zeros, the
   rasterizer's backward pass adds to the rows of visible Gaussians in place, and `VisibleAdam.step`
   consumes these rows and zeroes them. Or, `fused`, that backward pass takes the step itself.
+
+On an NVIDIA card a gradient is dense in any case: there the one that the backward pass has made is
+taken as it is, and dropped after the step.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .cuda.library import has_triton
 from .errors import EngineError
 from .kernels import library
 
@@ -54,7 +58,8 @@ class VisibleAdam:
         exp_avg: first moments by name, shaped as the parameters.
         exp_avg_sq: second moments by name.
         step_count: how many steps were taken.
-        skipped_rows: rows so far that were not updated because their gradient was not finite.
+        skipped_rows: rows so far that were not updated because their gradient was not finite; a
+            tensor on devices where reading it would be waiting for them.
     """
 
     def __init__(
@@ -66,28 +71,28 @@ class VisibleAdam:
         backend: str = "auto",
         fused: bool = False,
     ) -> None:
-        """Begin with zero moments, and allocate `.grad` of every parameter unless `fused`.
+        """Begin with zero moments; allocate `.grad` of every parameter, unless fused or "triton".
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
                 a tensor with one number per element of a row, (48,) for sh (N, 16, 3).
             betas: decay of the two moments.
             eps: added to the root of the second moment.
-            backend: "cpu" (compiled kernel: float32 on the CPU), "reference" (plain torch), or
-                "auto", the first where it can be used.
+            backend: "cpu" (compiled kernel: float32 on the CPU), "triton" (float32 on an NVIDIA
+                card), "reference" (plain torch), or "auto", the first that can be used.
             fused: see the class; with the compiled kernel only.
 
         Raises:
             EngineError: rows, rates or strides that do not fit.
         """
-        if backend not in ("auto", "cpu", "reference"):
+        if backend not in ("auto", "cpu", "triton", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
         self.betas, self.eps, self.backend, self.fused = betas, eps, backend, fused
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
         self.step_count = 0
-        self.skipped_rows = 0
+        self.skipped_rows: int | Tensor = 0
         self._rates: dict[str, Tensor] = {}
         self._adopt({name: tensor for name, (tensor, _) in parameters.items()})
         for name, (tensor, rate) in parameters.items():
@@ -101,21 +106,27 @@ class VisibleAdam:
             self._rates[name].fill_(rate)
             return
         parameter = self.parameters[name]
-        given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         width = parameter.shape[1:].numel()
+        if isinstance(rate, float):  # filled in there: no copy to a device to wait for
+            self._rates[name] = torch.full(
+                (width,), rate, dtype=torch.float32, device=parameter.device
+            )
+            return
+        given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         if given.numel() not in (1, width):
             raise EngineError(f"{name}: {given.numel()} learning rates for {width} columns.")
         self._rates[name] = given.expand(width).to(parameter.device, copy=True).contiguous()
 
     @torch.no_grad()
-    def step(self, visible: Tensor) -> int:
+    def step(self, visible: Tensor) -> int | Tensor:
         """Update the visible rows of all parameters by their gradient, and zero that gradient.
 
         Args:
             visible: (N,) bool. The gradient of all other rows has to be zero and is left alone.
 
         Returns:
-            How many rows were skipped (and their gradient zeroed) because of a NaN or an infinity.
+            How many rows were skipped (and their gradient zeroed) because of a NaN or an infinity,
+            as `skipped_rows`.
 
         Raises:
             EngineError: `visible` does not fit the parameters.
@@ -126,14 +137,13 @@ class VisibleAdam:
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
-        native = all(
-            p.dtype == torch.float32 and p.device.type == "cpu" for p in self.parameters.values()
-        )
-        if self.backend == "cpu" or (self.backend == "auto" and native):
+        backend = self._backend()
+        if backend == "cpu":
             on = visible.contiguous()
             return self.step_by(lambda adam: _kernel()(len(on), adam, library.pointer(on)))
         self.step_count += 1
-        skipped = sum(self._reference_step(name, visible) for name in self.parameters)
+        step = self._triton_step if backend == "triton" else self._reference_step
+        skipped: int | Tensor = sum(step(name, visible) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
 
@@ -156,8 +166,37 @@ class VisibleAdam:
         self.skipped_rows += skipped
         return skipped
 
-    def _reference_step(self, name: str, visible: Tensor) -> int:
-        """The same step in plain torch, on all rows with a mask; the kernel is tested by it."""
+    def _backend(self) -> str:
+        """What is used for the parameters: they are all of one kind."""
+        first = next(iter(self.parameters.values()))
+        if self.backend != "auto" or first.dtype != torch.float32:
+            return "reference" if self.backend == "auto" else self.backend
+        if first.device.type == "cuda" and has_triton():
+            return "triton"
+        return "cpu" if first.device.type == "cpu" else "reference"
+
+    def _triton_step(self, name: str, visible: Tensor) -> Tensor | int:
+        from .cuda import adam
+
+        parameter, gradient = self.parameters[name], self.parameters[name].grad
+        if gradient is None:
+            return 0
+        skipped = adam.step(
+            parameter,
+            gradient,
+            self.exp_avg[name],
+            self.exp_avg_sq[name],
+            visible,
+            self._rates[name],
+            self.betas,
+            self.eps,
+            self.step_count,
+        )
+        parameter.grad = None
+        return skipped
+
+    def _reference_step(self, name: str, visible: Tensor) -> Tensor:
+        """The same step in plain torch, on all rows with a mask; the others are tested by it."""
         parameter, gradient = self.parameters[name], self.parameters[name].grad
         mean, square = self.exp_avg[name], self.exp_avg_sq[name]
         assert gradient is not None, "the buffer is allocated here"
@@ -174,7 +213,7 @@ class VisibleAdam:
         change = rate * mean / (1 - beta1**self.step_count) / denominator
         parameter.copy_(torch.where(on, parameter - change, parameter))
         gradient.copy_(torch.where(visible.view(row), 0, gradient))
-        return int((visible & ~finite).sum())
+        return (visible & ~finite).sum()
 
     @torch.no_grad()
     def replace(self, parameters: Mapping[str, Tensor], rows: Tensor) -> None:
@@ -214,15 +253,15 @@ class VisibleAdam:
     def permute(self, order: Tensor) -> None:
         """Reorder parameters, gradients and moments in place: new row i is old row order[i]."""
         for name, parameter in self.parameters.items():
-            for tensor in (parameter, parameter.grad, self.exp_avg[name], self.exp_avg_sq[name]):
-                if tensor is not None:
-                    tensor.copy_(tensor[order])
+            gradient = () if parameter.grad is None else (parameter.grad,)
+            for tensor in (parameter, *gradient, self.exp_avg[name], self.exp_avg_sq[name]):
+                tensor.copy_(tensor[order])
 
     def state_dict(self) -> dict[str, Any]:
         """Step count, moments and learning rates; tensors are shared, not copied."""
         return {
             "step_count": self.step_count,
-            "skipped_rows": self.skipped_rows,
+            "skipped_rows": int(self.skipped_rows),
             "exp_avg": dict(self.exp_avg),
             "exp_avg_sq": dict(self.exp_avg_sq),
             "rates": dict(self._rates),
@@ -250,8 +289,10 @@ class VisibleAdam:
             if not tensor.is_leaf or not tensor.is_contiguous():
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
-            tensor.grad = None if self.fused else torch.zeros_like(tensor)
             self.parameters[name] = tensor
+        without = self.fused or self._backend() == "triton"
+        for tensor in parameters.values():
+            tensor.grad = None if without else torch.zeros_like(tensor)
 
 
 def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:

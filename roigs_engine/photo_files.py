@@ -33,7 +33,9 @@ class PhotoFolder:
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             for name in sorted(names):
                 path = Path(parent, name)
-                if path.suffix.lower() in EXTENSIONS and not name.startswith("."):
+                if path.suffix.lower() not in EXTENSIONS or name.startswith("."):
+                    continue
+                if path.is_file():  # not a pipe or a device, which could be read for ever
                     files[path.relative_to(self.folder).as_posix()] = path
         return files
 
@@ -56,6 +58,8 @@ class PhotoFolder:
             if parts.is_absolute() or ".." in parts.parts or "\0" in spelling:
                 return None
             path = self.folder / spelling
+            if not path.is_relative_to(self.folder):  # a drive, on Windows
+                return None
             with contextlib.suppress(OSError):  # a name too long for the file system
                 if path.is_file():
                     return path

@@ -1,20 +1,32 @@
 """The size of a photo from the first bytes of its file, without decoding it.
 
 JPEG and PNG, which nearly all photos are, are read here: looking at a scene needs no Pillow.
+Where Pillow opens a photo, it is told which kinds there may be: left to itself it looks at the
+content alone, and would start Ghostscript for an EPS file that is called «photo.jpg».
 """
 
 from __future__ import annotations
 
 import struct
+import warnings
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from .errors import SceneError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
 # JPEG markers: those that hold the frame's size, and those that have no length.
 FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 BARE = {0x01, *range(0xD0, 0xD8)}
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
+# A larger photo is a damaged header or a trap: the largest cameras of today have 150 megapixels,
+# and Pillow refuses what has more than 179.
+MAX_PIXELS = 178_000_000
+# What Pillow thinks of a photo's metadata is nothing that a person could act on.
+warnings.filterwarnings("ignore", module=r"PIL\.")
 
 
 class PhotoError(SceneError):
@@ -37,12 +49,24 @@ def photo_size(path: Path) -> tuple[int, int] | None:
             elif start.startswith(b"\xff\xd8"):
                 width, height = _jpeg_size(file)
             else:
-                return _size_by_pillow(path)
+                return _usable(path, _size_by_pillow(path))
     except (OSError, ValueError, struct.error) as error:
         raise unreadable(path, error) from error
-    if not (width and height):
-        raise unreadable(path, ValueError("it has no pixels"))
-    return width, height
+    return _usable(path, (width, height))
+
+
+def open_photo(path: Path) -> Image:
+    """The photo, opened by Pillow; whatever that raises on damaged files, its kinds are many."""
+    from PIL import Image
+
+    return Image.open(path, formats=FORMATS)
+
+
+def _usable(path: Path, size: tuple[int, int] | None) -> tuple[int, int] | None:
+    """The size; PhotoError when no photo has it."""
+    if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
+        raise unreadable(path, ValueError(f"it claims to have {size[0]} x {size[1]} pixels"))
+    return size
 
 
 def unreadable(path: Path, error: Exception) -> PhotoError:
@@ -77,11 +101,9 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
 
 def _size_by_pillow(path: Path) -> tuple[int, int] | None:
     try:
-        from PIL import Image
+        with open_photo(path) as photo:
+            return photo.size
     except ImportError:
         return None
-    try:
-        with Image.open(path) as photo:
-            return photo.size
-    except (SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise unreadable(path, error) from error

@@ -107,25 +107,34 @@ def _parse_header(path: Path, data: bytes) -> tuple[int, np.dtype[Any], int]:
     if not data.startswith(b"ply") or end is None:
         raise RunFolderError(f"{path} is not a PLY file.")
     count, in_vertex, form = -1, False, ""
-    fields: list[tuple[str, str]] = []
+    fields: dict[str, str] = {}
     for line in data[: end.start()].decode("ascii", "replace").splitlines():
         words = line.split()
         if words[:1] == ["format"]:
             form = " ".join(words[1:2])
         elif words[:1] == ["element"] and len(words) == 3:
             in_vertex = words[1] == "vertex"
-            if not in_vertex and count < 0:
-                raise RunFolderError(f"{path}: the vertex element must come first.")
+            if words[1] == "chunk":
+                raise RunFolderError(f"{path} is a compressed PLY.", "Save it uncompressed.")
+            if in_vertex == (count >= 0):
+                raise RunFolderError(f"{path}: one vertex element must come first.")
             if in_vertex:
-                count = int(words[2]) if words[2].isdigit() else -1
+                count = _count(path, words[2])
         elif words[:1] == ["property"] and in_vertex:
-            if len(words) != 3 or words[1] not in SCALARS or words[2] in dict(fields):
+            if len(words) != 3 or words[1] not in SCALARS or words[2] in fields:
                 raise RunFolderError(f"{path}: cannot read «{line.strip()}».")
-            fields.append((words[2], SCALARS[words[1]]))
+            fields[words[2]] = SCALARS[words[1]]
     if form != "binary_little_endian":
         raise RunFolderError(
             f"{path} is a PLY in the format «{form}».", "Save it as binary little-endian."
         )
     if count < 0 or not fields:
         raise RunFolderError(f"{path} has no vertex element.")
-    return count, np.dtype(fields), end.end()
+    return count, np.dtype(list(fields.items())), end.end()
+
+
+def _count(path: Path, word: str) -> int:
+    """The number of rows that a header announces."""
+    if not re.fullmatch("[0-9]{1,18}", word):
+        raise RunFolderError(f"{path}: «{word:.20}» is no number of vertices.")
+    return int(word)

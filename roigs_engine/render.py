@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
+from .cuda.memory import memory_explained, smaller
 from .errors import ConfigError
 from .events import Check, Emit, Preview, StageStarted, go_on, ignore, step_done
 from .files import atomic_write
@@ -63,20 +64,29 @@ def render_view(
     device = gaussians.means.device
     viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32, device=device)
-    output = rasterize(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.log_scales,
-        gaussians.logit_opacities,
-        gaussians.sh,
-        viewmat[None],
-        matrix[None],
-        camera.width,
-        camera.height,
-        raw=True,
-        background=background,
-        with_depth=with_depth,
-    )
+    size = camera.width, camera.height
+
+    def doing() -> str:
+        return f"drawing {len(gaussians):,} Gaussians at {size[0]}x{size[1]}"
+
+    def advice() -> str:
+        return f"Draw smaller pictures (--max-side {smaller(*size)}), or use --device cpu."
+
+    with memory_explained(doing, advice):
+        output = rasterize(
+            gaussians.means,
+            gaussians.quats,
+            gaussians.log_scales,
+            gaussians.logit_opacities,
+            gaussians.sh,
+            viewmat[None],
+            matrix[None],
+            camera.width,
+            camera.height,
+            raw=True,
+            background=background,
+            with_depth=with_depth,
+        )
     depth = output.depth[0] if with_depth and output.depth is not None else None
     return RenderedView(image=output.image[0].clamp(0, 1), depth=depth)
 
@@ -92,7 +102,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"Cannot read {path} ({error.strerror}).") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not JSON ({error}).", hint) from error
     records = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(records, list) or not records:
@@ -178,4 +188,4 @@ def safe_name(name: str) -> str:
     clean = clean[:80].rstrip(" .") or "unnamed"
     if clean == name:
         return clean
-    return f"{clean}-{hashlib.sha1(name.encode('utf-8')).hexdigest()[:6]}"
+    return f"{clean}-{hashlib.sha1(name.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}"

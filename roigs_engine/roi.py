@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import RoiError
-from .scene import Camera, Float64
+from .scene import FAR, Camera, Float64
 
 # A vertex of the clipped box lies at least this share of the box's size in front of the camera.
 NEAR_SHARE = 1e-3
 # The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
 EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
+PIXELS_AT_ONCE = 1 << 20  # of a silhouette: its half planes are worked out in numbers of 8 bytes
+MAX_NAME = 100  # letters: with what is added to it, a name for a file on every system
+# Windows opens a device under these names, whatever follows behind a dot.
+DEVICES = {
+    "con",
+    "prn",
+    "aux",
+    "nul",
+    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,8 +46,9 @@ class OrientedBox:
     half_extents: Float64
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.world_to_box).all() and np.isfinite(self.half_extents).all()):
-            raise RoiError(f"ROI «{self.name}» holds a number that is not finite.")
+        numbers = np.concatenate([self.world_to_box.ravel(), self.half_extents])
+        if not (np.abs(numbers) < FAR).all():  # nor is it for NaN
+            raise RoiError(f"ROI «{self.name}» holds a number that is not finite or far too large.")
         if not (self.half_extents > 0).all():
             sides = " x ".join(f"{2 * side:g}" for side in self.half_extents)
             raise RoiError(
@@ -68,8 +81,9 @@ class OrientedBox:
 
     def to_box(self, points: Float64) -> Float64:
         """(N, 3) world positions -> (N, 3) in units of the half extents (inside: all |x| <= 1)."""
-        local = points @ self.world_to_box[:3, :3].T + self.world_to_box[:3, 3]
-        scaled: Float64 = local / self.half_extents
+        with np.errstate(all="ignore"):  # a damaged Gaussian may be anywhere, and is in no box
+            local = points @ self.world_to_box[:3, :3].T + self.world_to_box[:3, 3]
+            scaled: Float64 = local / self.half_extents
         return scaled
 
     def contains(self, points: Float64) -> NDArray[np.bool_]:
@@ -170,15 +184,16 @@ def _fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]
     x1, y1 = np.clip(np.ceil(polygon.max(axis=0)), 0, (width, height)).astype(int)
     if x0 >= x1 or y0 >= y1:
         return mask
-    x, y = np.arange(x0, x1) + 0.5, (np.arange(y0, y1) + 0.5)[:, None]
     following = np.roll(polygon, -1, axis=0)
-    sides = [
-        (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-        for a, b in zip(polygon, following, strict=True)
-    ]
     signed_area = np.sum(polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1])
-    inside = np.logical_and.reduce([side * np.sign(signed_area) >= 0 for side in sides])
-    mask[y0:y1, x0:x1] = inside
+    x, rows = np.arange(x0, x1) + 0.5, max(1, PIXELS_AT_ONCE // (x1 - x0))
+    for top in range(y0, y1, rows):
+        y = (np.arange(top, min(top + rows, y1)) + 0.5)[:, None]
+        inside = mask[top : top + len(y), x0:x1]
+        inside[:] = True
+        for a, b in zip(polygon, following, strict=True):
+            side = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+            inside &= side * np.sign(signed_area) >= 0
     return mask
 
 
@@ -191,30 +206,56 @@ def roi_from_dict(record: Any) -> OrientedBox:
     if not isinstance(record, dict) or not isinstance(record.get("name"), str):
         raise RoiError("A ROI must be an object with a «name» and «min»/«max» corners.")
     name = record["name"]
-    if not name.strip() or any(c in '/\\:*?"<>|\0' for c in name) or name in (".", ".."):
+    if not _names_a_file(name):
         raise RoiError(
-            f"ROI name «{name}» cannot be used in file names.",
-            "Use letters, digits, spaces, - and _.",
+            f"ROI name «{name:.{MAX_NAME}}» cannot be used in file names.",
+            f"Use at most {MAX_NAME} letters, digits, spaces, - and _.",
         )
     try:
         if "min" in record:
             low = np.asarray(record["min"], dtype=float).reshape(3)
             high = np.asarray(record["max"], dtype=float).reshape(3)
-            return OrientedBox.axis_aligned(name, low, high)
+            with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
+                return OrientedBox.axis_aligned(name, low, high)
         transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
         half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise RoiError(
             f"ROI «{name}» is malformed ({error}).",
             "Give «min» and «max» with three numbers each, or «world_to_box» and «half_extents».",
         ) from error
     rotation = transform[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
+    with np.errstate(all="ignore"):
+        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
+    if not rigid:
         raise RoiError(
             f"ROI «{name}»: world_to_box is not a rotation and a translation.",
             "Put the box's size into half_extents.",
         )
     return OrientedBox(name=name, world_to_box=transform, half_extents=half_extents)
+
+
+def _names_a_file(name: str) -> bool:
+    """Whether files can be called like that on every system."""
+    return (
+        0 < len(name) <= MAX_NAME
+        and name == name.strip()
+        and not name.endswith(".")
+        and not any(c in '/\\:*?"<>|' or unicodedata.category(c) in ("Cc", "Cs") for c in name)
+        and len(name.encode("utf-8", "replace")) <= 2 * MAX_NAME
+        and name.partition(".")[0].strip().casefold() not in DEVICES
+    )
+
+
+def first_taken(names: Iterable[str]) -> str | None:
+    """A name that another one has too, or has in another case: their files would be the same."""
+    seen: set[str] = set()
+    for name in names:
+        key = unicodedata.normalize("NFC", name).casefold()
+        if key in seen:
+            return name
+        seen.add(key)
+    return None
 
 
 def load_rois(path: Path) -> list[OrientedBox]:
@@ -227,16 +268,15 @@ def load_rois(path: Path) -> list[OrientedBox]:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RoiError(f"{path} is not JSON ({error}).") from error
     records = document.get("rois") if isinstance(document, dict) else document
     if not isinstance(records, list) or not records:
         raise RoiError(f"{path} holds no ROI.", 'It needs a list «rois» of {"name", "min", "max"}.')
     rois = [roi_from_dict(record) for record in records]
-    names = [roi.name for roi in rois]
-    for name in names:
-        if names.count(name) > 1:
-            raise RoiError(f"Two ROIs in {path} are named «{name}».", "Give each its own name.")
+    taken = first_taken(roi.name for roi in rois)
+    if taken is not None:
+        raise RoiError(f"Two ROIs in {path} are named «{taken}».", "Give each its own name.")
     return rois
 
 
@@ -262,7 +302,8 @@ def nearest_owner(points: Float64, rois: list[OrientedBox]) -> NDArray[np.int64]
     best = np.full(len(points), np.inf)
     for index, roi in enumerate(rois):
         local = roi.to_box(points)
-        distance = np.linalg.norm(local, axis=1)
+        with np.errstate(all="ignore"):
+            distance = np.linalg.norm(local, axis=1)
         mine = (np.abs(local) <= 1).all(axis=1) & (distance < best)
         owner[mine], best[mine] = index, distance[mine]
     return owner

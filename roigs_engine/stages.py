@@ -16,6 +16,7 @@ from typing import Any
 
 from .checkpoint import checkpoint_fingerprint, load_checkpoint, save_checkpoint
 from .config import TrainConfig
+from .cuda.device import CPU
 from .errors import RunFolderError, Stopped
 from .events import Emit, Message, Preview, StageStarted
 from .files import read_json, write_json
@@ -32,12 +33,15 @@ class StageResult:
         name: the stage's folder name.
         gaussians: the trained model.
         seconds: of training, checkpoints and evaluation left out.
+        cpu_seconds: the same by the process's clock, which counts every thread's time and only
+            what this process was given: where other programs run, it is what to compare.
         fingerprint: of everything that decided the result.
     """
 
     name: str
     gaussians: Gaussians
     seconds: float
+    cpu_seconds: float
     fingerprint: str
 
 
@@ -159,13 +163,15 @@ class Stage:
         return checkpoint_fingerprint(self._checkpoint) if self._checkpoint.exists() else None
 
     def _finish(self, trainer: Trainer) -> StageResult:
-        model = trainer.gaussians.detached()
+        model = trainer.gaussians.detached().to(CPU)
         model.save_ply(self.folder / "model.ply")
         record = {
             "fingerprint": self.fingerprint,
             "seconds": trainer.seconds,
+            "cpu_seconds": trainer.cpu_seconds,
             "steps": trainer.step,
             "gaussians": len(model),
+            "device": self.data.device.type,
         }
         write_json(self.folder / "stage.json", record)
         self._checkpoint.unlink(missing_ok=True)
@@ -173,6 +179,7 @@ class Stage:
             name=self.name,
             gaussians=model,
             seconds=trainer.seconds,
+            cpu_seconds=trainer.cpu_seconds,
             fingerprint=self.fingerprint,
         )
 
@@ -190,5 +197,6 @@ class Stage:
             name=self.name,
             gaussians=Gaussians.load_ply(self.folder / "model.ply"),
             seconds=float(record["seconds"]),
+            cpu_seconds=float(record["cpu_seconds"]),
             fingerprint=self.fingerprint,
         )

@@ -6,17 +6,19 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from . import densify
 from .averaging import ModelMean
 from .capacity import BoxCapacity
 from .config import TrainConfig
+from .cuda.device import CPU, on_device
+from .cuda.memory import memory_explained, smaller
+from .cuda.photos import Photos, photos_on
 from .densify import DensityStats, Edit
 from .events import Emit, Progress, ignore
 from .gaussians import NAMES, Gaussians
@@ -32,14 +34,6 @@ RESET_OPACITY = 0.01
 AVERAGE_EVERY = 10  # steps between the models that are averaged: neighbours hardly differ
 PSNR_EVERY = 50  # steps
 RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
-
-
-class Photos(Protocol):
-    """What the trainer needs of `images.PhotoCache`."""
-
-    def __getitem__(self, index: int) -> NDArray[np.uint8]: ...
-
-    def prefetch(self, indices: Sequence[int]) -> None: ...
 
 
 class _Break:
@@ -79,6 +73,7 @@ class StageData:
         rois: boxes that confine densification, when the stage's config says so.
         capacities: of each box; None: no limit.
         seed: of the split positions.
+        device: where to train; the result is the same but for rounding.
     """
 
     images: Sequence[PosedImage]
@@ -88,6 +83,7 @@ class StageData:
     rois: Sequence[OrientedBox] = ()
     capacities: Sequence[BoxCapacity] | None = None
     seed: int = 0
+    device: torch.device = CPU
 
 
 class Trainer:
@@ -95,6 +91,8 @@ class Trainer:
 
     Everything random is a function of (seed, step), so `state_dict` holds no generator, and a
     trainer loaded from it continues as if it had never stopped.
+
+    A step reads no number back from its device: what progress shows stays there until it is shown.
     """
 
     def __init__(self, gaussians: Gaussians, data: StageData, config: TrainConfig) -> None:
@@ -103,19 +101,28 @@ class Trainer:
         self.data = data
         self.step = 0
         self.seconds = 0.0
+        gaussians = gaussians.to(data.device)
+        self.cpu_seconds = 0.0  # of the whole process, all its threads
         order = densify.morton_order(gaussians.means)
         self._parameters = _leaves(gaussians.rows(order))
         self._optimizer = self._new_optimizer()
-        self._stats = DensityStats.zeros(len(order))
+        self._stats = DensityStats.zeros(len(order), data.device)
         self._mean = ModelMean()
         self._window = 0
-        self.last_loss = float("nan")
-        self._loss, self._psnr = float("nan"), float("nan")
+        self._photos = photos_on(data.device, data.photos)
+        self._viewmats, self._intrinsics = _cameras(data.images, data.device)
+        self._last_loss = self._loss = torch.tensor(torch.nan, device=data.device)
+        self._psnr = float("nan")
 
     @property
     def gaussians(self) -> Gaussians:
         """The present model; its tensors are the trainer's own."""
         return self._parameters
+
+    @property
+    def last_loss(self) -> float:
+        """The loss of the last step; NaN before the first."""
+        return float(self._last_loss)
 
     def run(
         self,
@@ -139,7 +146,7 @@ class Trainer:
             on_preview, preview_seconds: the same, to show the present model; 0: never.
         """
         breaks = [_Break(pause_seconds, on_pause), _Break(preview_seconds, on_preview)]
-        with _one_torch_thread():
+        with _one_torch_thread(), memory_explained(self._doing, self._advice):
             return self._run(stage, emit, should_stop, breaks)
 
     def _run(
@@ -151,12 +158,14 @@ class Trainer:
     ) -> bool:
         started = reported = time.perf_counter()
         before, first = self.seconds, self.step
+        cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
             if should_stop():
                 break
             self.train_step()
             now = time.perf_counter()
             self.seconds = before + now - started
+            self.cpu_seconds = time.process_time() - cpu_started
             if now - reported > REPORT_SECONDS or self.step == self.config.steps:
                 reported = now
                 left = (now - started) / (self.step - first) * (self.config.steps - self.step)
@@ -164,37 +173,38 @@ class Trainer:
             for one in breaks:
                 # Writing files is not training: the clock leaves it out.
                 started += one.take_if_due(self.seconds)
+            cpu_started = time.process_time() - self.cpu_seconds
         return self.step >= self.config.steps
 
     def train_step(self) -> None:
         """One photo: render, compare, descend; then edit the Gaussians where that is due."""
         config, data = self.config, self.data
         index = data.photo_at(self.step)
-        data.photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
-        image, target = data.images[index], torch.from_numpy(data.photos[index])
+        self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
+        target = self._photos[index]
         self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
-        output = self._render(image)
+        output = self._render(index)
         loss = photo_loss(output.image, target, ssim_weight=config.ssim_weight)
         loss.loss.backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         if not self._optimizer.fused:
             self._optimizer.step(visible)
         self._stats.add(visible, output.grad2d[0], output.max_weight)
-        self._observe(float(loss.loss.detach()), output.image, target)
+        self._observe(loss.loss.detach(), output.image, target)
         self.step += 1
         self._edit()
         self._average()
 
-    def _render(self, image: PosedImage) -> Any:
-        p, camera = self._parameters, image.camera
+    def _render(self, index: int) -> Any:
+        p, camera = self._parameters, self.data.images[index].camera
         return rasterize(
             p.means,
             p.quats,
             p.log_scales,
             p.logit_opacities,
             p.sh,
-            torch.from_numpy(image.world_to_camera).float()[None],
-            torch.from_numpy(camera.matrix()).float()[None],
+            self._viewmats[index : index + 1],
+            self._intrinsics[index : index + 1],
             camera.width,
             camera.height,
             sh_degree=self.config.degree(self.step),
@@ -203,10 +213,12 @@ class Trainer:
             optimizer=self._optimizer if self._optimizer.fused else None,
         )
 
-    def _observe(self, loss: float, rendered: Tensor, target: Tensor) -> None:
+    def _observe(self, loss: Tensor, rendered: Tensor, target: Tensor) -> None:
         """Keep the running loss; the PSNR costs a pass over the image, so only now and then."""
-        self.last_loss = loss
-        self._loss = loss if self._loss != self._loss else RECENT * self._loss + (1 - RECENT) * loss
+        self._last_loss = loss
+        self._loss = torch.where(
+            self._loss.isnan(), loss, RECENT * self._loss + (1 - RECENT) * loss
+        )
         if self.step % PSNR_EVERY == 0:
             error = rendered.detach()[0] - target / 255.0
             psnr = float(-10 * torch.log10(error.square().mean().clamp(min=1e-10)))
@@ -217,7 +229,7 @@ class Trainer:
             stage=stage,
             step=self.step,
             total=self.config.steps,
-            loss=self._loss,
+            loss=float(self._loss),
             psnr=self._psnr,
             gaussians=len(self._parameters),
             seconds_left=seconds_left,
@@ -246,6 +258,23 @@ class Trainer:
         if self.step == config.steps and self._mean.count:
             self._parameters = _leaves(self._mean.mean())
             self._mean.clear()
+
+    def _doing(self) -> str:
+        """For the message when memory is full."""
+        width, height = self._largest()
+        photos = f"photos of up to {width}x{height}"
+        return f"step {self.step}, {len(self._parameters):,} Gaussians, {photos}"
+
+    def _advice(self) -> str:
+        return (
+            "Close what else uses the card, or train with smaller photos"
+            f" (--max-side {smaller(*self._largest())}) or fewer Gaussians (a smaller --preset)."
+            " The last checkpoint is untouched."
+        )
+
+    def _largest(self) -> tuple[int, int]:
+        cameras = [image.camera for image in self.data.images]
+        return max(c.width for c in cameras), max(c.height for c in cameras)
 
     def _window_steps(self) -> int:
         """A window must hold every photo: «non-contributing» means on all of them."""
@@ -295,25 +324,29 @@ class Trainer:
         return VisibleAdam(parameters, fused=tensors["means"].device.type == "cpu")
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that decides how training goes on; tensors and plain numbers only."""
+        """Everything that decides how training goes on; tensors on the CPU and plain numbers."""
         stats = self._stats
-        return {
+        state = {
             "step": self.step,
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "window": self._window,
-            "loss": self._loss,
+            "loss": float(self._loss),
             "psnr": self._psnr,
             "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
             "optimizer": self._optimizer.state_dict(),
             "mean": self._mean.state_dict(),
             "stats": {"gradient": stats.gradient, "views": stats.views, "weight": stats.weight},
         }
+        return dict(on_device(state, CPU))
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what `state_dict` returned."""
+        """Go on from what `state_dict` returned, on whatever device."""
+        state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
+        self.cpu_seconds = float(state["cpu_seconds"])
         self._window = int(state["window"])
-        self._loss, self._psnr = float(state["loss"]), float(state["psnr"])
+        self._loss, self._psnr = self._loss.new_tensor(state["loss"]), float(state["psnr"])
         self._parameters = _leaves(Gaussians(**state["parameters"]))
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
@@ -333,6 +366,16 @@ def _one_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+def _cameras(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor, Tensor]:
+    """(V, 4, 4) world_to_camera and (V, 3, 3) intrinsics of the photos, float32 on the device."""
+    poses = np.stack([image.world_to_camera for image in images])
+    matrices = np.stack([image.camera.matrix() for image in images])
+    return (
+        torch.from_numpy(poses.astype(np.float32)).to(device),
+        torch.from_numpy(matrices.astype(np.float32)).to(device),
+    )
 
 
 def _leaves(gaussians: Gaussians) -> Gaussians:

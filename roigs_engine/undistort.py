@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .colmap_files import ModelCamera
+from .colmap_files import ONE_FOCAL, ModelCamera
 from .errors import EngineError, SceneError
 from .files import atomic_write
 from .scene import Camera
@@ -32,7 +32,6 @@ PINHOLE_AT_ZERO = {
     "SIMPLE_DIVISION": 3,
     "DIVISION": 4,
 }
-ONE_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_DIVISION"}
 # Undistorting happens at full size or, for a much smaller result, at this multiple of it.
 OVERSAMPLING = 2.0
 CACHE_VERSION = 1  # part of each cached photo's name: raise it when the pixels would differ
@@ -74,7 +73,7 @@ def without_distortion(camera: ModelCamera) -> Camera:
     """
     if camera.model == "EQUIRECTANGULAR":
         raise SceneError("An EQUIRECTANGULAR camera cannot be undistorted.")
-    one = camera.model.startswith("SIMPLE_") or camera.model in ("RADIAL", "RADIAL_FISHEYE")
+    one = camera.model in ONE_FOCAL
     fx, fy, cx, cy = (camera.params[:1] if one else ()) + camera.params[: 3 if one else 4]
     return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks import flops, step, tables
+from benchmarks import cuda_step, flops, step, tables
 from benchmarks.measure import COUNTS, StepBenchmark, kernel_calls, optional_outputs, peak_memory
 from benchmarks.results import STAGES, Measurement, Row, growth
 from benchmarks.synthetic import CAMERAS
+from roigs_engine.errors import KernelError
 from roigs_engine.kernels import build, library
 from roigs_engine.rasterize import rasterize
 
@@ -162,3 +163,19 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Medians relative to" in capsys.readouterr().out
     step.main([*tiny_row, "--extras"])
     assert "max_weight" in capsys.readouterr().out
+
+
+def test_the_step_on_a_card_is_measured_by_what_runs_anywhere() -> None:
+    """The engine's side of it, on the CPU; the bare step needs gsplat."""
+    row = cuda_step.measure(500, (64, 48), 2, torch.device("cpu"), [cuda_step.our_step])
+    assert len(row.ours) == 2 and min(row.ours) > 0 and not row.bare
+    row.bare = [2 * t for t in row.ours]
+    row.waits, row.kernels = 1, 0.97
+    last = cuda_step.table([row]).splitlines()[-1]
+    assert last.startswith("| 500 | 64x48 |") and "| 2.00 | 97% | 1 |" in last
+
+
+def test_without_a_card_the_step_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.version, "cuda", None)
+    with pytest.raises(KernelError, match="without CUDA"):
+        step.main(["--device", "cuda"])

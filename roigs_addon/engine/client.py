@@ -13,14 +13,39 @@ import os
 import queue
 import subprocess
 import threading
+import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-KNOWN_EVENTS = ("stagestarted", "progress", "message", "preview", "done", "failed")
+FIELDS: dict[str, dict[str, type]] = {
+    "stagestarted": {"stage": str, "total": int},
+    "progress": {
+        "stage": str,
+        "step": int,
+        "total": int,
+        "gaussians": int,
+        "loss": float,
+        "psnr": float,
+        "seconds_left": float,
+    },
+    "message": {"text": str, "level": str},
+    "preview": {"path": str},
+    "done": {"outputs": dict, "stopped": bool},
+    "failed": {"message": str, "hint": str},
+}
+"""What the events carry (docs/files.md); all else that a line may hold is passed over."""
+MAX_NUMBER = 1 << 31  # Blender's integers hold less
+MAX_LINE = 1 << 16  # letters; a longer line is no event
+MAX_WAITING = 10_000  # events that nobody has taken: further ones are dropped, but for the last
+FINAL = ("done", "failed")
 KEPT_LINES = 200
+LOG_SECONDS = 10.0
+"""Least time between two lines of the log that tell of progress."""
+
+SHOWN = ("loss", "psnr", "gaussians")
 STOPPED = 3
 """Exit status of a command that stopped on request (docs/files.md)."""
 
@@ -86,11 +111,13 @@ class Job:
         self._events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._said: deque[str] = deque(maxlen=KEPT_LINES)
         self._final: dict[str, Any] | None = None
+        self._logged = -LOG_SECONDS
         self.log = log
         self._log_file: IO[str] | None = None
         if log is not None:
             log.parent.mkdir(parents=True, exist_ok=True)
             self._log_file = log.open("a", encoding="utf-8")
+            self._write(f"{time.strftime('%Y-%m-%d')} roigs_engine {' '.join(arguments)}")
         hidden = {"creationflags": 0x08000000} if os.name == "nt" else {}  # CREATE_NO_WINDOW
         self._process = subprocess.Popen(
             engine.command([*arguments, "--events"]),
@@ -124,7 +151,7 @@ class Job:
                 event = self._events.get_nowait()
             except queue.Empty:
                 return arrived
-            if event["event"] in ("done", "failed"):
+            if event["event"] in FINAL:
                 self._final = event
             else:
                 arrived.append(event)
@@ -165,17 +192,10 @@ class Job:
             self._log_file = None
         status, final = self._process.wait(), self._final
         if final is not None and final["event"] == "done":
-            outputs = final.get("outputs")
-            stopped = bool(final.get("stopped")) or status == STOPPED
-            paths = (
-                {str(k): str(v) for k, v in outputs.items()} if isinstance(outputs, dict) else {}
-            )
-            return Outcome(status=status, outputs=paths, stopped=stopped)
+            stopped = final.get("stopped", False) or status == STOPPED
+            return Outcome(status=status, outputs=final.get("outputs", {}), stopped=stopped)
         if final is not None:
-            parts = (
-                str(final.get("message") or "The engine failed."),
-                str(final.get("hint") or ""),
-            )
+            parts = (final.get("message") or "The engine failed.", final.get("hint", ""))
             return Outcome(status=status, message=" ".join(p for p in parts if p))
         return Outcome(status=status, message=self._unexplained(status))
 
@@ -189,35 +209,106 @@ class Job:
 
     def _read_events(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
+        for line in _lines(self._process.stdout):
             event = parse_event(line)
             if event is None:
                 self._note(line)
-            else:
+                continue
+            if event["event"] in FINAL or self._events.qsize() < MAX_WAITING:
                 self._events.put(event)
+            if event["event"] == "progress":
+                now = time.monotonic()
+                if now - self._logged < LOG_SECONDS:
+                    continue
+                self._logged = now
+            self._write(in_words(event))
 
     def _read_text(self) -> None:
         assert self._process.stderr is not None
-        for line in self._process.stderr:
+        for line in _lines(self._process.stderr):
             self._note(line)
 
     def _note(self, line: str) -> None:
         self._said.append(line.rstrip("\n"))
+        self._write(line.rstrip("\n"))
+
+    def _write(self, text: str) -> None:
+        """A line of the log, with the time of day."""
         log = self._log_file
-        if log is not None:
+        if log is not None and text:
             try:
-                log.write(line if line.endswith("\n") else line + "\n")
+                log.write(f"{time.strftime('%H:%M:%S')}  {text}\n")
                 log.flush()
             except (OSError, ValueError):  # the disk is full, or the job has been closed
                 pass
 
 
+def in_words(event: dict[str, Any]) -> str:
+    """A line of the log; empty for what belongs on a screen only."""
+    match event["event"]:
+        case "message":
+            return str(event.get("text", ""))
+        case "stagestarted":
+            return f"{event.get('stage')}: {event.get('total')} steps"
+        case "progress":
+            numbers = {name: event[name] for name in SHOWN if event.get(name)}
+            shown = {n: round(v, 3) if isinstance(v, float) else v for n, v in numbers.items()}
+            steps = f"{event.get('step')} of {event.get('total')}"
+            return ", ".join(
+                [f"{event.get('stage')}: {steps}", *(f"{n} {shown[n]}" for n in shown)]
+            )
+        case "done":
+            return "Stopped." if event.get("stopped") else "Done."
+        case "failed":
+            return " ".join(str(event[part]) for part in ("message", "hint") if event.get(part))
+    return ""
+
+
 def parse_event(line: str) -> dict[str, Any] | None:
-    """The event on a line, or None when it is none that the add-on knows."""
+    """The event on a line, or None when it is none that the add-on knows.
+
+    Beside `event` it holds those of its fields (see `FIELDS`) that are there with the right type:
+    finite numbers, text that Blender can show, names and paths as text.
+    """
+    if len(line) > MAX_LINE:
+        return None
     try:
-        event = json.loads(line)
+        record = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(event, dict) or event.get("event") not in KNOWN_EVENTS:
+    name = record.get("event") if isinstance(record, dict) else None
+    if not isinstance(name, str) or name not in FIELDS:
         return None
+    event = {"event": name}
+    for key, kind in FIELDS[name].items():
+        value = _typed(record.get(key), kind)
+        if value is not None:
+            event[key] = value if key == "path" else _shown(value)
     return event
+
+
+def _typed(value: Any, kind: type) -> Any:
+    """The value when it is of that kind, else None."""
+    if kind is dict and isinstance(value, dict):
+        return {key: path for key, path in value.items() if isinstance(path, str)}
+    if kind in (int, float):
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        # The comparison is exact for integers of any size, and False for NaN.
+        return kind(value) if number and abs(value) < MAX_NUMBER else None
+    return value if isinstance(value, kind) else None
+
+
+def _shown(value: Any) -> Any:
+    """A text in one line that Blender's properties take: no control letters, no half ones."""
+    if not isinstance(value, str):
+        return value
+    return "".join(c if c.isprintable() else " " for c in value)
+
+
+def _lines(stream: IO[str]) -> Iterator[str]:
+    """The stream's lines; of one that is too long, the beginning: the rest is not kept."""
+    begins = True
+    while part := stream.readline(MAX_LINE + 1):
+        if begins:
+            yield part
+        begins = part.endswith("\n")

@@ -46,7 +46,7 @@ class Plan:
 
     Attributes:
         home: folder of the environments.
-        cuda: torch for NVIDIA's graphics cards in place of the one for the CPU.
+        cuda: torch for NVIDIA's graphics cards in place of the one for the CPU, and gsplat.
         wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
     """
 
@@ -63,10 +63,14 @@ class Step:
     command: list[str]
 
 
-def requirements(pyproject: Path = SOURCE / "pyproject.toml") -> list[str]:
-    """What training needs, as pip takes it."""
+def requirements(*extras: str, pyproject: Path = SOURCE / "pyproject.toml") -> list[str]:
+    """What training needs, and more for the extras of the project, as pip takes it."""
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
-    return [*project["dependencies"], *project["optional-dependencies"]["train"]]
+    optional = project["optional-dependencies"]
+    return [
+        *project["dependencies"],
+        *(needed for extra in ("train", *extras) for needed in optional[extra]),
+    ]
 
 
 def wheel_versions(folder: Path) -> set[tuple[int, int]]:
@@ -148,7 +152,8 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     """The programs that make `environment` with the Python `base`."""
     python = str(environment_python(environment))
     pip = [python, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
-    wanted = requirements()
+    cuda = plan.cuda and platform.system() != "Darwin"
+    wanted = requirements(*(["cuda"] if cuda else []))
     make = Step(title="Making the environment", command=[str(base), "-m", "venv", str(environment)])
     packages = ", ".join(FOR_TRAINING)
     check = Step(
@@ -157,7 +162,7 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     if plan.wheels is not None:
         source = ["--no-index", "--find-links", str(plan.wheels)]
         return [make, Step(title="Installing", command=[*pip, *source, *wanted]), check]
-    index = ["--index", CUDA_INDEX] if plan.cuda and platform.system() != "Darwin" else []
+    index = ["--index", CUDA_INDEX] if cuda else []
     torch = [python, str(SOURCE / "tools" / "install_torch.py"), *index]
     return [
         make,

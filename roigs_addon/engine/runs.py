@@ -63,7 +63,7 @@ def _boxes(request: Path) -> dict[str, tuple[Any, Any]] | None:
     try:
         records = json.loads(request.read_text(encoding="utf-8"))["rois"]
         return {str(r["name"]): (r["world_to_box"], r["half_extents"]) for r in records}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
@@ -74,7 +74,7 @@ def _holder(path: Path) -> int:
             if not _locked(file.fileno()):
                 return 0
         return int(json.loads(path.read_text(encoding="utf-8"))["pid"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return 0
 
 

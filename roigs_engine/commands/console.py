@@ -75,6 +75,9 @@ class Console:
 
     def _write(self, text: str, stream: TextIO) -> None:
         """One line. Nobody reading any more is a request to stop, as the end of input is."""
+        # A file name may hold letters that the encoding lacks, or bytes that are no letters.
+        encoding = getattr(stream, "encoding", None) or "utf-8"
+        text = text.encode(encoding, "backslashreplace").decode(encoding)
         try:
             print(text, file=stream, flush=True)
         except OSError:

@@ -8,7 +8,14 @@ from pathlib import Path
 from ..errors import ConfigError
 from ..files import read_json
 from .console import Console
-from .options import add_roi_options, add_scene_options, boxes, load_scene
+from .options import (
+    add_device_option,
+    add_roi_options,
+    add_scene_options,
+    boxes,
+    device,
+    load_scene,
+)
 
 HELP = "compare PLYs on test photos, in each box and on the whole image"
 EXAMPLES = """\
@@ -21,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
     add_roi_options(parser)
+    add_device_option(parser)
     parser.add_argument(
         "--model",
         action="append",
@@ -49,12 +57,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     unknown = sorted(set(test) - {image.name for image in scene.images})
     if unknown:
         raise ConfigError(f"The split names «{unknown[0]}», which the scene does not have.")
-    models = []
+    place, models = device(args, console), []
     for text in args.model:
         name, separator, path = text.partition("=")
         if not separator:
             raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
-        loaded = Gaussians.load_ply(Path(path))
+        loaded = Gaussians.load_ply(Path(path)).to(place)
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
         models,

@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..config import INITS, ORDERS, PRESETS, STRATEGIES, RunConfig, preset
 from ..errors import ConfigError, RoiError
-from ..roi import OrientedBox, load_rois, parse_roi
+from ..roi import OrientedBox, first_taken, load_rois, parse_roi
 from ..scene import SfmScene
 from ..selection import METHODS
 from .console import Console
+
+if TYPE_CHECKING:
+    import torch
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
@@ -78,6 +82,23 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--sh-degree", type=int, choices=range(4), help="spherical harmonics")
 
 
+def add_device_option(parser: argparse.ArgumentParser) -> None:
+    """Where Gaussians are drawn and trained."""
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="the CPU or an NVIDIA card (default: auto, the card where gsplat can use it)",
+    )
+
+
+def device(args: argparse.Namespace, console: Console) -> torch.device:
+    """The device of `add_device_option`; KernelError when it cannot be had."""
+    from ..cuda.device import choose_device
+
+    return choose_device(args.device, console.emit)
+
+
 def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = None) -> SfmScene:
     """The scene of `add_scene_options`.
 
@@ -111,9 +132,9 @@ def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBo
     rois = load_rois(args.rois) if args.rois else []
     rois += [parse_roi(text) for text in args.roi]
     names = [roi.name for roi in rois]
-    for name in names:
-        if names.count(name) > 1:
-            raise RoiError(f"Two ROIs are named «{name}».", "Give each its own name.")
+    taken = first_taken(names)
+    if taken is not None:
+        raise RoiError(f"Two ROIs are named «{taken}».", "Give each its own name.")
     for name in args.only:
         if name not in names:
             raise RoiError(f"There is no ROI «{name}».", f"There are: {', '.join(names)}.")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from .console import Console
+from .options import add_device_option, device
 
 HELP = "draw a PLY from COLMAP cameras or along a camera path"
 EXAMPLES = """\
@@ -25,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--downscale", type=float, metavar="N", help="draw N times smaller")
     parser.add_argument("--max-side", type=int, metavar="PX", help="longest side")
     parser.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
+    add_device_option(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of PNGs")
 
 
@@ -35,7 +37,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..render import load_camera_path, render_sequence
     from .options import load_scene
 
-    gaussians = Gaussians.load_ply(args.ply)
+    gaussians = Gaussians.load_ply(args.ply).to(device(args, console))
     if args.path:
         if args.threads is not None:
             set_threads(args.threads)

@@ -40,6 +40,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     check = console.check
     with train.open_run(args, console) as work:
         models, scene, rois = work.train(compare).models, work.scene, work.rois
+        models = [model.to(work.device) for model in models]
         evaluation = evaluate(models, scene, work.test, rois, emit=console.emit, check=check)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, check=check)

@@ -14,11 +14,13 @@ from ..lock import locked
 from ..selection.given import load_given
 from .console import Console
 from .options import (
+    add_device_option,
     add_roi_options,
     add_scene_options,
     add_selection_options,
     add_training_options,
     boxes,
+    device,
     load_scene,
     run_config,
 )
@@ -38,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_roi_options(parser)
     add_selection_options(parser)
     add_training_options(parser)
+    add_device_option(parser)
     parser.add_argument(
         "--run-dir", type=Path, required=True, metavar="DIR", help="folder of the run"
     )
@@ -76,6 +79,7 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
     if not 0 <= args.preview_seconds < math.inf:
         raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
     with locked(args.run_dir):
+        place = device(args, console)
         scene = load_scene(args, console, args.run_dir / "cache")
         work = Run(
             args.run_dir,
@@ -85,6 +89,7 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
             given=given,
             update=args.update,
             preview_seconds=args.preview_seconds,
+            device=place,
             emit=console.emit,
             should_stop=console.should_stop,
         )

@@ -4,6 +4,7 @@
 
     reference   plain torch, float32 or float64, any device: to read, and to test the others by
     cpu         the compiled kernels: float32 tensors on the CPU
+    cuda        gsplat's kernels: float32 tensors on an NVIDIA card
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from roigs_engine.rasterize.common import (
 
 __all__ = ["RenderOutput", "rasterize"]
 
-BACKENDS = ("auto", "cpu", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "reference")
 
 
 def rasterize(
@@ -75,7 +76,8 @@ def rasterize(
             background.
         optimizer: made with the first five arguments: `backward()`, once, takes its step on the
             Gaussians that the camera sees, and gives no gradient. One camera, cpu backend.
-        backend: "reference", "cpu", or "auto" (cpu for float32 tensors on the CPU).
+        backend: "reference", "cpu", "cuda", or "auto" (the compiled one of the tensors' device for
+            float32, else the reference).
 
     Gradients. When an input is a leaf whose `.grad` is already allocated, the cpu backend adds to
     that buffer itself and touches the rows of visible Gaussians only, so that the cost of a
@@ -84,7 +86,8 @@ def rasterize(
 
     Raises:
         EngineError: arguments that do not fit together.
-        KernelError: more Gaussians and tiles meet than the kernels can count or memory holds.
+        KernelError: more Gaussians and tiles meet than the kernels can count or memory holds, or
+            the backend cannot be used.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)
@@ -92,8 +95,9 @@ def rasterize(
         check_pixel_weights(pixel_weights, with_weight_sum, (len(viewmats), height, width))
         pixel_weights = pixel_weights.detach().to(means)
     if backend == "auto":
-        native = all(p.dtype == torch.float32 and p.device.type == "cpu" for p in parameters)
-        backend = "cpu" if native else "reference"
+        native = all(p.dtype == torch.float32 for p in parameters)
+        compiled = native and means.device.type in ("cpu", "cuda")
+        backend = means.device.type if compiled else "reference"
     if optimizer is not None:
         check_optimizer(optimizer, parameters, len(viewmats), backend)
     tiles, tile_mask = worked_tiles(width, height, region)
@@ -126,4 +130,8 @@ def rasterize(
         from roigs_engine.rasterize import cpu
 
         return cpu.render(request)
+    if backend == "cuda":
+        from roigs_engine.rasterize import cuda
+
+        return cuda.render(request)
     raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")

@@ -25,7 +25,7 @@ def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
     """(P, 3) points in the box -> (P,) voxel of each, numbered 0..n-1 over the voxels in use."""
     edge = 2 * roi.half_extents.max() / VOXELS_ALONG_LONGEST_SIDE
     offset = (roi.to_box(points) + 1) * roi.half_extents  # 0 .. side, per axis
-    cells = np.ceil(2 * roi.half_extents / edge - 1e-9).astype(np.int64)
+    cells = np.ceil(2 * roi.half_extents / edge - 1e-9).clip(1).astype(np.int64)
     cell = np.clip(np.floor(offset / edge).astype(np.int64), 0, cells - 1)
     flat = np.ravel_multi_index((cell[:, 0], cell[:, 1], cell[:, 2]), tuple(cells.tolist()))
     numbers: Int64 = np.unique(flat, return_inverse=True)[1].reshape(-1).astype(np.int64)

@@ -82,6 +82,8 @@ def test_no_gaussians(tmp_path: Path) -> None:
         (b"end_header", b"end_headre", "is not a PLY file"),
         (b"binary_little_endian", b"ascii", "format «ascii»"),
         (b"vertex 20", b"vertex 21", "cut short: 20 of 21"),
+        (b"vertex 20", b"vertex 999999999999999999", "cut short: 20 of 999999999999999999"),
+        (b"vertex 20", b"vertex " + b"9" * 5000, "cannot read «element vertex 999"),
         (b"vertex 20", b"vertex many", "cannot read «element vertex many»"),
         (b"element vertex", b"element face", "first element is «face»"),
         (b"float opacity", b"float opaque", "no property opacity"),

@@ -140,6 +140,9 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
     assert scripts == [str(ROOT / "tools" / "install_torch.py")]
     assert sys.platform == "darwin" or any(install.CUDA_INDEX in step.command for step in online)
+    asked = [part for step in online for part in step.command]
+    assert sys.platform == "darwin" or any(part.startswith("gsplat==") for part in asked)
+    assert not any(part.startswith("gsplat") for part in offline[1].command)
 
 
 def test_check_says_what_works_and_what_is_missing(

@@ -97,7 +97,10 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
         print("for people", file=sys.stderr, flush=True)
         sys.stdout.buffer.write(b"\\xff\\xfe broken\\n")
         sys.stdout.flush()
-        say(event="progress", stage="scene", step=1, total=3)
+        say(event="message", text="17 photos left out")
+        say(event="progress", stage="scene", step=1, total=3, loss=0.12345, gaussians=70)
+        say(event="preview", path="p.ply")
+        say(event="progress", stage="scene", step=2, total=3)
         say(event="done", outputs={"result": "a.ply"}, stopped=False)
         """,
     )
@@ -108,6 +111,11 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
     assert outcome.outputs == {"result": "a.ply"}
     log = (tmp_path / "a" / "log.txt").read_text(encoding="utf-8")
     assert "Zwischentext 庭" in log and "for people" in log and "broken" in log
+    told = [line[10:] for line in log.splitlines()]
+    for line in ("scene: 3 steps", "17 photos left out", "Done."):
+        assert line in told
+    progress = [line for line in told if line.startswith("scene: ") and " of " in line]
+    assert progress == ["scene: 1 of 3, loss 0.123, gaussians 70"]  # the second came too soon
 
 
 @pytest.mark.parametrize(
@@ -220,6 +228,35 @@ def test_progress_becomes_properties(blender: ModuleType, work, tmp_path: Path) 
 
 
 @pytest.mark.blender
+def test_no_preview_is_drawn_while_the_engine_stops(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+
+    first, last = tmp_path / "first.ply", tmp_path / "last.ply"
+    first.touch()
+    last.touch()
+    engine = fake(
+        tmp_path,
+        f"""
+        say(event="preview", path={str(first)!r})
+        sys.stdin.read()
+        say(event="preview", path={str(last)!r})
+        time.sleep(0.5)
+        say(event="done", outputs={{}}, stopped=True)
+        """,
+    )
+    shown: list[Path] = []
+    runner = jobs.start(engine, work(on_preview=shown.append))
+    assert until(lambda: runner.poll() and bool(shown))
+    runner.stop()
+    while runner.poll():
+        assert shown == [first]
+        time.sleep(0.02)
+    assert shown == [first, last] and runner.outcome.stopped
+
+
+@pytest.mark.blender
 def test_odd_numbers_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> None:
     from roigs_addon import jobs
 
@@ -236,6 +273,47 @@ def test_odd_numbers_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> No
     outcome = jobs.wait(runner)
     assert not outcome.failed and len(work.taken) == 1
     assert jobs.progress_text(blender.context.window_manager.roigs)
+
+
+@pytest.mark.blender
+def test_odd_texts_do_no_harm(blender: ModuleType, work, tmp_path: Path) -> None:
+    from roigs_addon import jobs
+
+    odd = ["a\0b", "\ud800", "\udcff", "x" * 60_000, "\x1b[2J", "a\nb", "\u202e", "{}%s"]
+    code = "\n".join(
+        f"say(event={kind!r}, stage={text!r}, text={text!r}, path={text!r})"
+        for text in odd
+        for kind in ("stagestarted", "progress", "message", "preview")
+    )
+    taken: list[Path] = []
+    code += "\nsay(event='failed', message='\\ud800 no', hint='a\\0b'); sys.exit(2)"
+    given = work(folder=tmp_path, on_preview=taken.append)
+    outcome = jobs.wait(jobs.start(fake(tmp_path, code), given))
+    assert outcome.failed and "no" in blender.context.window_manager.roigs.error
+    assert not taken
+
+
+@pytest.mark.blender
+def test_previews_outside_the_run_are_not_looked_at(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "preview.ply").write_text("mine")
+    (tmp_path / "secret").write_text("not mine")
+    (run / "link.ply").symlink_to(tmp_path / "secret")
+    (run / "loop").symlink_to(run / "loop")
+    paths = [tmp_path / "secret", run / ".." / "secret", run / "link.ply", run / "loop", run,
+             "/etc/passwd", "/dev/zero", "preview.ply", "a\0b", run / "preview.ply"]  # fmt: skip
+    code = "\n".join(f"say(event='preview', path={str(path)!r})" for path in paths)
+    taken: list[Path] = []
+    for folder, expected in ((run, [run / "preview.ply"]), (None, [])):
+        taken.clear()
+        given = work(folder=folder, on_preview=taken.append)
+        jobs.wait(jobs.start(fake(tmp_path / str(folder is None), code), given))
+        assert taken == expected
 
 
 @pytest.mark.blender

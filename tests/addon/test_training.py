@@ -121,6 +121,25 @@ def test_the_list_can_be_edited(
     assert "selection" not in json.loads(path.read_text("utf-8"))
 
 
+def test_a_boxs_name_leads_nowhere_else(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    """A .blend may come from anybody, with any names in it."""
+    from roigs_addon import lookup, requests
+    from roigs_addon.errors import AddonError
+
+    scene = ready(blender, project, tmp_path / "run")
+    roi = lookup.rois(scene)[0]
+    roi.roigs.selection.add().name = "photo 0.png"
+    for name in ("../../../out", str(tmp_path / "out"), "..\\out", ".."):
+        roi.name = name
+        with pytest.raises(AddonError, match="cannot name a file"):
+            requests.write_training_request(scene, [roi], 0.0)
+        with pytest.raises(AddonError, match="cannot name a file"):
+            requests.write_selection_request(scene, [roi])
+    assert {path.name for path in tmp_path.iterdir()} <= {"run"}
+
+
 def test_the_list_is_kept_in_the_file(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

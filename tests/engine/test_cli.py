@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -415,6 +417,22 @@ def test_a_selection_folder_without_the_boxes_is_refused(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text there")
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_names_that_cannot_be_printed(
+    project: Project, tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A photo on disk whose name is no UTF-8, and an output that has few letters."""
+    shutil.copytree(project.folder, tmp_path / "scene")
+    photos = os.fsencode(tmp_path / "scene" / "images")
+    shutil.copy(os.path.join(photos, b"0.png"), os.path.join(photos, b"caf\xe9.png"))
+    monkeypatch.setenv("PYTHONIOENCODING", encoding)
+    for options in ([], ["--json"], ["--events"]):
+        result = python("inspect", tmp_path / "scene", *options)
+        assert result.returncode == 0 and "Traceback" not in result.stderr
+        assert "caf\\udce9.png" in result.stdout + result.stderr
+
+
 # --- request files ---
 
 
@@ -433,6 +451,13 @@ def test_a_request_file_stands_for_options(
     assert main(["select", str(request)]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["method"], len(stored["names"])) == ("fvs", 2)
+    # What is null is as if it were not there, and a number may be written as 640.0.
+    values = {"max_side": 640.0, "count": 2, "seed": None, "only": None, "method": None}
+    same = request_file(tmp_path, scene=str(project.folder), roi=BOX, **values)
+    assert main(["select", str(same)]) == 0
+    request_file(
+        tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2, out=str(tmp_path)
+    )
     # An option beside the file wins.
     assert main(["select", str(request), "--count", "4"]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
@@ -447,6 +472,22 @@ def test_a_request_file_stands_for_options(
         ({"help": True}, "«help»"),
         ({"method": "best"}, "«method»"),
         ({"count": "many"}, "«count»"),
+        ({"count": "3"}, "«count»"),
+        ({"count": 2.5}, "«count»"),
+        ({"count": True}, "«count»"),
+        ({"count": float("inf")}, "«count»"),
+        ({"count": [1, 2]}, "«count»"),
+        ({"max-side": 10**400}, "max_side"),
+        ({"downscale": 10**400}, "«downscale»"),
+        ({"only": [5]}, "«only»"),
+        ({"only": {"a": 1}}, "«only»"),
+        ({"method": ["static"]}, "«method»"),
+        ({"events": 1}, "«events»"),
+        ({"images": "a\0b"}, "«images»"),
+        ({"images": "x" * 5000}, "xxx"),
+        ({"rois": 5}, "«rois»"),
+        ({"threads": float("nan")}, "«threads»"),
+        ({"seed": 1 << 40, "method": "random"}, "seed"),
     ],
 )
 def test_a_request_with_a_wrong_key_or_value_is_refused(
@@ -468,6 +509,19 @@ def test_a_request_that_is_none_is_refused(
     broken.write_text("{", encoding="utf-8")
     assert "broken.json" in refused(capsys, "select", broken)
     assert "gone.json" in refused(capsys, "select", tmp_path / "gone.json")
+    assert "xxx" in refused(capsys, "select", request_file(tmp_path, scene="x" * 5000, roi=[BOX]))
+
+
+def test_what_does_not_fit_into_memory_is_one_line(
+    project: Project, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for error in (MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")):
+
+        def fail(*_: object, error: Exception = error) -> None:
+            raise error
+
+        monkeypatch.setattr(COMMANDS["inspect"], "run", fail)
+        assert "memory" in refused(capsys, "inspect", project.folder)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/files.md"])

@@ -6,6 +6,7 @@ import contextlib
 import random
 import shutil
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,37 @@ def test_the_model_with_most_photos_is_taken(tmp_path: Path) -> None:
     assert len(scene.images) == 3
     texts = [event.text for event in events if isinstance(event, Message)]
     assert any("3 models" in text and "sparse/1 with 3 photos" in text for text in texts)
+
+
+def test_a_model_that_only_claims_to_have_most_photos_is_not_taken(tmp_path: Path) -> None:
+    write_project(tmp_path, names=["a.png", "b.png"], model="sparse/0")
+    write_project(tmp_path, names=["a.png"], model="sparse/1")
+    path = tmp_path / "sparse/1/images.bin"
+    path.write_bytes(struct.pack("<Q", 1 << 50) + path.read_bytes()[8:])
+    (tmp_path / "sparse/²").mkdir()  # a digit, but no number
+    assert len(load_colmap(tmp_path).images) == 2
+
+
+@pytest.mark.parametrize("params", [(100.0, 0.0, 45, 40), (100.0, -1.0, 45, 40), (1e300, 90, 0, 0)])
+def test_cameras_without_a_focal_length(tmp_path: Path, params: tuple[float, ...]) -> None:
+    write_project(tmp_path, binary=False)
+    line = f"1 PINHOLE 96 72 {' '.join(map(str, params))}\n"
+    (tmp_path / "sparse/0/cameras.txt").write_text(line)
+    with pytest.raises(SceneError, match=r"cameras\.txt"):
+        load_colmap(tmp_path)
+
+
+def test_reading_takes_memory_as_the_file_has_bytes(tmp_path: Path) -> None:
+    count = 100_000
+    write_project(tmp_path)
+    point = struct.pack("<Q3d3BdQ", 1, 0.1, 0.2, 0.3, 9, 9, 9, 0.5, 0)
+    path = tmp_path / "sparse/0/points3D.bin"
+    path.write_bytes(struct.pack("<Q", count) + count * point)
+    tracemalloc.start()
+    assert len(read_model(path.parent).points) == count
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5 * path.stat().st_size + (8 << 20)
 
 
 @pytest.mark.parametrize("binary", [True, False])

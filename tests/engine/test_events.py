@@ -45,3 +45,8 @@ def test_errors_are_one_line_with_their_hint() -> None:
     assert (error.message, error.hint) == ("two lines", "and a hint")
     assert str(ConfigError("alone")) == "alone"
     assert isinstance(error, EngineError)
+
+
+def test_paths_that_are_no_utf8() -> None:
+    line = to_json(Preview(path="caf\udce9.ply"))
+    assert json.loads(line.encode("utf-8"))["path"] == "caf\udce9.ply"

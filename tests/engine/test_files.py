@@ -57,10 +57,16 @@ def test_unwritable_place_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [None, b"{", b"\xff\xfe"])
+@pytest.mark.parametrize("content", [None, b"{", b"\xff\xfe", b"[" * 200_000, b"9" * 9000])
 def test_unreadable_json_is_one_line(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "a.json").write_bytes(content)
     with pytest.raises(RunFolderError) as caught:
         read_json(tmp_path / "a.json")
     assert "\n" not in str(caught.value)
+
+
+def test_names_on_disk_that_are_no_utf8(tmp_path: Path) -> None:
+    """They come with lone surrogates, which JSON can hold and UTF-8 cannot."""
+    write_json(tmp_path / "a.json", {"name": "caf\udce9"})
+    assert read_json(tmp_path / "a.json") == {"name": "caf\udce9"}

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.photo_headers import PhotoError, photo_size
+from roigs_engine.photo_headers import MAX_PIXELS, PhotoError, photo_size
+from tests.fuzz.inputs import jpeg_of_claimed_size, png_of_claimed_size
 
 
 @pytest.mark.parametrize("options", [{}, {"progressive": True}, {"dpi": (72, 72), "comment": "a"}])
@@ -45,3 +46,19 @@ def test_no_photos(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.jpg").write_bytes(data)
     with pytest.raises(PhotoError):
         photo_size(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("side", [0, 13_350, 65_500, 1 << 20, (1 << 31) - 1])
+def test_photos_that_claim_to_be_larger_than_any(tmp_path: Path, side: int) -> None:
+    """They are refused by their headers, before anything is made as large as they claim."""
+    path = tmp_path / "a.png"
+    path.write_bytes(png_of_claimed_size(side, side))
+    if 0 < side * side <= MAX_PIXELS:
+        assert photo_size(path) == (side, side)
+        return
+    with pytest.raises(PhotoError, match=f"{side} x {side} pixels"):
+        photo_size(path)
+    if side < 1 << 16:
+        path.write_bytes(jpeg_of_claimed_size(side, side))
+        with pytest.raises(PhotoError, match=f"{side} x {side} pixels"):
+            photo_size(path)

@@ -160,11 +160,25 @@ def test_other_formats_are_refused(tmp_path: Path, form: str) -> None:
         b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty foo x\nend_header\n",
         b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n"
         b"property float x\nproperty float x\nend_header\n",
+        *(
+            b"ply\nformat binary_little_endian 1.0\n"
+            b"element vertex %s\nproperty float x\nend_header\n" % number
+            for number in (b"9" * 5000, b"9" * 18, b"-1", b"1e3", b"\xc2\xb2", b"1_0")
+        ),
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n"
+        b"element vertex 0\nproperty float y\nend_header\n",
     ],
 )
 def test_what_is_no_ply_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "m.ply").write_bytes(data)
     refused(tmp_path / "m.ply")
+
+
+def test_a_compressed_file_is_named(tmp_path: Path) -> None:
+    head = b"ply\nformat binary_little_endian 1.0\nelement chunk 1\nproperty float min_x\n"
+    rows = b"element vertex 1\nproperty uint packed_position\nend_header\n"
+    (tmp_path / "m.ply").write_bytes(head + rows + bytes(8))
+    assert "compressed" in refused(tmp_path / "m.ply")
 
 
 @pytest.mark.parametrize("gone", ["x", "f_dc_2", "f_rest_44", "opacity", "scale_1", "rot_3"])

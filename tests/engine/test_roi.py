@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -205,6 +207,10 @@ def test_malformed_command_line_box_is_one_line(text: str) -> None:
         '{"rois": [{"name": "a", "min": [0,0,0], "max": [1,1,NaN]}]}',
         '{"rois": [{"name": "a", "min": [0,0,0], "max": [1,1,1]},'
         ' {"name": "a", "min": [0,0,0], "max": [1,1,1]}]}',
+        "[" * 200_000,
+        '{"rois": [{"name": "a", "min": [0,0,0], "max": [1,1,1' + "0" * 400 + "]}]}",
+        '{"rois": [{"name": "a", "min": [-1e308,0,0], "max": [1e308,1,1]}]}',
+        '{"rois": [{"name": "a", "min": [0,0,0], "max": [1,1,1e16]}]}',
     ],
 )
 def test_malformed_file_is_one_line(tmp_path: Path, text: str) -> None:
@@ -213,6 +219,28 @@ def test_malformed_file_is_one_line(tmp_path: Path, text: str) -> None:
     with pytest.raises(RoiError) as caught:
         load_rois(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_silhouette_takes_little_more_than_its_pixels() -> None:
+    camera = Camera(width=6000, height=4000, fx=5000.0, fy=5000.0, cx=3000.0, cy=2000.0)
+    pose = np.eye(4)
+    pose[2, 3] = 4.0
+    box = OrientedBox.axis_aligned("box", [-1, -1, -1], [1, 1, 1])
+    tracemalloc.start()
+    mask = box.silhouette(camera, pose)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert mask.mean() > 0.4
+    assert peak < mask.nbytes + (64 << 20)
+
+
+def test_gaussians_at_no_place_are_in_no_box() -> None:
+    points = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [1e308, -1e308, 0]])
+    box = random_box(np.random.default_rng(0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        owner = nearest_owner(np.concatenate([points, box.centre[None]]), [box])
+    assert owner.tolist() == [-1, -1, -1, 0]
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -1,0 +1,118 @@
+"""Photos where training needs them: kept on the card as bytes, or sent there ahead of their use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+SHARE = 4  # of the card's free memory, one part in so many is for photos
+
+
+class Photos(Protocol):
+    """Decoded photos in main memory: what is needed of `images.PhotoCache`."""
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]: ...
+
+    def prefetch(self, indices: Sequence[int]) -> None: ...
+
+
+class PhotoTensors(Protocol):
+    """Photos as the trainer takes them, (H, W, 3) uint8 on its device."""
+
+    def __getitem__(self, index: int) -> Tensor: ...
+
+    def prefetch(self, indices: Sequence[int]) -> None: ...
+
+
+def photos_on(device: torch.device, photos: Photos) -> PhotoTensors:
+    """The photos as tensors on the device."""
+    if device.type == "cpu":
+        return HostPhotos(photos)
+    free, _ = torch.cuda.mem_get_info(device)
+    return DevicePhotos(photos, _Uploads(device), free // SHARE)
+
+
+class HostPhotos:
+    """Photos in main memory, not copied."""
+
+    def __init__(self, photos: Photos) -> None:
+        self._photos = photos
+
+    def __getitem__(self, index: int) -> Tensor:
+        """The photo; decoded now unless it was prefetched."""
+        return torch.from_numpy(self._photos[index])
+
+    def prefetch(self, indices: Sequence[int]) -> None:
+        """Decode these in the background."""
+        self._photos.prefetch(indices)
+
+
+class DevicePhotos:
+    """Photos on a device, sent there by a thread while the device computes.
+
+    Those that came first stay, as many as fit into the limit; the others come anew each time. In
+    any order that goes through all photos this hits as often as a cache of that size can.
+    """
+
+    def __init__(
+        self,
+        photos: Photos,
+        upload: Callable[[NDArray[np.uint8]], Callable[[], Tensor]],
+        limit: int,
+    ) -> None:
+        """Args: `upload`: starts a copy, and returns what waits for it; `limit`: bytes kept."""
+        self._photos, self._upload, self._room = photos, upload, limit
+        self._kept: dict[int, Tensor] = {}
+        self._coming: dict[int, Future[Callable[[], Tensor]]] = {}
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="upload")
+
+    def __getitem__(self, index: int) -> Tensor:
+        """The photo; the host waits only where it has not been decoded yet."""
+        if index in self._kept:
+            return self._kept[index]
+        coming = self._coming.pop(index, None)
+        arrived = (self._send(index) if coming is None else coming.result())()
+        if arrived.nbytes <= self._room:
+            self._room -= arrived.nbytes
+            self._kept[index] = arrived
+        return arrived
+
+    def prefetch(self, indices: Sequence[int]) -> None:
+        """Decode and send these in the background; one that fails raises when asked for."""
+        missing = [i for i in dict.fromkeys(indices) if i not in self._kept]
+        self._photos.prefetch(missing)
+        for index in missing:
+            if index not in self._coming:
+                self._coming[index] = self._pool.submit(self._send, index)
+
+    def _send(self, index: int) -> Callable[[], Tensor]:
+        return self._upload(self._photos[index])
+
+
+class _Uploads:
+    """Copies through pinned memory on a stream of their own, beside the computation."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
+
+    def __call__(self, pixels: NDArray[np.uint8]) -> Callable[[], Tensor]:
+        pinned = torch.from_numpy(pixels).pin_memory()
+        with torch.cuda.stream(self._stream):
+            photo = pinned.to(self._device, non_blocking=True)
+        arrived = self._stream.record_event()
+
+        def wait() -> Tensor:
+            # The device waits, not the host.
+            now = torch.cuda.current_stream(self._device)
+            now.wait_event(arrived)
+            photo.record_stream(now)
+            return photo
+
+        return wait

@@ -1,0 +1,262 @@
+"""The rasterizer on gsplat's CUDA kernels, for float32 tensors on an NVIDIA card.
+
+gsplat's model is the one of `rasterize`: pixel centres at +0.5, quaternions wxyz of any length, the
+same SH basis, 0.3 px^2 of blur, alpha between 1/255 and 0.999, Jacobian taken in the view widened
+by 0.3. Where it differs (docs/cuda.md):
+
+* A Gaussian is in the list of every tile that the rectangle around it touches, not only of those
+  that it reaches: `visible` has a few more, whose gradient is zero.
+* A pixel ends before the Gaussian that would leave less than 1e-4 of the light.
+* It does not look for values that are not finite. Here such Gaussians are taken out after the
+  projection, and their gradients replaced by zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..cuda import library
+from ..errors import KernelError
+from .common import BLUR, NEAR, TILE, RenderOutput, RenderRequest
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Splats:
+    """All N Gaussians as one camera sees them; gsplat leaves rows of radius 0 unwritten."""
+
+    radii: Tensor  # (1, N, 2) int32 px, 0 for what is culled
+    means2d: Tensor  # (1, N, 2) px in the whole image
+    depths: Tensor  # (1, N)
+    conics: Tensor  # (1, N, 3)
+    opacities: Tensor  # (1, N)
+    colours: Tensor  # (1, N, 3)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Statistics:
+    """What drawing adds up beside the picture."""
+
+    visible: Tensor  # (C, N) bool
+    grad2d: Tensor  # (C, N)
+    largest: Tensor | None  # (N,)
+    sums: Tensor | None  # (N,)
+
+
+def render(request: RenderRequest) -> RenderOutput:
+    """Renders all cameras of a request; see `rasterize`.
+
+    Raises:
+        KernelError: tensors of another type, or gsplat cannot be used.
+    """
+    if any(p.dtype != torch.float32 for p in request.parameters):
+        raise KernelError("rasterize: the cuda backend takes float32 tensors only.")
+    means = request.means.detach()
+    cameras, count = len(request.viewmats), len(means)
+    zeros = torch.zeros(cameras, count, device=means.device)
+    statistics = Statistics(
+        visible=torch.zeros_like(zeros, dtype=torch.bool),
+        grad2d=zeros,
+        largest=torch.zeros_like(means[:, 0]) if request.with_max_weight else None,
+        sums=torch.zeros_like(means[:, 0]) if request.with_weight_sum else None,
+    )
+    left, top, right, bottom = request.tiles
+    if count and right > left and bottom > top:
+        frames = [_draw(request, c, statistics) for c in range(cameras)]
+    else:
+        frames = [_nothing(request)] * cameras
+    image, alpha, depth = (_stack(part) for part in zip(*frames, strict=True))
+    return RenderOutput(
+        image=image,
+        alpha=alpha,
+        visible=statistics.visible,
+        grad2d=statistics.grad2d,
+        depth=depth if request.with_depth else None,
+        max_weight=statistics.largest,
+        weight_sum=statistics.sums,
+    )
+
+
+def _stack(parts: tuple[Tensor, ...]) -> Tensor:
+    """As torch.stack, but a view of one part."""
+    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
+
+
+def _nothing(request: RenderRequest) -> tuple[Tensor, Tensor, Tensor]:
+    """Background, alpha and depth without Gaussians; a function of them to autograd."""
+    size = request.height, request.width
+    image = request.background.expand(*size, 3) + sum(p[:0].sum() for p in request.parameters)
+    blank = request.background.new_zeros(size)
+    return image, blank, blank
+
+
+def _draw(
+    request: RenderRequest, camera: int, statistics: Statistics
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Image (H, W, 3), alpha (H, W) and depth (H, W) of one camera; adds to the statistics."""
+    gsplat = library.gsplat()
+    splats = _project(gsplat, request, camera)
+    _watch(splats.means2d, statistics.grad2d[camera], request)
+    # The tiles are cut out after the projection, so that their Gaussians look as in the whole.
+    left, top, right, bottom = request.tiles
+    x0, y0 = left * TILE, top * TILE
+    width, height = min(right * TILE, request.width) - x0, min(bottom * TILE, request.height) - y0
+    means2d = splats.means2d
+    if x0 or y0:
+        means2d = torch.stack((means2d[..., 0] - x0, means2d[..., 1] - y0), dim=-1)
+    grid: dict[str, Any] = {"tile_width": right - left, "tile_height": bottom - top}
+    touched, pairs, ids = gsplat.isect_tiles(
+        means2d=means2d, radii=splats.radii, depths=splats.depths, tile_size=TILE, **grid
+    )
+    offsets = gsplat.isect_offset_encode(isect_ids=pairs, n_images=1, **grid)
+    mask = request.tile_mask
+    colours, background = splats.colours, request.background
+    if request.with_depth:
+        colours = torch.cat([colours, splats.depths[..., None].detach()], dim=-1)
+        background = torch.cat([background, background.new_zeros(1)])
+    image, alpha = gsplat.rasterize_to_pixels(
+        means2d=means2d,
+        conics=splats.conics,
+        colors=colours,
+        opacities=splats.opacities,
+        image_width=width,
+        image_height=height,
+        tile_size=TILE,
+        isect_offsets=offsets,
+        flatten_ids=ids,
+        backgrounds=background[None],
+        masks=None if mask is None else mask[None],
+    )
+    image, alpha = image[0], alpha.detach()[0, ..., 0]
+    if mask is not None:  # gsplat leaves the alpha of other tiles unwritten
+        drawn = mask.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:height, :width]
+        alpha = torch.where(drawn, alpha, 0)
+    depth = alpha
+    if request.with_depth:
+        depth = image[..., 3].detach() / torch.where(alpha > 0, alpha, 1)
+        image = image[..., :3]
+    statistics.visible[camera] = touched[0] > 0
+    if statistics.largest is not None or statistics.sums is not None:
+        _weigh(
+            request, camera, splats, means2d, (offsets[0], ids), (x0, y0, width, height), statistics
+        )
+    place = slice(y0, y0 + height), slice(x0, x0 + width)
+    return tuple(_placed(part, place, request) for part in (image, alpha, depth))  # type: ignore[return-value]
+
+
+def _project(gsplat: Any, request: RenderRequest, camera: int) -> Splats:
+    """Projects and colours all Gaussians; takes out those with values that are not finite."""
+    # Through views, so that what is taken out can be taken out of the gradients as well.
+    means, quats, scales, opacities, sh = (p.view_as(p) for p in request.parameters)
+    small = (means, quats, scales, opacities)
+    if request.raw:
+        scales, opacities = scales.exp(), opacities.sigmoid()
+    view = request.viewmats[camera].to(means)
+    radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
+        means=means,
+        covars=None,
+        quats=quats,
+        scales=scales,
+        viewmats=view[None],
+        Ks=request.Ks[camera].to(means)[None],
+        width=request.width,
+        height=request.height,
+        eps2d=BLUR,
+        near_plane=NEAR,
+        opacities=opacities,
+    )
+    with torch.no_grad():
+        total = means2d.sum(-1) + conics.sum(-1) + depths + opacities
+        drawn = (radii > 0).all(-1) & total.isfinite()  # (1, N)
+        pose = view.double()  # a difference of numbers that may be large
+        eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)
+    colours = gsplat.spherical_harmonics(
+        degrees_to_use=request.sh_degree, dirs=means - eye, coeffs=sh, masks=drawn[0]
+    )
+    colours = (colours + 0.5).clamp(min=0.0)[None]
+    with torch.no_grad():
+        drawn = drawn & colours.sum(-1).isfinite()
+        culled = ~drawn[0]
+    for parameter in small:  # that of sh is the basis times a colour's: zero already
+        if parameter.requires_grad:
+            parameter.register_hook(_without(culled))  # type: ignore[no-untyped-call]
+    return Splats(
+        radii=radii * drawn[..., None],
+        means2d=means2d,
+        depths=depths,
+        conics=conics,
+        opacities=opacities[None],
+        colours=colours,
+    )
+
+
+def _without(culled: Tensor) -> Any:
+    """A hook that makes the rows of a mask (N,) zero in a gradient (N, ...)."""
+
+    def clean(gradient: Tensor) -> Tensor:
+        return gradient.masked_fill(culled.view(-1, *(1,) * (gradient.dim() - 1)), 0)
+
+    return clean
+
+
+def _watch(means2d: Tensor, grad2d: Tensor, request: RenderRequest) -> None:
+    """Has `backward` write the scaled norm of dL / d(means2d) (1, N, 2) into `grad2d` (N,)."""
+    if not means2d.requires_grad:
+        return
+    half_width, half_height = 0.5 * request.width, 0.5 * request.height
+
+    def write(gradient: Tensor) -> None:
+        x, y = gradient[0].unbind(-1)
+        torch.hypot(x * half_width, y * half_height, out=grad2d)
+
+    means2d.register_hook(write)  # type: ignore[no-untyped-call]
+
+
+def _weigh(
+    request: RenderRequest,
+    camera: int,
+    splats: Splats,
+    means2d: Tensor,  # (1, N, 2) px from the cut's corner
+    lists: tuple[Tensor, Tensor],  # offsets of the tiles' lists, and these
+    cut: tuple[int, int, int, int],  # x0, y0, width, height in pixels
+    statistics: Statistics,
+) -> None:
+    """Adds one camera's blending weights to the statistics."""
+    if not library.has_triton():
+        raise KernelError(
+            "Blending weights on the card need Triton, which is not installed.",
+            "pip install triton (on Windows triton-windows), or use a preset without"
+            " contribution_every, or --device cpu.",
+        )
+    from ..cuda.weights import blending_weights
+
+    x0, y0, width, height = cut
+    counts = request.pixel_weights
+    if counts is not None:
+        counts = counts[camera, y0 : y0 + height, x0 : x0 + width]
+    blending_weights(
+        means2d[0].detach(),
+        splats.conics[0].detach(),
+        splats.opacities[0].detach(),
+        lists[0],
+        lists[1],
+        width,
+        height,
+        mask=request.tile_mask,
+        pixel_weights=counts,
+        largest=statistics.largest,
+        sums=statistics.sums,
+    )
+
+
+def _placed(part: Tensor, place: tuple[slice, slice], request: RenderRequest) -> Tensor:
+    """What was drawn of a rectangle, in the whole picture; around it background or zeros."""
+    size = request.height, request.width
+    if part.shape[:2] == size:
+        return part
+    whole = part.new_zeros(size) if part.dim() == 2 else request.background.expand(*size, 3).clone()
+    whole[place] = part
+    return whole

@@ -1,0 +1,112 @@
+"""Runs many cases on a few worker processes; `python -m tests.fuzz.runner [SHARE]` prints a table.
+
+A worker that dies (a crash, a hang, memory beyond bounds inside a library) is replaced by one that
+goes on behind the case it died of.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.fuzz.cases import FAMILIES
+
+ROOT = Path(__file__).resolve().parents[2]
+CHUNK = 300  # cases of one worker: a share of the work, and a bound to what may pile up in it
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
+
+
+@dataclass
+class Result:
+    """What became of cases.
+
+    Attributes:
+        ended: (family, exit status) -> how many.
+        wrong: case -> what was wrong with its end.
+        peak_mib: the largest resident memory of a worker, its packages included.
+    """
+
+    ended: Counter[tuple[str, str]] = field(default_factory=Counter)
+    wrong: dict[str, str] = field(default_factory=dict)
+    peak_mib: int = 0
+
+    @property
+    def cases(self) -> int:
+        """How many were run."""
+        return self.ended.total() + len(self.wrong)
+
+
+def work(cases: Sequence[str], result: Result) -> None:
+    """Run the cases («family number») one after another, into `result`."""
+    while cases:
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.fuzz.worker"],
+            cwd=ROOT,
+            env=os.environ | ONE_THREAD | {"PYTHONPATH": str(ROOT)},
+            input="\n".join(cases),
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+        records = [json.loads(line) for line in done.stdout.splitlines()]
+        for record in records:
+            result.peak_mib = max(result.peak_mib, record["peak_mib"])
+            if record["ended"] in ("0", "2"):
+                result.ended[record["case"].split()[0], record["ended"]] += 1
+            else:
+                result.wrong[record["case"]] = record["ended"]
+        cases = cases[len(records) :]
+        if cases:
+            what = f"the process ended ({done.returncode})\n{done.stderr[-3000:]}"
+            result.wrong[cases[0]] = what
+            cases = cases[1:]
+
+
+def sample(share: float) -> list[str]:
+    """The first cases of every family, that share of them and one at least."""
+    return [
+        f"{family} {number}"
+        for family, (_, most) in FAMILIES.items()
+        for number in range(max(1, round(most * share)))
+    ]
+
+
+def run(share: float, workers: int = 2) -> Result:
+    """Run that share of the cases on so many processes."""
+    result, cases = Result(), sample(share)
+    with ThreadPoolExecutor(workers) as pool:
+        jobs = [
+            pool.submit(work, cases[first : first + CHUNK], result)
+            for first in range(0, len(cases), CHUNK)
+        ]
+        for job in jobs:
+            job.result()
+    return result
+
+
+def main(share: float) -> None:
+    """Print what went wrong, and a table."""
+    started = time.monotonic()
+    result = run(share)
+    for case, what in result.wrong.items():
+        print(f"--- {case}\n{what}")
+    for family in FAMILIES:
+        well, refused = (result.ended[family, status] for status in "02")
+        print(f"{family:13}{well:5} well, {refused:5} refused")
+    seconds = time.monotonic() - started
+    print(
+        f"{result.cases} cases in {seconds:.0f} s, {len(result.wrong)} wrong, {result.peak_mib} MiB"
+    )
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 1.0)

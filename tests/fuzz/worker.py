@@ -1,0 +1,152 @@
+"""Runs cases in this process, with bounds on memory and time; one JSON line per case on stdout.
+
+`python -m tests.fuzz.worker FAMILY NUMBER` runs one; without arguments, those named on standard
+input, one a line. A case that is out of bounds ends the process: its line is the one missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import importlib
+import io
+import json
+import os
+import resource
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Any
+
+from roigs_addon.gaussian_ply import read_splats
+from roigs_engine import cli
+from roigs_engine.commands import train
+from roigs_engine.errors import EngineError
+from tests.fuzz import cases
+
+MEMORY = 2 << 30  # bytes above what the imported packages take
+SECONDS = 20.0
+HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
+         "roigs_engine.pipeline", "roigs_engine.crops", "roigs_engine.render")  # fmt: skip
+
+
+class Claim:
+    """The command `train` without its training: everything that looks at the input."""
+
+    HELP, EXAMPLES = "for tests", ""
+    add_arguments = staticmethod(train.add_arguments)
+
+    @staticmethod
+    def run(args: Any, console: Any) -> dict[str, str]:
+        with train.open_run(args, console) as work:
+            for roi in work.rois:
+                work.selection(roi)
+        return {}
+
+
+class Decode:
+    """Loads a scene with all its pixels, as training does."""
+
+    HELP, EXAMPLES = "for tests", ""
+
+    @staticmethod
+    def add_arguments(parser: Any) -> None:
+        parser.add_argument("scene", type=Path)
+
+    @staticmethod
+    def run(args: Any, console: Any) -> dict[str, str]:
+        from roigs_engine.colmap import load_colmap
+        from roigs_engine.images import PhotoCache
+
+        scene = load_colmap(args.scene, max_side=64, cache=args.scene / "../out", emit=console.emit)
+        with PhotoCache(scene.images) as cache:
+            for index in range(len(cache)):
+                with contextlib.suppress(EngineError):
+                    camera, pixels = scene.images[index].camera, cache[index]
+                    assert pixels.shape == (camera.height, camera.width, 3)
+        return {}
+
+
+class Splats:
+    """The add-on's reader of PLYs, which refuses with a ValueError."""
+
+    HELP, EXAMPLES = "for tests", ""
+
+    @staticmethod
+    def add_arguments(parser: Any) -> None:
+        parser.add_argument("ply", type=Path)
+
+    @staticmethod
+    def run(args: Any, console: Any) -> dict[str, str]:
+        try:
+            read_splats(args.ply)
+        except ValueError as error:
+            raise EngineError(str(error)) from error
+        return {}
+
+
+cli.COMMANDS |= {"claim": Claim, "decode": Decode, "splats": Splats}  # type: ignore[dict-item]
+
+
+def complaint(family: str, number: int) -> str:
+    """Run one case; what is wrong with how it ended, or nothing."""
+    with tempfile.TemporaryDirectory(prefix="roigs-fuzz-") as name:
+        folder = Path(name) / "a" / "b" / "case"
+        (folder / "in").mkdir(parents=True)
+        command = cases.make(family, number, folder)
+        out, err = io.StringIO(), io.StringIO()
+        status: object
+        try:
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                status = cli.main(command)
+        except BaseException:
+            return f"{command}\n{traceback.format_exc(limit=-6)}"
+        said = err.getvalue()
+        errors = [line for line in said.splitlines() if line.startswith("error: ")]
+        if status not in (0, 2) or len(errors) != (status == 2):
+            return f"{command}: status {status}\n{said}"
+        if status == 2 and not said.rstrip("\n").rpartition("\n")[2].startswith("error: "):
+            return f"{command}: an error of several lines\n{said}"
+        if "Warning:" in said or "Traceback" in said:
+            return f"{command}: a warning of Python's\n{said}"
+        return unfinished(Path(name), folder) or str(status)
+
+
+def unfinished(root: Path, folder: Path) -> str:
+    """Files that lie where none belongs, or that are not whole."""
+    for path in root.rglob("*"):
+        inside = path == folder or folder in path.parents or path in folder.parents
+        if not inside or (path.parent == folder and path.name not in ("in", "out")):
+            return f"written outside: {path.relative_to(root)}"
+        if path.name.endswith(".part"):
+            return f"left behind: {path.relative_to(root)}"
+    return ""
+
+
+def main(chosen: list[tuple[str, int]]) -> None:
+    """Run the cases and report."""
+    report = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print themselves does not mix with it
+    for module in HEAVY:
+        importlib.import_module(module)
+    from roigs_engine.kernels.library import set_threads
+
+    set_threads(1)
+    sys.modules["torch"].set_num_threads(1)
+    complaint("model_bytes", 0)  # loads what is loaded late
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    for family, number in chosen:
+        faulthandler.dump_traceback_later(SECONDS, exit=True)
+        ended = complaint(family, number)
+        faulthandler.cancel_dump_traceback_later()
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+        line = {"case": f"{family} {number}", "ended": ended, "peak_mib": peak}
+        print(json.dumps(line), file=report, flush=True)
+
+
+if __name__ == "__main__":
+    lines = [" ".join(sys.argv[1:])] if len(sys.argv) > 1 else sys.stdin.read().splitlines()
+    main([(name, int(number)) for name, number in map(str.split, lines)])

@@ -1,0 +1,216 @@
+"""Input is never run as code, and no file is written where it does not belong."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_addon.engine import client
+from roigs_addon.engine.client import Engine, Job
+from roigs_engine.cli import main
+from roigs_engine.colmap import load_colmap
+from roigs_engine.errors import RoiError
+from roigs_engine.images import load_photo
+from roigs_engine.photo_headers import PhotoError, photo_size
+from roigs_engine.render import safe_name
+from roigs_engine.roi import roi_from_dict
+from roigs_engine.scene import Camera, PosedImage
+from tests.addon.colmap_project import write_project
+from tests.addon.test_jobs import PYTHON, fake, finished
+
+ROOT = Path(__file__).resolve().parent.parent
+SHIPPED = ("roigs_engine", "roigs_addon")
+RUNS_CODE = re.compile(
+    r"(pickle|cPickle|dill|marshal|shelve|joblib|yaml)\.\w*(load|Unpickler|open)\w*"
+    r"|(builtins\.)?(eval|exec|compile|__import__|execfile)"
+    r"|os\.(system|popen|exec\w*|spawn\w*|startfile)"
+    r"|subprocess\.(getoutput|getstatusoutput)|commands\.\w+"
+    r"|(zipfile|tarfile|shutil)\.(ZipFile|TarFile|open|unpack_archive)"
+    r"|torch\.(jit|package|hub)\..*|tempfile\.mktemp"
+)
+
+
+def calls() -> Iterator[tuple[str, str, dict[str, str]]]:
+    """(place, dotted name, keyword -> value) of every call in what is shipped."""
+    for package in SHIPPED:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call):
+                    given = {k.arg or "**": ast.unparse(k.value) for k in node.keywords}
+                    place = f"{path.relative_to(ROOT)}:{node.lineno}"
+                    yield place, ast.unparse(node.func), given
+
+
+def test_nothing_is_run_or_unpickled() -> None:
+    found = list(calls())
+    assert len(found) > 3000
+    for place, called, given in found:
+        assert not RUNS_CODE.fullmatch(called), f"{place}: {called}"
+        assert given.get("shell", "False") == "False", f"{place}: a shell"
+        if called == "torch.load":
+            assert given.get("weights_only") == "True", place
+        if called in ("np.load", "numpy.load", "np.save", "numpy.save"):
+            assert given.get("allow_pickle", "False") == "False", place
+
+
+def test_the_test_above_would_find_them() -> None:
+    for name in ("pickle.load", "pickle.Unpickler", "eval", "os.system", "os.popen", "exec"):
+        assert RUNS_CODE.fullmatch(name)
+
+
+# --- the engine's process ---
+
+
+def test_the_engine_is_started_without_a_shell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[tuple[Any, dict[str, Any]]] = []
+    popen = subprocess.Popen
+
+    def noted(command: Sequence[str], **given: Any) -> Any:
+        started.append((command, given))
+        return popen(command, **given)
+
+    monkeypatch.setattr(client.subprocess, "Popen", noted)
+    engine = fake(
+        tmp_path, "say(event='done', outputs={str(k): a for k, a in enumerate(sys.argv)})"
+    )
+    odd = ["train", "; touch x", "$(touch x)", "`touch x`", '"', "'", "*", "a b", "& touch x", "|"]
+    monkeypatch.chdir(tmp_path)
+    outcome, _ = finished(Job(engine, odd))
+    ((command, given),) = started
+    assert isinstance(command, list) and not given.get("shell") and "executable" not in given
+    assert list(outcome.outputs.values())[1:] == [*odd, "--events"]
+    assert not (tmp_path / "x").exists()
+
+
+def test_secrets_of_the_environment_are_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secret = "token-5d1f0a7c93"
+    monkeypatch.setenv("FAKE_TOKEN", secret)
+    scene, run = write_project(tmp_path / "scene"), tmp_path / "run"
+    box = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+    engine = Engine(python=PYTHON, source=ROOT)
+    common = ["train", str(scene), "--roi", box, "--run-dir", str(run), "--max-side", "24"]
+    for arguments in (
+        [*common, "--steps-factor", "0.001"],
+        [*common, "--steps-factor", "0.002"],  # refused: another request
+        ["inspect", str(tmp_path / "nothing")],
+    ):
+        job = Job(engine, arguments, log=run / "blender" / "engine.log")
+        assert job.wait(120)
+        outcome = job.outcome()
+        assert outcome.failed == (arguments[-1] != "0.001"), outcome.message
+        assert secret not in outcome.message
+    written = [path for path in run.rglob("*") if path.is_file()]
+    assert {"result.ply", "events.jsonl", "engine.log"} <= {path.name for path in written}
+    for path in written:
+        assert secret.encode() not in path.read_bytes(), path
+
+
+# --- names ---
+
+OUTSIDE = (
+    *("../../x", "..\\..\\x", "/tmp/x", "C:\\x", "C:x", "\\\\host\\share", "a/../../b"),
+    *("..", "."),
+)
+NO_NAMES = (
+    *("", " ", "a/b", "a\\b", "a:b", "a\0b", "a\nb", "x" * 300, "NUL", "con", "Com1.old", "a."),
+    *(" a", "a ", "\ud800", "\udcff", "庭" * 90),
+)
+
+
+@pytest.mark.parametrize("name", [*OUTSIDE, *NO_NAMES])
+def test_names_of_boxes_that_are_no_file_names(name: str) -> None:
+    with pytest.raises(RoiError):
+        roi_from_dict({"name": name, "min": [0, 0, 0], "max": [1, 1, 1]})
+
+
+@pytest.mark.parametrize("name", ["vase", "Große Vase 2", "花瓶", "a.b", "-x", "console", "aux_1"])
+def test_names_of_boxes_that_are(name: str) -> None:
+    assert roi_from_dict({"name": name, "min": [0, 0, 0], "max": [1, 1, 1]}).name == name
+
+
+def test_boxes_whose_files_would_be_the_same(tmp_path: Path, capsys: Any) -> None:
+    """Windows and macOS make no difference between these."""
+    boxes = [{"name": name, "min": [0, 0, 0], "max": [1, 1, 1]} for name in ("Vase", "vase")]
+    (tmp_path / "rois.json").write_text(json.dumps(boxes))
+    assert main(["inspect", str(tmp_path), "--rois", str(tmp_path / "rois.json")]) == 2
+    assert "«vase»" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [*OUTSIDE, *NO_NAMES, "ok"])
+def test_names_of_pictures_stay_in_their_folder(tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"{safe_name(name)}.png"
+    assert path.resolve().parent == tmp_path
+    path.touch()
+
+
+@pytest.mark.parametrize("name", OUTSIDE[:-2])
+def test_photos_outside_their_folder_are_not_looked_at(tmp_path: Path, name: str) -> None:
+    scene = write_project(tmp_path / "a" / "scene", photos=3)
+    photo = (scene / "images" / "photo 0.png").read_bytes()
+    for place in (tmp_path / "a" / "x", tmp_path / "a" / "b", Path("/tmp/x")):
+        if place.parent != Path("/tmp"):
+            place.write_bytes(photo)
+    images = scene / "sparse" / "0" / "images.txt"
+    images.write_text(images.read_text().replace("photo 0.png", name))
+    assert [image.name for image in load_colmap(scene).images] == ["photo 1.png", "photo 2.png"]
+
+
+def test_links_are_replaced_and_not_written_through(tmp_path: Path) -> None:
+    """A link in the run folder, prepared by somebody, does not lead a result elsewhere."""
+    scene, out = write_project(tmp_path / "scene"), tmp_path / "out"
+    kept = tmp_path / "kept.json"
+    kept.write_text("mine")
+    out.mkdir()
+    (out / "thing.json").symlink_to(kept)
+    box = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+    assert main(["select", str(scene), "--roi", box, "--out", str(out)]) == 0
+    assert kept.read_text() == "mine" and not (out / "thing.json").is_symlink()
+
+
+# --- photos ---
+
+
+def test_a_photo_is_not_given_to_ghostscript(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pillow goes by the content: an EPS file called .jpg is a program for another program."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a program was started")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (64, 48)).save(path, "EPS")
+    with pytest.raises(PhotoError):
+        photo_size(path)
+    camera = Camera(width=64, height=48, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
+    pose, rows = np.eye(4), np.empty(0, np.int64)
+    with pytest.raises(PhotoError):
+        load_photo(
+            PosedImage(name="a", path=path, camera=camera, world_to_camera=pose, point_indices=rows)
+        )
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_pipes_and_devices_are_no_photos(tmp_path: Path) -> None:
+    """They would be read for ever."""
+    scene = write_project(tmp_path, photos=4)
+    (scene / "images" / "photo 0.png").unlink()
+    os.mkfifo(scene / "images" / "photo 0.png")
+    (scene / "images" / "photo 1.png").unlink()
+    (scene / "images" / "photo 1.png").symlink_to("/dev/zero")
+    assert load_colmap(scene).skipped["missing on disk"] == ("photo 0.png", "photo 1.png")
