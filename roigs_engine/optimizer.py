@@ -54,7 +54,6 @@ class VisibleAdam:
 
     Attributes:
         parameters: the leaf tensors by name.
-        fused: `rasterize(..., optimizer=self)` takes the steps; parameters have no `.grad`.
         exp_avg: first moments by name, shaped as the parameters.
         exp_avg_sq: second moments by name.
         step_count: how many steps were taken.
@@ -80,14 +79,14 @@ class VisibleAdam:
             eps: added to the root of the second moment.
             backend: "cpu" (compiled kernel: float32 on the CPU), "triton" (float32 on an NVIDIA
                 card), "reference" (plain torch), or "auto", the first that can be used.
-            fused: see the class; with the compiled kernel only.
+            fused: see the class; left out where the backend is not "cpu".
 
         Raises:
             EngineError: rows, rates or strides that do not fit.
         """
         if backend not in ("auto", "cpu", "triton", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
-        self.betas, self.eps, self.backend, self.fused = betas, eps, backend, fused
+        self.betas, self.eps, self.backend, self._may_fuse = betas, eps, backend, fused
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
@@ -165,6 +164,11 @@ class VisibleAdam:
         skipped = int(kernel(ctypes.byref(adam)))
         self.skipped_rows += skipped
         return skipped
+
+    @property
+    def fused(self) -> bool:
+        """Whether `rasterize(..., optimizer=self)` takes the steps; parameters have no `.grad`."""
+        return self._may_fuse and self._backend() == "cpu"
 
     def _backend(self) -> str:
         """What is used for the parameters: they are all of one kind."""

@@ -321,7 +321,7 @@ class Trainer:
             "sh": sh_rates.flatten(),
         }
         parameters = {name: (tensors[name], rates[name]) for name in NAMES}
-        return VisibleAdam(parameters, fused=tensors["means"].device.type == "cpu")
+        return VisibleAdam(parameters, fused=True)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides how training goes on; tensors on the CPU and plain numbers."""

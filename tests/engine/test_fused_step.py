@@ -78,6 +78,12 @@ def test_rendering_alone_takes_no_step() -> None:
     assert optimizer.step_count == 0
 
 
+def test_a_backend_that_cannot_fuse_keeps_gradients() -> None:
+    optimizer = adam(dtype=torch.float64)
+    assert not optimizer.fused
+    assert all(parameter.grad is not None for parameter in optimizer.parameters.values())
+
+
 def test_a_second_backward_is_refused() -> None:
     loss = render(adam()).image.sum()
     loss.backward(retain_graph=True)
@@ -91,6 +97,6 @@ def test_a_step_that_cannot_be_taken_is_refused() -> None:
     with pytest.raises(EngineError, match="reference backend"):
         render(adam(), backend="reference")
     with pytest.raises(EngineError, match="reference backend"):
-        render(adam(dtype=torch.float64))
+        render(other := adam(dtype=torch.float64), optimizer=other)
     with pytest.raises(EngineError, match="not the tensors"):
         render(adam(), optimizer=adam())
