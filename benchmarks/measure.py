@@ -26,7 +26,8 @@ KERNEL_STAGES = {
     "roigs_bin": "bin",
     "roigs_render": "raster",
     "roigs_render_backward": "raster backward",
-    "roigs_project_backward": "project backward",
+    "roigs_project_backward": "update",
+    "roigs_project_backward_adam": "update",
 }
 """Kernel -> stage of the kernels that run inside one torch function."""
 
@@ -86,7 +87,9 @@ class StepBenchmark:
     def __init__(self, gaussians: int, width: int, height: int) -> None:
         model = synthetic_gaussians(gaussians)
         self.tensors = {n: getattr(model, n).requires_grad_() for n in NAMES}
-        self.optimizer = VisibleAdam({n: (t, 0.0) for n, t in self.tensors.items()})
+        fused = {"fused": True} if _fuses() else {}
+        self.optimizer = VisibleAdam({n: (t, 0.0) for n, t in self.tensors.items()}, **fused)
+        self.fused = {"optimizer": self.optimizer} if _fuses() else {}
         focal = 0.87 * width
         self.intrinsics = torch.tensor([[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]])
         generator = torch.Generator().manual_seed(0)
@@ -131,7 +134,7 @@ class StepBenchmark:
         self.passes += 1
         return found
 
-    def _render(self, pose: torch.Tensor, **options: bool) -> RenderOutput:
+    def _render(self, pose: torch.Tensor, **options: Any) -> RenderOutput:
         height, width = self.target.shape[:2]
         parameters = self.tensors.values()
         return rasterize(
@@ -141,12 +144,13 @@ class StepBenchmark:
     def _step(self, pose: torch.Tensor) -> Times:
         watch = Stopwatch()
         with kernel_calls(watch.kernel), watch.stage("step"):
-            output = self._render(pose)
+            output = self._render(pose, **self.fused)
             with watch.stage("loss"):
                 loss = photo_loss(output.image, self.target)
             loss.loss.backward()
-            with watch.stage("adam"):
-                self.optimizer.step(output.visible[0])
+            if not self.fused:
+                with watch.stage("update"):
+                    self.optimizer.step(output.visible[0])
         stages = [times for name, times in watch.taken.items() if name != "step"]
         wall, cpu = (
             whole - sum(parts)
@@ -194,6 +198,11 @@ def peak_memory() -> int | None:
 def _counts_pairs() -> bool:
     """False for a revision of the engine that does not count pairs."""
     return hasattr(library.load(), "roigs_pair_evaluations")
+
+
+def _fuses() -> bool:
+    """False for a revision of the engine whose backward pass takes no step of the optimiser."""
+    return "optimizer" in inspect.signature(rasterize).parameters
 
 
 def _rotated(items: list[Any], first: int) -> list[Any]:

@@ -8,8 +8,12 @@
 // leaving it all out.
 ROIGS_API double roigs_fma_chains(int64_t steps, float* result) {
     using namespace roigs;
-    // Up to four pipelines, four operations deep; or three where registers are fewer.
-    constexpr int kChains = kVectorRegisters < 32 ? 12 : 16;
+    // Up to four pipelines, four operations deep; or three where registers are 16 and not 32.
+#if defined(ROIGS_AVX512) || defined(__aarch64__)
+    constexpr int kChains = 16;
+#else
+    constexpr int kChains = 12;
+#endif
     const Floats factor = splat(0.999f), term = splat(0.001f);
     Floats x[kChains];
     for (int c = 0; c < kChains; ++c) x[c] = splat(float(c));

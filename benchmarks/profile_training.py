@@ -107,6 +107,7 @@ def watch_training() -> Clock:
     clock.watch(trainer, "photo_loss", "loss")
     clock.watch(torch.Tensor, "backward", "backward")
     clock.watch(VisibleAdam, "step", "optimizer")
+    clock.watch(VisibleAdam, "step_by", "optimizer")
     clock.watch(VisibleAdam, "set_lr", "optimizer")
     clock.watch(DensityStats, "add", "statistics")
     clock.watch(Trainer, "_observe", "running loss and PSNR")

@@ -12,6 +12,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+COLOUR = "Color"
+"""Attribute with the points' colours, linear light."""
+
+POINTS = "Points"
+"""Name of the modifier that shows vertices as points."""
+
 ATTRIBUTE_KEYS = {
     "FLOAT": "value",
     "FLOAT_VECTOR": "vector",
@@ -52,8 +58,21 @@ def show_as_points(
 ) -> None:
     """Add the modifier: points of a radius, or of the radius that an attribute holds."""
     group = _points_group(f"{item.name} points", material, radius)
-    modifier = item.modifiers.new("Points", "NODES")
+    modifier = item.modifiers.new(POINTS, "NODES")
     modifier.node_group = group
+
+
+def shown_radius(item: bpy.types.Object) -> float | None:
+    """Radius of an object's points in its own frame, as `show_as_points` set it.
+
+    None where the viewport shows no points, for the modifier is off or gone.
+    """
+    modifier = item.modifiers.get(POINTS)
+    group = getattr(modifier, "node_group", None)
+    if group is None or not modifier.show_viewport:
+        return None
+    made = (n for n in group.nodes if n.bl_idname == "GeometryNodeMeshToPoints")
+    return next((float(node.inputs["Radius"].default_value) for node in made), None)
 
 
 def _points_group(
@@ -97,7 +116,7 @@ def colour_material(name: str, opacity: str = "") -> bpy.types.Material:
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
     nodes.clear()
     colour = nodes.new("ShaderNodeAttribute")
-    colour.attribute_name = "Color"
+    colour.attribute_name = COLOUR
     light = nodes.new("ShaderNodeEmission")
     output = nodes.new("ShaderNodeOutputMaterial")
     link(colour.outputs["Color"], light.inputs["Color"])

@@ -16,23 +16,36 @@ from .engine import python, runs
 from .errors import AddonError
 
 SECONDS = 1.0
-"""How long a run folder is taken to be as it was."""
+"""How long files are taken to be as they were."""
 
 ENGINE_SECONDS = 5.0
 """How long an engine that lacks something is taken to lack it."""
 
 _runs: dict[Path, tuple[float, runs.Run]] = {}
+_files: dict[Path, tuple[float, bool]] = {}
 _names: dict[tuple[str, str, int], dict[str, str]] = {}
 
 
 def run(scene: bpy.types.Scene) -> runs.Run:
     """The scene's run folder."""
     folder = requests.run_folder(scene)
-    now = time.monotonic()
-    if folder not in _runs or now - _runs[folder][0] > SECONDS:
+    if _is_old(_runs.get(folder)):
         _runs.clear()
-        _runs[folder] = now, runs.read(folder)
+        _runs[folder] = time.monotonic(), runs.read(folder)
     return _runs[folder][1]
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there."""
+    if _is_old(_files.get(path)):
+        _files.clear()
+        _files[path] = time.monotonic(), path.is_file()
+    return _files[path][1]
+
+
+def _is_old(fact: tuple[float, object] | None) -> bool:
+    """Scripts do not draw, and want to know what is true now."""
+    return fact is None or bpy.app.background or time.monotonic() - fact[0] > SECONDS
 
 
 def changed(scene: bpy.types.Scene, found: runs.Run) -> list[str]:
@@ -130,6 +143,7 @@ def _redraw_when_known() -> float | None:
 def forget(*_: object) -> None:
     """Look again at the next drawing; also called when a file was loaded."""
     _runs.clear()
+    _files.clear()
     _names.clear()
 
 

@@ -121,7 +121,7 @@ def _new_cloud(
     cloud = clouds.new_points(name, points)
     rgba = np.ones((len(points), 4), np.float32)
     rgba[:, :3] = clouds.to_linear(colours[:, :3].astype(np.float32) / 255)
-    clouds.set_attribute(cloud.data, "Color", "FLOAT_COLOR", rgba)
+    clouds.set_attribute(cloud.data, clouds.COLOUR, "FLOAT_COLOR", rgba)
     material = clouds.colour_material("ROI-GS Points")
     clouds.show_as_points(cloud, material, extent * POINT_RADIUS)
     cloud.roigs.kind = "POINTS"

@@ -63,6 +63,9 @@ class Runner:
         self.work = work
         self.stopping = False
         self.finished = False
+        self.news = True
+        """Whether anything came since the panel was last drawn; whoever draws it clears this."""
+        self._preview: Path | None = None
         self.messages: deque[str] = deque(maxlen=100)
         state = bpy.context.window_manager.roigs
         state.title, state.stage, state.message, state.error = work.title, "", "", ""
@@ -81,6 +84,12 @@ class Runner:
         running = self.job.running()
         for event in self.job.events():
             self._take(event)
+            self.news = True
+        # A stopping engine writes a last one and its checkpoint: to draw it now would hold that up.
+        if self._preview is not None and not (running and self.stopping):
+            _guarded(self.work.on_preview, self._preview)
+            self._preview = None
+            redraw()
         if not running and not self.finished:
             self.finished = True
             self._finish()
@@ -88,7 +97,7 @@ class Runner:
 
     def stop(self) -> None:
         """Ask the engine to stop."""
-        self.stopping = True
+        self.stopping = self.news = True
         bpy.context.window_manager.roigs.message = "Stopping …"
         self.job.stop()
 
@@ -110,8 +119,7 @@ class Runner:
             case "preview":
                 path = Path(event.get("path", ""))
                 if _is_file_in(self.work.folder, path):
-                    _guarded(self.work.on_preview, path)
-                    redraw()
+                    self._preview = path
 
     def _finish(self) -> None:
         state = bpy.context.window_manager.roigs
@@ -230,10 +238,11 @@ def _tick() -> float | None:
     if current is None:
         return None
     running = current.poll()
-    if running:  # the pictures beside the sidebar take long to draw, and are as they were
-        redraw_sidebars()
-    else:
+    if not running:
         redraw()
+    elif current.news:  # the pictures beside the sidebar take long to draw, and are as they were
+        redraw_sidebars()
+    current.news = False
     return POLL_SECONDS if running else None
 
 

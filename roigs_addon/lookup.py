@@ -11,14 +11,20 @@ from .errors import AddonError
 from .frames import Box, Matrix, ShearedBoxError, box_from_matrix
 from .photo import Photo
 
-TYPES = {"ROOT": "EMPTY", "CAMERA": "CAMERA", "POINTS": "MESH", "ROI": "EMPTY", "SPLATS": "MESH"}
+TYPES = {
+    "ROOT": {"EMPTY"},
+    "CAMERA": {"CAMERA"},
+    "POINTS": {"MESH"},
+    "ROI": {"EMPTY"},
+    "SPLATS": {"MESH", "POINTCLOUD"},  # the latter from native.py
+}
 """What Blender calls the objects of each kind; it is asked first, being three times as fast."""
 
 
 def of_kind(scene: bpy.types.Scene, kind: str) -> Iterator[bpy.types.Object]:
     """The scene's objects of a kind, in the order of their names."""
-    of_type = TYPES[kind]
-    found = (o for o in scene.objects if o.type == of_type and o.roigs.kind == kind)
+    types = TYPES[kind]
+    found = (o for o in scene.objects if o.type in types and o.roigs.kind == kind)
     return iter(sorted(found, key=lambda o: o.name))
 
 

@@ -261,6 +261,7 @@ class TrainPanel(_Panel, bpy.types.Panel):
         if active is not None and len(lookup.rois(scene)) > 1:
             button = row.operator(train.TrainRoi.bl_idname, text=f"Only {active.name}")
             button.active_only = True
+        row.operator(train.ShowLog.bl_idname, text="", icon="TEXT")
         if problem := facts.engine_problem():
             _engine_missing(layout, problem)
         if not _job(layout, "Training"):
@@ -299,7 +300,7 @@ class TrainSettingsPanel(_Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Steps, boxes, tests, folder, log."""
+        """Steps, boxes, tests, folder."""
         layout, scene = self.layout, context.scene
         column = layout.column(align=True)
         column.use_property_split = True
@@ -308,7 +309,6 @@ class TrainSettingsPanel(_Panel, bpy.types.Panel):
             column.prop(scene.roigs, name)
         if not scene.roigs.run_dir:
             _say(layout, f"{requests.run_folder(scene)}", "FILE_FOLDER")
-        layout.operator(train.ShowLog.bl_idname, icon="TEXT")
 
 
 class ResultPanel(_Panel, bpy.types.Panel):
@@ -333,9 +333,10 @@ class ResultPanel(_Panel, bpy.types.Panel):
                 row.prop(item, "hide_viewport", text="", emboss=False)
             elif item.roigs.level == "ROI":
                 self._box(column.row(align=True), splats, item.roigs.roi, levels)
-        if splats:
+        drawn = [item for item in splats if item.type == "MESH"]  # Blender draws its own kind
+        if drawn:
             row = layout.row(align=True)
-            as_points = splats[0].roigs.as_points
+            as_points = drawn[0].roigs.as_points
             for text, value in (("Gaussians", False), ("Points", True)):
                 button = row.operator(
                     results.ShowPoints.bl_idname, text=text, depress=as_points == value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,9 @@ def run_folder(scene: bpy.types.Scene) -> Path:
     if bpy.data.filepath:
         blend = Path(bpy.data.filepath)
         return blend.with_name(f"{blend.stem}_roigs")
-    return preferences.cache_folder() / "unsaved" / _plain(scene.roigs.colmap or scene.name)
+    name = scene.roigs.colmap or scene.name
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]  # many projects' folders are called alike
+    return preferences.cache_folder() / "unsaved" / f"{_plain(name)}-{mark}"
 
 
 def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:

@@ -181,17 +181,18 @@ def _nothing_group() -> bpy.types.NodeTree:
 def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
     """What docs/conventions.md lists for Gaussians, and what the points' material reads."""
     base = cloud.sh[:, 0]
+    radiance = np.column_stack((base, cloud.opacities))
     colour = np.ones((len(base), 4), np.float32)
     colour[:, :3] = clouds.to_linear(np.clip(0.5 + SH_C0 * base, 0, 1))
     columns = {
-        "Color": ("FLOAT_COLOR", colour),
+        clouds.COLOUR: ("FLOAT_COLOR", colour),
         "opacity": ("FLOAT", cloud.opacities),
         "radius": ("FLOAT", np.cbrt(cloud.scales.prod(axis=1))),
         "scale": ("FLOAT_VECTOR", cloud.scales),
         "rotation": ("QUATERNION", cloud.quats),
-        "radiance:base": ("FLOAT_VECTOR", base),
+        "radiance:base": ("FLOAT_COLOR", radiance),  # four numbers, in any Blender
     }
     for index in range(1, cloud.sh.shape[1]):
-        columns[f"radiance:sh_{index}"] = ("FLOAT_VECTOR", cloud.sh[:, index])
+        columns[f"radiance:sh_{index - 1}"] = ("FLOAT_VECTOR", cloud.sh[:, index])
     for name, (kind, values) in columns.items():
         clouds.set_attribute(mesh, name, kind, values)

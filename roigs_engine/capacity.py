@@ -56,12 +56,19 @@ def box_capacities(
     """
     if not rois or config.box_capacity <= 0:
         return None
+    ends = [int(config.box_capacity * _pixels(roi, images, check) ** EXPONENT) for roi in rois]
+    return capacities_to(model, rois, ends)
+
+
+def capacities_to(
+    model: Gaussians, rois: Sequence[OrientedBox], ends: Sequence[int]
+) -> list[BoxCapacity]:
+    """Capacities that rise from what `model` holds in the boxes to `ends`, one for each box."""
     owner = box_owner(model, rois)
-    capacities = []
-    for index, roi in enumerate(rois):
-        end = int(config.box_capacity * _pixels(roi, images, check) ** EXPONENT)
-        capacities.append(BoxCapacity(begin=min(int((owner == index).sum()), end), end=end))
-    return capacities
+    return [
+        BoxCapacity(begin=min(int((owner == index).sum()), end), end=end)
+        for index, end in enumerate(ends)
+    ]
 
 
 def _pixels(roi: OrientedBox, images: Sequence[PosedImage], check: Check) -> float:

@@ -40,6 +40,7 @@ class TrainConfig:
         box_margin: for densification and its limits, boxes are so many times larger: what stands
             close around an object fills much of its silhouette.
         box_capacity: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
+        box_grad_threshold: takes the place of `grad_threshold` in the boxes; 0: the same there.
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
@@ -69,6 +70,7 @@ class TrainConfig:
     densify_in_boxes: bool = False
     box_margin: float = 1.0
     box_capacity: float = 0.0
+    box_grad_threshold: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
@@ -169,6 +171,10 @@ class RunConfig:
             densify_until=self.total_steps // 2,
             lr_means_final=TrainConfig.lr_means_final,
         )
+
+    def matched_baseline(self) -> TrainConfig:
+        """The baseline, densified in the boxes as readily as the ROI stage is."""
+        return replace(self.baseline(), box_grad_threshold=self.roi.grad_threshold)
 
     def in_strategy(self, strategy: str) -> RunConfig:
         """The same steps, tests and seed in another strategy: the paper's own or `standard`'s."""

@@ -121,15 +121,18 @@ def choose(
 
     Args:
         gaussians, stats, config: as trained so far.
-        rois: the boxes, when `config.densify_in_boxes`.
+        rois: the boxes, when the config has rules for them.
         capacities: most Gaussians each box may hold; the largest gradients win. None: no limit.
     """
     gradient = stats.mean_gradient()
     chosen = gradient > config.grad_threshold
-    if not config.densify_in_boxes:
+    if not (config.densify_in_boxes or config.box_grad_threshold or capacities):
         return chosen
     owner = box_owner(gaussians, rois)
-    chosen &= owner >= 0
+    if config.box_grad_threshold:
+        chosen = torch.where(owner >= 0, gradient > config.box_grad_threshold, chosen)
+    if config.densify_in_boxes:
+        chosen &= owner >= 0
     for index, capacity in enumerate(capacities or ()):
         mine = torch.nonzero(chosen & (owner == index)).flatten()
         room = max(0, capacity - int((owner == index).sum()))

@@ -2,8 +2,9 @@
 
 Masks (docs/method.md, evaluation): the silhouette of the box, which is the paper's mask, and the
 object's pixels, those of the silhouette whose expected depth lies inside the box in the model that
-scores best on the silhouette; the same pixels for every row of a box. PSNR is computed per view
-and then averaged. Renders are compared as they are, clamped to [0, 1] but not rounded to 8 bits.
+scores best on the silhouette, or in a named one; the same pixels for every row of a box. PSNR is
+computed per view and then averaged. Renders are compared as they are, clamped to [0, 1] but not
+rounded to 8 bits.
 """
 
 from __future__ import annotations
@@ -64,12 +65,16 @@ class EvaluatedModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:
-    """What is measured for one box: its views by photo name, and the models that have a row."""
+    """What is measured for one box: its views by photo name, and the models that have a row.
+
+    `mask_from` is the model that makes the object's mask; None: the best one.
+    """
 
     roi: OrientedBox
     views: dict[str, MeasuredView]
     left_out: tuple[str, ...]
     models: tuple[EvaluatedModel, ...]
+    mask_from: int | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,6 +102,7 @@ def evaluate(
     emit: Emit = ignore,
     check: Check = go_on,
     baseline: str = "Full Scene",
+    object_mask_from: str | None = None,
 ) -> Evaluation:
     """Measure every model on the held-out photos `test` of `scene` (which holds all photos).
 
@@ -104,12 +110,19 @@ def evaluate(
     model, which is known only at the end: so each view's errors are summed inside the mask of
     every model's depth, a handful of numbers, and the best model's are picked afterwards.
 
+    Args:
+        models, scene, test, rois: see above.
+        emit, check: as everywhere.
+        baseline: name of the model that gains are counted from.
+        object_mask_from: name of the model whose depth makes the object's mask; None: the best one.
+            Evaluations that are to be compared need the same.
+
     Raises:
         SceneError: no test view, or one that the scene does not have.
-        ConfigError: no model, or two of one name for one box.
+        ConfigError: no model, two of one name for one box, or no `object_mask_from` for one.
     """
     images = _checked(models, scene, test)
-    plans = [_plan(roi, images, models, emit, check) for roi in rois]
+    plans = [_plan(roi, images, models, object_mask_from, emit, check) for roi in rois]
     samples: list[dict[str, _Sample]] = [{} for _ in plans]
     image_views: dict[EvaluatedModel, dict[str, float]] = {model: {} for model in models}
     emit(StageStarted(stage="evaluate", total=len(images)))
@@ -179,6 +192,7 @@ def _plan(
     roi: OrientedBox,
     images: Sequence[PosedImage],
     models: Sequence[EvaluatedModel],
+    mask_from: str | None,
     emit: Emit,
     check: Check,
 ) -> _Plan:
@@ -207,8 +221,18 @@ def _plan(
     names = [model.name for model in rows]
     if len(set(names)) < len(names):
         raise ConfigError(f"Two models of ROI «{roi.name}» share a name ({', '.join(names)}).")
-    left_out = tuple(name for name in sizes if name not in views)
-    return _Plan(roi=roi, views=views, left_out=left_out, models=rows)
+    if mask_from is not None and mask_from not in names:
+        raise ConfigError(
+            f"No model of ROI «{roi.name}» is named «{mask_from}», which the object's mask needs.",
+            f"There are: {', '.join(names)}.",
+        )
+    return _Plan(
+        roi=roi,
+        views=views,
+        left_out=tuple(name for name in sizes if name not in views),
+        models=rows,
+        mask_from=None if mask_from is None else names.index(mask_from),
+    )
 
 
 def _measure_view(
@@ -270,6 +294,8 @@ def _table(
     means = [_mean([sample.psnr[k] for sample in samples.values()]) for k in range(len(names))]
     scored = [k for k, mean in enumerate(means) if mean is not None]
     best = max(scored, key=lambda k: means[k] or 0.0) if scored else None
+    if best is not None and plan.mask_from is not None:
+        best = plan.mask_from
     base = names.index(baseline) if baseline in names else None
     views = tuple(
         dataclasses.replace(view, object_pixels=0 if best is None else samples[name].pixels[best])

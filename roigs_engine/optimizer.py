@@ -2,9 +2,10 @@
 
 Two rules keep a step's cost in proportion to the view and not to the scene:
 
-* Each parameter's `.grad` is allocated once, as zeros. The rasterizer's backward pass adds to the
-  rows of visible Gaussians in place; `VisibleAdam.step` consumes these rows and zeroes them.
 * Rows that are not visible keep their value and their moments: no decay.
+* There is no dense gradient. Either each parameter's `.grad` is allocated once, as zeros, the
+  rasterizer's backward pass adds to the rows of visible Gaussians in place, and `VisibleAdam.step`
+  consumes these rows and zeroes them. Or, `fused`, that backward pass takes the step itself.
 
 On an NVIDIA card a gradient is dense in any case: there the one that the backward pass has made is
 taken as it is, and dropped after the step.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -23,6 +24,27 @@ from torch import Tensor
 from .cuda.library import has_triton
 from .errors import EngineError
 from .kernels import library
+
+
+class _Parameter(ctypes.Structure):
+    """roigs.h: struct AdamParameter."""
+
+    _fields_ = [
+        *((n, ctypes.c_void_p) for n in ("values", "exp_avg", "exp_avg_sq", "gradient", "rates")),
+        ("width", ctypes.c_int64),
+    ]
+
+
+class Adam(ctypes.Structure):
+    """roigs.h: struct Adam."""
+
+    _fields_ = [
+        ("parameters", ctypes.POINTER(_Parameter)),
+        ("count", ctypes.c_int64),
+        ("betas", ctypes.c_double * 2),
+        ("epsilon", ctypes.c_double),
+        ("step", ctypes.c_int64),
+    ]
 
 
 class VisibleAdam:
@@ -46,8 +68,9 @@ class VisibleAdam:
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-15,
         backend: str = "auto",
+        fused: bool = False,
     ) -> None:
-        """Begin with zero moments, and allocate `.grad` of every parameter (but for "triton").
+        """Begin with zero moments; allocate `.grad` of every parameter, unless fused or "triton".
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
@@ -56,13 +79,14 @@ class VisibleAdam:
             eps: added to the root of the second moment.
             backend: "cpu" (compiled kernel: float32 on the CPU), "triton" (float32 on an NVIDIA
                 card), "reference" (plain torch), or "auto", the first that can be used.
+            fused: see the class; left out where the backend is not "cpu".
 
         Raises:
             EngineError: rows, rates or strides that do not fit.
         """
         if backend not in ("auto", "cpu", "triton", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
-        self.betas, self.eps, self.backend = betas, eps, backend
+        self.betas, self.eps, self.backend, self._may_fuse = betas, eps, backend, fused
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
@@ -77,6 +101,9 @@ class VisibleAdam:
 
     def set_lr(self, name: str, rate: float | Tensor) -> None:
         """Set a parameter's learning rate: one number, or one per element of a row."""
+        if isinstance(rate, float) and name in self._rates:  # every step: spares most of the work
+            self._rates[name].fill_(rate)
+            return
         parameter = self.parameters[name]
         width = parameter.shape[1:].numel()
         if isinstance(rate, float):  # filled in there: no copy to a device to wait for
@@ -87,7 +114,7 @@ class VisibleAdam:
         given = torch.as_tensor(rate, dtype=torch.float32).flatten()
         if given.numel() not in (1, width):
             raise EngineError(f"{name}: {given.numel()} learning rates for {width} columns.")
-        self._rates[name] = given.expand(width).contiguous().to(parameter.device)
+        self._rates[name] = given.expand(width).to(parameter.device, copy=True).contiguous()
 
     @torch.no_grad()
     def step(self, visible: Tensor) -> int | Tensor:
@@ -103,51 +130,54 @@ class VisibleAdam:
         Raises:
             EngineError: `visible` does not fit the parameters.
         """
-        self.step_count += 1
-        skipped: int | Tensor = 0
         for name, parameter in self.parameters.items():
             if visible.shape != parameter.shape[:1] or visible.dtype != torch.bool:
                 raise EngineError(
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
-            backend = self._backend(parameter)
-            if backend == "cpu":
-                skipped += self._kernel_step(name, visible.contiguous())
-            elif backend == "triton":
-                skipped += self._triton_step(name, visible)
-            else:
-                skipped += self._reference_step(name, visible)
+        backend = self._backend()
+        if backend == "cpu":
+            on = visible.contiguous()
+            return self.step_by(lambda adam: _kernel()(len(on), adam, library.pointer(on)))
+        self.step_count += 1
+        step = self._triton_step if backend == "triton" else self._reference_step
+        skipped: int | Tensor = sum(step(name, visible) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
 
-    def _backend(self, parameter: Tensor) -> str:
-        """What is used for a parameter."""
-        if self.backend != "auto" or parameter.dtype != torch.float32:
-            return "reference" if self.backend == "auto" else self.backend
-        if parameter.device.type == "cuda" and has_triton():
-            return "triton"
-        return "cpu" if parameter.device.type == "cpu" else "reference"
+    def step_by(self, kernel: Callable[[Any], int]) -> int:
+        """Take a step by a kernel, which gets a pointer to an `Adam` and returns what `step` does.
 
-    def _kernel_step(self, name: str, visible: Tensor) -> int:
-        parameter, rates = self.parameters[name], self._rates[name]
-        gradient = parameter.grad
-        assert gradient is not None and gradient.is_contiguous(), "the buffer is allocated here"
-        return int(
-            _kernel()(
-                len(parameter),
-                rates.numel(),
-                library.pointer(parameter),
-                library.pointer(self.exp_avg[name]),
-                library.pointer(self.exp_avg_sq[name]),
-                library.pointer(gradient),
-                library.pointer(visible),
-                library.pointer(rates),
-                *self.betas,
-                self.eps,
-                self.step_count,
-            )
-        )
+        The tensors that the structure points to are float32 in main memory.
+        """
+        self.step_count += 1
+        parameters = (_Parameter * len(self.parameters))()
+        for place, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
+            rates = self._rates[name]
+            place.values = parameter.data_ptr()
+            place.exp_avg = self.exp_avg[name].data_ptr()
+            place.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
+            place.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
+            place.rates, place.width = rates.data_ptr(), rates.numel()
+        adam = Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
+        skipped = int(kernel(ctypes.byref(adam)))
+        self.skipped_rows += skipped
+        return skipped
+
+    @property
+    def fused(self) -> bool:
+        """Whether `rasterize(..., optimizer=self)` takes the steps; parameters have no `.grad`."""
+        return self._may_fuse and self._backend() == "cpu"
+
+    def _backend(self) -> str:
+        """What is used for the parameters: they are all of one kind."""
+        first = next(iter(self.parameters.values()))
+        if self.backend != "auto" or first.dtype != torch.float32:
+            return "reference" if self.backend == "auto" else self.backend
+        if first.device.type == "cuda" and has_triton():
+            return "triton"
+        return "cpu" if first.device.type == "cpu" else "reference"
 
     def _triton_step(self, name: str, visible: Tensor) -> Tensor | int:
         from .cuda import adam
@@ -263,8 +293,10 @@ class VisibleAdam:
             if not tensor.is_leaf or not tensor.is_contiguous():
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
-            tensor.grad = None if self._backend(tensor) == "triton" else torch.zeros_like(tensor)
             self.parameters[name] = tensor
+        without = self.fused or self._backend() == "triton"
+        for tensor in parameters.values():
+            tensor.grad = None if without else torch.zeros_like(tensor)
 
 
 def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:
@@ -274,10 +306,6 @@ def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:
 @functools.cache
 def _kernel() -> Any:
     function = library.load().roigs_adam
-    address = ctypes.c_void_p
-    # rows, width, parameter, exp_avg, exp_avg_sq, gradient, visible, rates, betas, eps, step
-    function.argtypes = (
-        [ctypes.c_int64] * 2 + [address] * 6 + [ctypes.c_double] * 3 + [ctypes.c_int64]
-    )
+    function.argtypes = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p]
     function.restype = ctypes.c_int64
     return function

@@ -5,7 +5,8 @@ The run folder:
     request.json            settings of the run; another request is refused
     split.json              the test photos, which nothing but the evaluation sees
     selection/ROI.json      ordered photos of each box
-    scene/ joint/ object-ROI/ full-scene/ full-object-ROI/    stages (see `stages.py`)
+    scene/ joint/ object-ROI/ full-scene/ full-object-ROI/ matched-scene/
+                            stages (see `stages.py`)
     independent/            the other strategy's run, when it is compared with
     result.ply              the run's result
     surroundings.ply rois/ROI.ply coarse/ROI.ply    it in parts; Scene-GS in each box
@@ -26,7 +27,7 @@ from typing import Any
 import torch
 
 from . import sampling
-from .capacity import box_capacities
+from .capacity import box_capacities, capacities_to
 from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
@@ -168,6 +169,19 @@ class Run:
         names = list(visible_images(self.train_scene, roi, self._check))
         return self._train(f"full-object-{roi.name}", names, self.config.baseline())
 
+    def matched_scene(self, counts: Mapping[str, int]) -> StageResult:
+        """Baseline: Full Scene with as many Gaussians in the boxes as another model has there.
+
+        In the boxes it densifies at the ROI stage's threshold. What it loses to that model is not
+        for want of Gaussians.
+
+        Args:
+            counts: box -> most Gaussians that belong to it; where boxes overlap, to one of them.
+        """
+        names = [i.name for i in self.train_scene.images]
+        config = self.config.matched_baseline()
+        return self._train("matched-scene", names, config, rois=self.rois, counts=counts)
+
     def object_stage(self, roi: OrientedBox) -> StageResult:
         """Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
         names = list(self.selection(roi).names)
@@ -187,20 +201,29 @@ class Run:
         *,
         rois: Sequence[OrientedBox] = (),
         selected: set[str] | None = None,
+        counts: Mapping[str, int] | None = None,
     ) -> StageResult:
-        """Run one stage; with `rois` it is a ROI stage and begins as `roi_init` says."""
+        """Run one stage; with `rois` it is a ROI stage and begins as `roi_init` says.
+
+        With `counts` it is a baseline instead, whose boxes come to hold so many Gaussians at most.
+        """
+        roi_stage = bool(rois) and counts is None
         margins = [roi.scaled(config.box_margin) for roi in rois]
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo] for photo in photos]
-        photo_at, order = self._order(images, bool(rois), selected)
-        start, start_name = self._start(rois)
+        photo_at, order = self._order(images, roi_stage, selected)
+        start, start_name = self._start(rois if roi_stage else ())
+        if counts is None:
+            capacities = box_capacities(start, images, margins, config, self._check)
+        else:
+            capacities = capacities_to(start, margins, [counts[roi.name] for roi in rois])
         data = StageData(
             images=images,
             photos=self._cache(images),
             photo_at=photo_at,
             extent=self.extent,
             rois=margins,
-            capacities=box_capacities(start, images, margins, config, self._check),
+            capacities=capacities,
             seed=self.config.seed,
             device=self.device,
         )

@@ -39,12 +39,15 @@ class StageResult:
         name: the stage's folder name.
         gaussians: the trained model.
         seconds: of training, checkpoints and evaluation left out.
+        cpu_seconds: the same by the process's clock, which counts every thread's time and only
+            what this process was given: where other programs run, it is what to compare.
         fingerprint: of everything that decided the result.
     """
 
     name: str
     gaussians: Gaussians
     seconds: float
+    cpu_seconds: float
     fingerprint: str
 
 
@@ -189,6 +192,7 @@ class Stage:
         record = {
             "fingerprint": self.fingerprint,
             "seconds": trainer.seconds,
+            "cpu_seconds": trainer.cpu_seconds,
             "steps": trainer.step,
             "gaussians": len(model),
             "device": self.data.device.type,
@@ -199,6 +203,7 @@ class Stage:
             name=self.name,
             gaussians=model,
             seconds=trainer.seconds,
+            cpu_seconds=trainer.cpu_seconds,
             fingerprint=self.fingerprint,
         )
 
@@ -216,5 +221,6 @@ class Stage:
             name=self.name,
             gaussians=Gaussians.load_ply(self.folder / "model.ply"),
             seconds=float(record["seconds"]),
+            cpu_seconds=float(record["cpu_seconds"]),
             fingerprint=self.fingerprint,
         )

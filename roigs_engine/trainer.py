@@ -103,6 +103,7 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         gaussians = gaussians.to(data.device)
+        self.cpu_seconds = 0.0  # of the whole process, all its threads
         order = densify.morton_order(gaussians.means)
         self._parameters = _leaves(gaussians.rows(order))
         self._optimizer = self._new_optimizer()
@@ -159,12 +160,14 @@ class Trainer:
     ) -> bool:
         started = reported = time.perf_counter()
         before, first = self.seconds, self.step
+        cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
             if should_stop():
                 break
             self.train_step()
             now = time.perf_counter()
             self.seconds = before + now - started
+            self.cpu_seconds = time.process_time() - cpu_started
             if now - reported > REPORT_SECONDS or self.step == self.config.steps:
                 reported = now
                 left = (now - started) / (self.step - first) * (self.config.steps - self.step)
@@ -172,6 +175,7 @@ class Trainer:
             for one in breaks:
                 # Writing files is not training: the clock leaves it out.
                 started += one.take_if_due(self.seconds)
+            cpu_started = time.process_time() - self.cpu_seconds
         return self.step >= self.config.steps
 
     def train_step(self) -> None:
@@ -185,7 +189,8 @@ class Trainer:
         loss = photo_loss(output.image, target, ssim_weight=config.ssim_weight)
         loss.loss.backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
-        self._optimizer.step(visible)
+        if not self._optimizer.fused:
+            self._optimizer.step(visible)
         self._stats.add(visible, output.grad2d[0], output.max_weight)
         self._observe(loss.loss.detach(), output.image, target)
         self.health.saw(self.step, index, loss.loss.detach())
@@ -214,6 +219,7 @@ class Trainer:
             sh_degree=self.config.degree(self.step),
             raw=True,
             with_max_weight=self.config.contribution_every > 0,
+            optimizer=self._optimizer if self._optimizer.fused else None,
         )
 
     def _observe(self, loss: Tensor, rendered: Tensor, target: Tensor) -> None:
@@ -323,7 +329,8 @@ class Trainer:
             "logit_opacities": config.lr_opacities,
             "sh": sh_rates.flatten(),
         }
-        return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES})
+        parameters = {name: (tensors[name], rates[name]) for name in NAMES}
+        return VisibleAdam(parameters, fused=True)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides how training goes on; tensors on the CPU and plain numbers."""
@@ -331,6 +338,7 @@ class Trainer:
         state = {
             "step": self.step,
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "window": self._window,
             "loss": float(self._loss),
             "psnr": self._psnr,
@@ -345,6 +353,7 @@ class Trainer:
         """Go on from what `state_dict` returned, on whatever device."""
         state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
+        self.cpu_seconds = float(state["cpu_seconds"])
         self._window = int(state["window"])
         self._loss, self._psnr = self._loss.new_tensor(state["loss"]), float(state["psnr"])
         self._parameters = _leaves(Gaussians(**state["parameters"]))

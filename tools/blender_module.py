@@ -1,7 +1,7 @@
-"""Blender as a Python module, in an environment of its own: `.venv-blender`.
+"""Blender as a Python module: this Python's, or in an environment of its own, `.venv-blender`.
 
-bpy asks for one version of Python and an old numpy, so it stays out of the engine's environment;
-inside Blender it is the same.
+bpy asks for one version of Python and an old numpy, so it is not put into the engine's environment;
+inside Blender it is the same. Where the tests have put it there, it is not fetched a second time.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 HOME = ROOT / ".venv-blender"
-REQUIREMENT = "bpy==4.5.15"
+VERSION = "4.5.15"
+REQUIREMENT = f"bpy=={VERSION}"
 PYTHON = (3, 11)
 # What bpy needs on a Linux without a desktop, as Debian and Ubuntu name it.
 LIBRARIES = (
@@ -31,6 +33,8 @@ def python() -> Path:
     Raises:
         NoBlenderError: it cannot be installed.
     """
+    if own_version() == VERSION:
+        return Path(sys.executable)
     program = HOME / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     complete = HOME / REQUIREMENT
     if complete.exists():
@@ -45,6 +49,14 @@ def python() -> Path:
             raise NoBlenderError(f"{REQUIREMENT} could not be installed, see above")
     complete.touch()
     return program
+
+
+def own_version() -> str:
+    """Of the bpy that this Python has; empty without one."""
+    try:
+        return metadata.version("bpy")
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def working_python() -> Path:
@@ -66,4 +78,4 @@ def working_python() -> Path:
 
 def variables() -> dict[str, str]:
     """Environment variables for bpy: nothing of a Blender that the user has."""
-    return dict(os.environ) | {"BLENDER_USER_RESOURCES": str(HOME / "user")}
+    return dict(os.environ) | {"BLENDER_USER_RESOURCES": str(ROOT / ".blender" / "user")}

@@ -13,6 +13,7 @@ import os
 import queue
 import subprocess
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -41,6 +42,10 @@ MAX_LINE = 1 << 16  # letters; a longer line is no event
 MAX_WAITING = 10_000  # events that nobody has taken: further ones are dropped, but for the last
 FINAL = ("done", "failed")
 KEPT_LINES = 200
+LOG_SECONDS = 10.0
+"""Least time between two lines of the log that tell of progress."""
+
+SHOWN = ("loss", "psnr", "gaussians")
 STOPPED = 3
 """Exit status of a command that stopped on request (docs/files.md)."""
 
@@ -106,11 +111,13 @@ class Job:
         self._events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._said: deque[str] = deque(maxlen=KEPT_LINES)
         self._final: dict[str, Any] | None = None
+        self._logged = -LOG_SECONDS
         self.log = log
         self._log_file: IO[str] | None = None
         if log is not None:
             log.parent.mkdir(parents=True, exist_ok=True)
             self._log_file = log.open("a", encoding="utf-8")
+            self._write(f"{time.strftime('%Y-%m-%d')} roigs_engine {' '.join(arguments)}")
         hidden = {"creationflags": 0x08000000} if os.name == "nt" else {}  # CREATE_NO_WINDOW
         self._process = subprocess.Popen(
             engine.command([*arguments, "--events"]),
@@ -206,8 +213,15 @@ class Job:
             event = parse_event(line)
             if event is None:
                 self._note(line)
-            elif event["event"] in FINAL or self._events.qsize() < MAX_WAITING:
+                continue
+            if event["event"] in FINAL or self._events.qsize() < MAX_WAITING:
                 self._events.put(event)
+            if event["event"] == "progress":
+                now = time.monotonic()
+                if now - self._logged < LOG_SECONDS:
+                    continue
+                self._logged = now
+            self._write(in_words(event))
 
     def _read_text(self) -> None:
         assert self._process.stderr is not None
@@ -216,13 +230,38 @@ class Job:
 
     def _note(self, line: str) -> None:
         self._said.append(line.rstrip("\n"))
+        self._write(line.rstrip("\n"))
+
+    def _write(self, text: str) -> None:
+        """A line of the log, with the time of day."""
         log = self._log_file
-        if log is not None:
+        if log is not None and text:
             try:
-                log.write(line if line.endswith("\n") else line + "\n")
+                log.write(f"{time.strftime('%H:%M:%S')}  {text}\n")
                 log.flush()
             except (OSError, ValueError):  # the disk is full, or the job has been closed
                 pass
+
+
+def in_words(event: dict[str, Any]) -> str:
+    """A line of the log; empty for what belongs on a screen only."""
+    match event["event"]:
+        case "message":
+            return str(event.get("text", ""))
+        case "stagestarted":
+            return f"{event.get('stage')}: {event.get('total')} steps"
+        case "progress":
+            numbers = {name: event[name] for name in SHOWN if event.get(name)}
+            shown = {n: round(v, 3) if isinstance(v, float) else v for n, v in numbers.items()}
+            steps = f"{event.get('step')} of {event.get('total')}"
+            return ", ".join(
+                [f"{event.get('stage')}: {steps}", *(f"{n} {shown[n]}" for n in shown)]
+            )
+        case "done":
+            return "Stopped." if event.get("stopped") else "Done."
+        case "failed":
+            return " ".join(str(event[part]) for part in ("message", "hint") if event.get(part))
+    return ""
 
 
 def parse_event(line: str) -> dict[str, Any] | None:

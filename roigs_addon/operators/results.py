@@ -8,10 +8,12 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from .. import cameras, jobs, lookup, requests, splats
+from .. import cameras, facts, jobs, lookup, requests, splats
 from ..engine.client import Outcome
 from ..errors import AddonError
 from .base import EngineJob, OperatorResult, available, failed
+
+NO_RESULT = "Train first: the run folder holds no result"
 
 
 class LoadResults(bpy.types.Operator):
@@ -24,8 +26,8 @@ class LoadResults(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """A finished training must be there."""
-        there = (requests.run_folder(context.scene) / "result.ply").is_file()
-        return available(cls, "" if there else "Train first: the run folder holds no result")
+        there = facts.run(context.scene).result
+        return available(cls, "" if there else NO_RESULT)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """One object for the surroundings, two for each box."""
@@ -84,8 +86,8 @@ class RenderSplats(EngineJob, bpy.types.Operator):
         reason = ""
         if jobs.busy():
             reason = "The engine is busy"
-        elif not (requests.run_folder(context.scene) / "result.ply").is_file():
-            reason = "Train first: the run folder holds no result"
+        elif not facts.run(context.scene).result:
+            reason = NO_RESULT
         elif context.scene.camera is None:
             reason = "The scene has no active camera"
         return available(cls, reason)

@@ -7,11 +7,15 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty
 
-from .. import jobs, lookup, preferences, requests, splats
+from .. import facts, jobs, lookup, preferences, requests, splats
 from ..engine import runs
 from ..engine.client import Outcome
 from .base import EngineJob, OperatorResult, available
 from .select import blocked
+
+LOG = "ROI-GS log"
+LAST_LINES = 20
+"""How many lines of the log's end are in sight when it is opened."""
 
 
 class TrainRoi(EngineJob, bpy.types.Operator):
@@ -25,8 +29,9 @@ class TrainRoi(EngineJob, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A model, a box, and an engine at rest."""
-        return available(cls, blocked(context))
+        """A model, a box, and an engine, at rest."""
+        missing = "" if bpy.app.background else facts.engine_problem()
+        return available(cls, blocked(context) or missing)
 
     def work(self, context: bpy.types.Context) -> jobs.Work:
         """Train in the scene's run folder, then bring the Gaussians back."""
@@ -96,22 +101,23 @@ class ShowLog(bpy.types.Operator):
         return available(cls, "" if log_path(context) else "There is no log yet")
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Load it as a text, in an editor when one is open."""
+        """Load it as a text, in an editor when one is open, else in a window of its own."""
         path = log_path(context)
         assert path is not None
-        old = bpy.data.texts.get("ROI-GS log")
-        text = old or bpy.data.texts.new("ROI-GS log")
+        text = bpy.data.texts.get(LOG) or bpy.data.texts.new(LOG)
         text.from_string(path.read_text(encoding="utf-8", errors="replace"))
-        for area in context.screen.areas if context.screen else ():
-            if area.type == "TEXT_EDITOR":
-                area.spaces.active.text = text
-                break
-        else:
-            if not bpy.app.background:
-                bpy.ops.wm.window_new()
-                area = context.window_manager.windows[-1].screen.areas[0]
-                area.type = "TEXT_EDITOR"
-                area.spaces.active.text = text
+        if bpy.app.background:
+            return {"FINISHED"}
+        windows = context.window_manager.windows
+        areas = (area for window in windows for area in window.screen.areas)
+        area = next((area for area in areas if area.type == "TEXT_EDITOR"), None)
+        if area is None:
+            bpy.ops.wm.window_new()
+            area = windows[-1].screen.areas[0]
+            area.type = "TEXT_EDITOR"
+        space = area.spaces.active
+        space.text, space.show_word_wrap = text, True
+        space.top = max(0, len(text.lines) - LAST_LINES)
         return {"FINISHED"}
 
 
@@ -119,7 +125,7 @@ def log_path(context: bpy.types.Context) -> Path | None:
     """The log of the last job, or of the run folder's."""
     named = context.window_manager.roigs.log
     path = Path(named) if named else requests.run_folder(context.scene) / "blender" / "engine.log"
-    return path if path.is_file() else None
+    return path if facts.is_file(path) else None
 
 
 def unfinished(scene: bpy.types.Scene) -> str:

@@ -10,6 +10,7 @@
 | `targets` | pictures on the GPU: the splats' own, and the scene's depth |
 | `painter` | keeps the sets and orders on the GPU, and draws them |
 | `draw` | the handler in the viewport, `draw_view` for any other picture |
+| `points` | the sparse points in their colours |
 | `marks` | boxes and chosen cameras as coloured lines |
 
 The first three need numpy alone. Nothing of `gpu` is built before the first picture.
@@ -20,22 +21,25 @@ from __future__ import annotations
 
 def register() -> None:
     """Start to draw; nothing in background mode."""
-    from . import draw, marks
+    from . import draw, marks, points
 
+    points.register()  # before what looks at its depth
     draw.register()
     marks.register()
 
 
 def problems() -> dict[str, str]:
     """Path -> why it cannot be drawn; path "" for what concerns all."""
-    from . import draw
+    from . import draw, points
 
-    return draw.problems()
+    own = {"": points.problem()} if points.problem() else {}
+    return {**own, **draw.problems()}
 
 
 def unregister() -> None:
     """Stop to draw and free everything."""
-    from . import draw, marks
+    from . import draw, marks, points
 
     marks.unregister()
     draw.unregister()
+    points.unregister()

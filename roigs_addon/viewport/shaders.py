@@ -49,3 +49,21 @@ def composite_shader() -> gpu.types.GPUShader:
     info.vertex_source(text("composite.vert.glsl"))
     info.fragment_source(text("composite.frag.glsl"))
     return gpu.shader.create_from_info(info)
+
+
+def point_shader() -> gpu.types.GPUShader:
+    """Draws points as discs in their colours, which are linear light."""
+    passed = gpu.types.GPUStageInterfaceInfo("roigs_point")
+    passed.flat("VEC3", "paint")
+    info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("MAT4", "model_view")
+    info.push_constant("MAT4", "projection")
+    info.push_constant("VEC3", "sizes")
+    info.push_constant("BOOL", "linear_target")
+    info.vertex_in(0, "VEC3", "point")
+    info.vertex_in(1, "VEC4", "light")
+    info.vertex_out(passed)
+    info.fragment_out(0, "VEC4", "colour")
+    info.vertex_source(text("point.vert.glsl"))
+    info.fragment_source(text("point.frag.glsl"))
+    return gpu.shader.create_from_info(info)

@@ -10,7 +10,8 @@
 namespace roigs {
 
 struct Geometry {
-    Floats t[3];             // centre in the camera frame
+    Floats mean[3];          // centre in the world frame
+    Floats t[3];             // .. and in the camera frame
     Floats inverse_z;        // 1 / t[2]
     Floats x, y;             // projected centre, px
     Floats slope[2];         // x / z and y / z where the projection is linearised
@@ -37,8 +38,8 @@ ROIGS_INLINE Floats exp(Floats x) {
 
 // Quaternion to rotation matrix.
 ROIGS_INLINE void rotate(const float* quats, const int32_t* ids, Geometry& g) {
-    Floats stored[kLanes];
-    load_columns(quats, 4, 4, ids, stored);
+    Floats stored[4];
+    load_few_columns<4>(quats, 4, ids, stored);
     for (int k = 0; k < 4; ++k) g.quat[k] = stored[k];
     const Floats norm2 = dot3(g.quat, g.quat) + g.quat[3] * g.quat[3];
     g.inverse_norm = 1.0f / sqrt(norm2);
@@ -80,8 +81,9 @@ ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
 // hold finite nonsense or not.
 ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, const int32_t* ids,
                           Geometry& g) {
-    Floats mean[kLanes], scale[kLanes];
-    load_columns(gaussians.means, 3, 3, ids, mean);
+    Floats mean[4], scale[4];
+    load_few_columns<3>(gaussians.means, 3, ids, mean);
+    for (int k = 0; k < 3; ++k) g.mean[k] = mean[k];
     for (int r = 0; r < 3; ++r) {
         const float* row = camera.world_to_camera[r];
         g.t[r] = row[0] * mean[0] + row[1] * mean[1] + row[2] * mean[2] + row[3];
@@ -92,7 +94,7 @@ ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, cons
     g.y = camera.fy * g.t[1] * g.inverse_z + camera.cy;
 
     rotate(gaussians.quats, ids, g);
-    load_columns(gaussians.scales, 3, 3, ids, scale);
+    load_few_columns<3>(gaussians.scales, 3, ids, scale);
     for (int k = 0; k < 3; ++k) g.scale[k] = gaussians.raw ? exp(scale[k]) : scale[k];
     g.opacity = gather(gaussians.opacities, ids);
     if (gaussians.raw) g.opacity = 1.0f / (1.0f + exp(-g.opacity));
@@ -129,10 +131,8 @@ ROIGS_INLINE Whitening whitening(const Geometry& g) {
 
 // Unit vectors from the camera to the Gaussians' centres, the argument of their colours. Returns
 // 1 / distance.
-ROIGS_INLINE Floats view_direction(const Gaussians& gaussians, const Camera& camera,
-                                   const int32_t* ids, Floats (&direction)[3]) {
-    Floats mean[kLanes];
-    load_columns(gaussians.means, 3, 3, ids, mean);
+ROIGS_INLINE Floats view_direction(const Floats* mean, const Camera& camera,
+                                   Floats (&direction)[3]) {
     for (int k = 0; k < 3; ++k) direction[k] = mean[k] - camera.position[k];
     const Floats inverse = 1.0f / sqrt(dot3(direction, direction));
     for (int k = 0; k < 3; ++k) direction[k] *= inverse;

@@ -56,15 +56,15 @@ def threads() -> int:
     return int(load().roigs_threads())
 
 
-def pointer(tensor: Tensor | None) -> ctypes.c_void_p | None:
-    """The address of a CPU tensor's first element, as a C function takes it; None stays None.
+def pointer(tensor: Tensor | None) -> int | None:
+    """The address of a CPU tensor's first element, for an argument of type c_void_p; None: null.
 
     The caller answers for shape, type and strides, and keeps the tensor alive during the call.
     """
     if tensor is None:
         return None
-    assert tensor.device.type == "cpu", "kernels take tensors in main memory"
-    return ctypes.c_void_p(tensor.data_ptr())
+    assert tensor.is_cpu, "kernels take tensors in main memory"
+    return tensor.data_ptr()
 
 
 def available(folder: Path) -> list[str]:

@@ -76,11 +76,12 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
     for (int first = 0; first < count; first += kLanes) {
         const int lanes = std::min(kLanes, count - first);
         for (int i = first + kLanes; i < std::min(first + 2 * kLanes, count); ++i)
-            prefetch_row(gaussians.sh, stride, splats[i].id);
+            prefetch_row<false>(gaussians.sh, stride, splats[i].id);
         int32_t ids[kLanes];
         for (int i = 0; i < kLanes; ++i) ids[i] = splats[first + std::min(i, lanes - 1)].id;
-        Floats direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
-        view_direction(gaussians, camera, ids, direction);
+        Floats mean[4], direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
+        load_few_columns<3>(gaussians.means, 3, ids, mean);
+        view_direction(mean, camera, direction);
         sh_basis(direction, basis);
         load_columns(gaussians.sh, stride, 3 * used, ids, sh);
         Floats colour[3] = {splat(0.5f), splat(0.5f), splat(0.5f)};
@@ -88,11 +89,9 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
             for (int c = 0; c < 3; ++c) colour[c] += basis[k] * sh[3 * k + c];
         for (int c = 0; c < 3; ++c)
             colour[c] = select(is_finite(colour[c]), max(colour[c], Floats{}), colour[c]);
-        for (int i = 0; i < lanes; ++i) {
-            splats[first + i].red = colour[0][i];
-            splats[first + i].green = colour[1][i];
-            splats[first + i].blue = colour[2][i];
-        }
+        for_each_quad(colour, [&](int i, Quad rgb) {
+            if (i < lanes) std::memcpy(&splats[first + i].red, &rgb, sizeof colour / kLanes);
+        });
     }
 }
 

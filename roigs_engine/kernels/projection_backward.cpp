@@ -1,5 +1,6 @@
 // Gradient of the projection: from the moments that the raster pass left in the slots to the
 // Gaussians' parameters. Batches of visible Gaussians, one per lane.
+#include "adam.h"
 #include "geometry.h"
 #include "sh.h"
 
@@ -10,12 +11,14 @@ namespace {
 struct SplatBatch {
     int count;
     int32_t splat[kLanes], id[kLanes];
+    int32_t row[kLanes];  // in the gradients, which begin with that of Gaussian `first_id`
 
-    SplatBatch(const View& view, int32_t first, int32_t end)
+    SplatBatch(const View& view, int32_t first, int32_t end, int32_t first_id)
         : count(std::min(kLanes, end - first)) {
         for (int i = 0; i < kLanes; ++i) {
             splat[i] = first + std::min(i, count - 1);
             id[i] = view.splats[splat[i]].id;
+            row[i] = id[i] - first_id;
         }
     }
 };
@@ -120,18 +123,16 @@ void centre_gradient(const Camera& camera, const Geometry& g, const Gradient2d& 
 
 // Gradient of the colours: adds to the SH rows, and to `mean` through the viewing direction.
 void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBatch& batch,
-                     const Floats (&moments)[16], float* sh_gradient, Floats (&mean)[3]) {
+                     const Geometry& g, const Floats (&moments)[16], float* sh_gradient,
+                     Floats (&mean)[3]) {
     const int used = used_coefficients(gaussians), stride = 3 * gaussians.sh_coefficients;
-    Floats colour[3], drawn[3];
-    for (int i = 0; i < kLanes; ++i) {
-        const Splat& s = view.splats[batch.splat[i]];
-        drawn[0][i] = s.red, drawn[1][i] = s.green, drawn[2][i] = s.blue;
-    }
+    Floats colour[3], drawn[4];
+    load_few_columns<3>(&view.splats[0].red, sizeof(Splat) / sizeof(float), batch.splat, drawn);
     for (int c = 0; c < 3; ++c)  // colours clamped to 0 pass no gradient
         colour[c] = keep(greater(drawn[c], Floats{}), moments[kRed + c]);
 
     Floats direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];
-    const Floats inverse_distance = view_direction(gaussians, view.camera, batch.id, direction);
+    const Floats inverse_distance = view_direction(g.mean, view.camera, direction);
     if (used > 1) {
         load_columns(gaussians.sh, stride, 3 * used, batch.id, sh);
         Floats weight[kMaxCoefficients] = {};
@@ -145,12 +146,17 @@ void colour_gradient(const View& view, const Gaussians& gaussians, const SplatBa
     sh_basis(direction, basis);
     for (int k = 0; k < used; ++k)
         for (int c = 0; c < 3; ++c) sh[3 * k + c] = basis[k] * colour[c];
-    add_columns(sh_gradient, stride, 3 * used, batch.id, batch.count, sh);
+    add_columns(sh_gradient, stride, 3 * used, batch.row, batch.count, sh);
 }
 
 template <int kColumns>
 void add_rows(float* matrix, const SplatBatch& batch, const Floats (&columns)[kColumns]) {
-    if (matrix) add_columns(matrix, kColumns, kColumns, batch.id, batch.count, columns);
+    if (!matrix) return;
+    for_each_quad(columns, [&](int i, Quad row) {
+        if (i >= batch.count) return;
+        float* place = matrix + int64_t(batch.row[i]) * kColumns;
+        for (int k = 0; k < kColumns; ++k) place[k] += row[k];
+    });
 }
 
 void batch_gradient(const View& view, const Gaussians& gaussians, const Gradients& out,
@@ -163,7 +169,7 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     Floats scale[3], quat[4], dT[2][3], mean[3];
     covariance_gradient(g, d, scale, quat, dT);
     centre_gradient(view.camera, g, d, dT, mean);
-    colour_gradient(view, gaussians, batch, moments, out.sh, mean);
+    colour_gradient(view, gaussians, batch, g, moments, out.sh, mean);
 
     // kS = opacity dL / d(opacity)
     Floats opacity[1] = {gaussians.raw ? moments[kS] * (1.0f - g.opacity)
@@ -180,21 +186,82 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     for (int i = 0; i < batch.count; ++i) grad2d[batch.id[i]] = norm[i];
 }
 
-// Starts fetching what the batch at `first` will read and add to.
-void prefetch_batch(const View& view, const Gaussians& gaussians, const Gradients& out,
-                    int32_t first, int32_t end) {
-    const int stride = 3 * gaussians.sh_coefficients;
+// Starts fetching what the batch at `first` will read, and the rows of `matrices` (widths: those
+// of the parameters) that it will write.
+template <int kMatrices>
+void prefetch_batch(const View& view, const Gaussians& gaussians, int32_t first, int32_t end,
+                    const float* const (&matrices)[kMatrices], const int (&widths)[kMatrices]) {
     for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
         const int64_t row = view.splats[i].id;
-        __builtin_prefetch(&view.slot_gradients[view.slot(i)]);
-        prefetch_row(gaussians.sh, stride, row);
-        if (out.sh) prefetch_row(out.sh, stride, row);
-        if (out.means) prefetch_row(out.means, 3, row);
-        if (out.quats) prefetch_row(out.quats, 4, row);
-        if (out.scales) prefetch_row(out.scales, 3, row);
-        if (out.opacities) prefetch_row(out.opacities, 1, row);
+        for (int t = 0; t < view.tiles_of[i].count; ++t)
+            __builtin_prefetch(&view.slot_gradients[view.slot(i) + t]);
+        prefetch_row<false>(gaussians.sh, 3 * gaussians.sh_coefficients, row);
+        for (int k = 0; k < kMatrices; ++k)
+            if (matrices[k]) prefetch_row<true>(matrices[k], widths[k], row);
     }
 }
+
+constexpr int kParameters = 5;  // means, quats, scales, opacities, sh
+
+// Takes Adam's step on the visible Gaussians of a chunk, a group at a time: the group's gradients
+// stay in the first cache until they are used.
+class ChunkStep {
+public:
+    ChunkStep(const View& view, const Gaussians& gaussians, const Adam& adam,
+              const std::vector<AdamRows>& steps, float* grad2d)
+        : view_(view), gaussians_(gaussians), adam_(adam), steps_(steps), grad2d_(grad2d) {}
+
+    // Returns the number of rows left out, see roigs_adam.
+    int64_t take(int32_t begin, int32_t end) {
+        int64_t broken = 0;
+        for (int32_t first = begin; first < end;) {
+            const int32_t first_id = id(first);
+            int32_t next = first;
+            while (next < end && next - first < kSplats && id(next) - first_id < kRows)
+                visible_[id(next++) - first_id] = 1;
+            group_gradient(first, next, end);
+            const int32_t rows = id(next - 1) - first_id + 1;
+            float* const gradients[] = {means_, quats_, scales_, opacities_, sh_};
+            for (int k = 0; k < kParameters; ++k)
+                broken += steps_[k].update(first_id, rows, gradients[k], visible_);
+            std::fill_n(visible_, rows, 0);
+            first = next;
+        }
+        return broken;
+    }
+
+private:
+    static constexpr int kSplats = 64;  // of a group: whole batches
+    static constexpr int kRows = 256;   // that a group may span, the visible ones and the others
+
+    int32_t id(int32_t splat) const { return view_.splats[splat].id; }
+
+    void group_gradient(int32_t first, int32_t next, int32_t end) {
+        const Gradients gradients{means_, quats_, scales_, opacities_, sh_};
+        const float* moments[2 * kParameters];
+        int widths[2 * kParameters];
+        for (int k = 0; k < kParameters; ++k) {
+            moments[k] = adam_.parameters[k].exp_avg;
+            moments[k + kParameters] = adam_.parameters[k].exp_avg_sq;
+            widths[k] = widths[k + kParameters] = int(adam_.parameters[k].width);
+        }
+        for (int32_t i = first; i < next; i += kLanes) {
+            prefetch_batch(view_, gaussians_, i + kLanes, end, moments, widths);
+            batch_gradient(view_, gaussians_, gradients, SplatBatch(view_, i, next, id(first)),
+                           grad2d_);
+        }
+    }
+
+    const View& view_;
+    const Gaussians& gaussians_;
+    const Adam& adam_;
+    const std::vector<AdamRows>& steps_;
+    float* grad2d_;
+    // zero between groups
+    uint8_t visible_[kRows] = {};
+    alignas(64) float means_[3 * kRows] = {}, quats_[4 * kRows] = {}, scales_[3 * kRows] = {},
+        opacities_[kRows] = {}, sh_[3 * kMaxCoefficients * kRows] = {};
+};
 
 }  // namespace
 }  // namespace roigs
@@ -202,11 +269,30 @@ void prefetch_batch(const View& view, const Gaussians& gaussians, const Gradient
 void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians,
                             const roigs::Gradients* gradients, float* grad2d) {
     using namespace roigs;
+    const Gradients& out = *gradients;
+    const float* const matrices[] = {out.means, out.quats, out.scales, out.opacities, out.sh};
+    const int widths[] = {3, 4, 3, 1, 3 * gaussians->sh_coefficients};
     parallel_for(int64_t(view->chunks.size()), [&](int64_t c) {
         const int32_t begin = int32_t(c * kChunk), end = begin + view->chunks[c].visible;
         for (int32_t first = begin; first < end; first += kLanes) {
-            prefetch_batch(*view, *gaussians, *gradients, first + kLanes, end);
-            batch_gradient(*view, *gaussians, *gradients, SplatBatch(*view, first, end), grad2d);
+            prefetch_batch(*view, *gaussians, first + kLanes, end, matrices, widths);
+            batch_gradient(*view, *gaussians, out, SplatBatch(*view, first, end, 0), grad2d);
         }
     });
+}
+
+int64_t roigs_project_backward_adam(roigs::View* view, const roigs::Gaussians* gaussians,
+                                    const roigs::Adam* adam, float* grad2d) {
+    using namespace roigs;
+    std::vector<AdamRows> steps;
+    for (int k = 0; k < kParameters; ++k) steps.emplace_back(*adam, adam->parameters[k]);
+    const int64_t tasks = int64_t(view->chunks.size());
+    std::vector<int64_t> broken(tasks, 0);
+    parallel_for(tasks, [&](int64_t c) {
+        const int32_t begin = int32_t(c * kChunk), end = begin + view->chunks[c].visible;
+        broken[c] = ChunkStep(*view, *gaussians, *adam, steps, grad2d).take(begin, end);
+    });
+    int64_t total = 0;
+    for (int64_t count : broken) total += count;
+    return total;
 }

@@ -4,6 +4,8 @@
 //
 //     roigs_project, roigs_bin, roigs_render, [roigs_render_backward, roigs_project_backward]
 //
+// with roigs_project_backward_adam in the last place when training.
+//
 // A View keeps what the stages hand on to each other, and its memory from one frame to the next:
 // fresh memory costs a page fault for every 4 KiB, which is more than some stages take. Calls on
 // one View must not overlap; different Views are independent.
@@ -36,6 +38,22 @@ struct Gradients {
     float* scales;
     float* opacities;
     float* sh;
+};
+
+// A parameter (rows, width) and its moments, all of that shape.
+struct AdamParameter {
+    float *values, *exp_avg, *exp_avg_sq;
+    float* gradient;     // the same shape; roigs_project_backward_adam does without
+    const float* rates;  // (width,) the columns' learning rates
+    int64_t width;
+};
+
+// A step of the optimiser.
+struct Adam {
+    const AdamParameter* parameters;
+    int64_t count;  // of parameters
+    double beta1, beta2, epsilon;
+    int64_t step;  // counts from 1
 };
 
 struct Camera {
@@ -91,3 +109,14 @@ ROIGS_API int64_t roigs_render_backward(roigs::View* view, const float* image,
 // writes their |dL / d(mean2d)| in units of half the image size to `grad2d` (N,).
 ROIGS_API void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians,
                                       const roigs::Gradients* gradients, float* grad2d);
+
+// The same, and with each gradient at once the step of Adam on the visible rows: gradients are used
+// while they are in the cache, and fill no memory. `adam` has the members of `gaussians`, in that
+// order. The result has the bits of roigs_project_backward on zeros, then roigs_adam.
+ROIGS_API int64_t roigs_project_backward_adam(roigs::View* view, const roigs::Gaussians* gaussians,
+                                              const roigs::Adam* adam, float* grad2d);
+
+// A step of Adam on the rows with visible[row] != 0 of all parameters; their gradient is zero
+// afterwards, other rows stay untouched. A row whose gradient has a NaN or an infinity is not
+// updated; returns the number of such rows, over all parameters.
+ROIGS_API int64_t roigs_adam(int64_t rows, const roigs::Adam* adam, const uint8_t* visible);

@@ -35,12 +35,6 @@ constexpr int kBlockWidth = 2, kBlockHeight = 2;
 #endif
 constexpr int kLanes = kBlockWidth * kBlockHeight;
 
-#if defined(ROIGS_AVX512) || defined(__aarch64__)
-constexpr int kVectorRegisters = 32;
-#else
-constexpr int kVectorRegisters = 16;
-#endif
-
 typedef float Floats __attribute__((vector_size(4 * kLanes)));
 typedef int32_t Ints __attribute__((vector_size(4 * kLanes)));
 

@@ -5,6 +5,10 @@
 
 namespace roigs {
 
+// Four neighbouring floats of a row; a vector is made of kLanes / 4 of them.
+typedef float Quad __attribute__((vector_size(16)));
+constexpr int kQuads = kLanes / 4;
+
 #if defined(ROIGS_AVX512)
 
 // Lane j of vector i becomes lane i of vector j. Interleaves 1, 2, then 4 and 8 floats at a time.
@@ -59,6 +63,24 @@ ROIGS_INLINE Floats load_some(const float* p, int count) {
 }
 ROIGS_INLINE void store_some(float* p, Floats x, int count) {
     _mm512_mask_storeu_ps(p, first_lanes(count), x);
+}
+
+ROIGS_INLINE Floats join(const Quad (&q)[4]) {
+    const __m256 low = _mm256_set_m128(q[1], q[0]), high = _mm256_set_m128(q[3], q[2]);
+    return _mm512_insertf32x8(_mm512_castps256_ps512(low), high, 1);
+}
+ROIGS_INLINE void split(Floats x, Quad (&q)[4]) {
+    const __m256 low = _mm512_castps512_ps256(x), high = _mm512_extractf32x8_ps(x, 1);
+    q[0] = _mm256_castps256_ps128(low), q[1] = _mm256_extractf128_ps(low, 1);
+    q[2] = _mm256_castps256_ps128(high), q[3] = _mm256_extractf128_ps(high, 1);
+}
+ROIGS_INLINE void transpose_quads(Floats (&v)[4]) {
+    const __m512d a = (__m512d)_mm512_unpacklo_ps(v[0], v[1]);
+    const __m512d b = (__m512d)_mm512_unpackhi_ps(v[0], v[1]);
+    const __m512d c = (__m512d)_mm512_unpacklo_ps(v[2], v[3]);
+    const __m512d d = (__m512d)_mm512_unpackhi_ps(v[2], v[3]);
+    v[0] = (Floats)_mm512_unpacklo_pd(a, c), v[1] = (Floats)_mm512_unpackhi_pd(a, c);
+    v[2] = (Floats)_mm512_unpacklo_pd(b, d), v[3] = (Floats)_mm512_unpackhi_pd(b, d);
 }
 
 #else
@@ -161,6 +183,31 @@ ROIGS_INLINE void store_some(float* p, Floats x, int count) {
 
 #endif
 
+// join and split: a vector's quads. transpose_quads: lane j of quad q of v[i] becomes lane i of quad
+// q of v[j].
+#if defined(ROIGS_AVX512)
+// .. above, with what else is AVX-512
+#elif defined(__AVX2__)
+
+ROIGS_INLINE Floats join(const Quad (&q)[2]) { return _mm256_set_m128(q[1], q[0]); }
+ROIGS_INLINE void split(Floats x, Quad (&q)[2]) {
+    q[0] = _mm256_castps256_ps128(x), q[1] = _mm256_extractf128_ps(x, 1);
+}
+ROIGS_INLINE void transpose_quads(Floats (&v)[4]) {
+    const Floats a = _mm256_unpacklo_ps(v[0], v[1]), b = _mm256_unpackhi_ps(v[0], v[1]);
+    const Floats c = _mm256_unpacklo_ps(v[2], v[3]), d = _mm256_unpackhi_ps(v[2], v[3]);
+    v[0] = _mm256_shuffle_ps(a, c, 0x44), v[1] = _mm256_shuffle_ps(a, c, 0xee);
+    v[2] = _mm256_shuffle_ps(b, d, 0x44), v[3] = _mm256_shuffle_ps(b, d, 0xee);
+}
+
+#else
+
+ROIGS_INLINE Floats join(const Quad (&q)[1]) { return q[0]; }
+ROIGS_INLINE void split(Floats x, Quad (&q)[1]) { q[0] = x; }
+ROIGS_INLINE void transpose_quads(Floats (&v)[4]) { transpose(v); }
+
+#endif
+
 struct Sum {
     ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return a + b; }
 };
@@ -168,11 +215,12 @@ struct Larger {
     ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return max(a, b); }
 };
 
-// Starts fetching a row that will be needed soon. Rows that belong to visible Gaussians follow no
-// pattern that the processor would fetch ahead by.
+// Starts fetching a row that will be read, or written, soon. Rows that belong to visible Gaussians
+// follow no pattern that the processor would fetch ahead by.
+template <bool kWrite>
 ROIGS_INLINE void prefetch_row(const float* matrix, int stride, int64_t row) {
     constexpr int kLine = 16;  // floats
-    for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, 1);
+    for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, kWrite);
 }
 
 // values[rows[i]] in lane i.
@@ -196,6 +244,35 @@ ROIGS_INLINE void load_columns(const float* matrix, int stride, int columns, con
         }
         transpose(tile);
         for (int i = 0; i < kLanes; ++i) out[first + i] = tile[i];
+    }
+}
+
+// The same for few columns, at a quarter of the shuffles or less.
+template <int kColumns>
+ROIGS_INLINE void load_few_columns(const float* matrix, int stride, const int32_t* rows,
+                                   Floats (&out)[4]) {
+    static_assert(kColumns <= 4, "a quad holds them");
+    for (int j = 0; j < 4; ++j) {
+        Quad quads[kQuads] = {};
+        for (int q = 0; q < kQuads; ++q)
+            std::memcpy(&quads[q], matrix + (int64_t)rows[4 * q + j] * stride,
+                        sizeof(float) * kColumns);
+        out[j] = join(quads);
+    }
+    transpose_quads(out);
+}
+
+// Calls visit(i, quad) for each lane i: what vectors of few columns hold for it.
+template <int kColumns, class Visit>
+ROIGS_INLINE void for_each_quad(const Floats (&columns)[kColumns], const Visit& visit) {
+    static_assert(kColumns <= 4, "a quad holds them");
+    Floats tile[4] = {};
+    for (int k = 0; k < kColumns; ++k) tile[k] = columns[k];
+    transpose_quads(tile);
+    for (int j = 0; j < 4; ++j) {
+        Quad quads[kQuads];
+        split(tile[j], quads);
+        for (int q = 0; q < kQuads; ++q) visit(4 * q + j, quads[q]);
     }
 }
 

@@ -13,11 +13,13 @@ import torch
 from torch import Tensor
 
 from roigs_engine.errors import EngineError
+from roigs_engine.optimizer import VisibleAdam
 from roigs_engine.rasterize.common import (
     RenderOutput,
     RenderRequest,
     background_colour,
     check_inputs,
+    check_optimizer,
     check_pixel_weights,
     used_sh_degree,
     worked_tiles,
@@ -47,6 +49,7 @@ def rasterize(
     with_weight_sum: bool = False,
     pixel_weights: Tensor | None = None,  # (C, H, W)
     region: tuple[int, int, int, int] | Tensor | None = None,
+    optimizer: VisibleAdam | None = None,
     backend: str = "auto",
 ) -> RenderOutput:
     """Renders N Gaussians for C cameras; `image` is differentiable in the first five arguments.
@@ -71,6 +74,8 @@ def rasterize(
         region: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16
             tiles that touch it are worked on, forward and backward; other pixels hold the
             background.
+        optimizer: made with the first five arguments: `backward()`, once, takes its step on the
+            Gaussians that the camera sees, and gives no gradient. One camera, cpu backend.
         backend: "reference", "cpu", "cuda", or "auto" (the compiled one of the tensors' device for
             float32, else the reference).
 
@@ -89,6 +94,12 @@ def rasterize(
     if pixel_weights is not None:
         check_pixel_weights(pixel_weights, with_weight_sum, (len(viewmats), height, width))
         pixel_weights = pixel_weights.detach().to(means)
+    if backend == "auto":
+        native = all(p.dtype == torch.float32 for p in parameters)
+        compiled = native and means.device.type in ("cpu", "cuda")
+        backend = means.device.type if compiled else "reference"
+    if optimizer is not None:
+        check_optimizer(optimizer, parameters, len(viewmats), backend)
     tiles, tile_mask = worked_tiles(width, height, region)
     request = RenderRequest(
         means=means,
@@ -109,11 +120,8 @@ def rasterize(
         pixel_weights=pixel_weights,
         tiles=tiles,
         tile_mask=tile_mask,
+        optimizer=optimizer,
     )
-    if backend == "auto":
-        native = all(p.dtype == torch.float32 for p in parameters)
-        compiled = native and means.device.type in ("cpu", "cuda")
-        backend = means.device.type if compiled else "reference"
     if backend == "reference":
         from roigs_engine.rasterize import reference
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from roigs_engine.errors import EngineError
+from roigs_engine.optimizer import VisibleAdam
 
 TILE = 16
 """Side of a pixel tile; culling, binning and `region` work in whole tiles."""
@@ -81,6 +82,7 @@ class RenderRequest:
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
     tile_mask: Tensor | None  # (rows, columns) bool, which of them to work on; None: all
+    optimizer: VisibleAdam | None  # takes its step in the backward pass; None: gradients
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -168,6 +170,25 @@ def check_inputs(
         raise EngineError(
             f"rasterize: the image size {width}x{height} is too large.",
             f"Render {LONGEST_SIDE} pixels a side at most.",
+        )
+
+
+def check_optimizer(
+    optimizer: VisibleAdam, parameters: tuple[Tensor, ...], cameras: int, backend: str
+) -> None:
+    """Raises EngineError unless a backward pass can take this optimiser's step."""
+    trained = tuple(optimizer.parameters.values())
+    if len(trained) != len(parameters) or any(
+        a is not b for a, b in zip(trained, parameters, strict=True)
+    ):
+        raise EngineError(
+            "rasterize: the optimizer's parameters are not the tensors to render.",
+            "Pass the tensors it was made with, in the order of rasterize's arguments.",
+        )
+    if cameras != 1 or backend != "cpu":
+        raise EngineError(
+            f"rasterize: no optimizer step with {cameras} cameras on the {backend} backend.",
+            "Pass one camera and float32 tensors on the CPU, or call VisibleAdam.step.",
         )
 
 

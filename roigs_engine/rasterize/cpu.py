@@ -12,14 +12,14 @@ import functools
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from roigs_engine.errors import KernelError
+from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.kernels import library
 from roigs_engine.kernels.library import pointer
+from roigs_engine.optimizer import VisibleAdam
 from roigs_engine.rasterize.common import RenderOutput, RenderRequest
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
@@ -81,6 +81,7 @@ def _kernels() -> ctypes.CDLL:
         "roigs_pair_evaluations": (ctypes.c_int64, [address]),
         "roigs_render_backward": (ctypes.c_int64, [address, image, image]),
         "roigs_project_backward": (None, [address, address, address, address]),
+        "roigs_project_backward_adam": (ctypes.c_int64, [address, address, address, address]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(kernels, name)
@@ -158,6 +159,7 @@ class _Cameras:
     with_max_weight: bool
     with_weight_sum: bool
     pixel_weights: Tensor | None
+    optimizer: VisibleAdam | None
 
 
 def render(request: RenderRequest) -> RenderOutput:
@@ -187,6 +189,7 @@ def render(request: RenderRequest) -> RenderOutput:
         with_max_weight=request.with_max_weight,
         with_weight_sum=request.with_weight_sum,
         pixel_weights=None if pixel_weights is None else pixel_weights.contiguous(),
+        optimizer=request.optimizer,
     )
     image, alpha, visible, grad2d, depth, max_weight, weight_sum = _Rasterize.apply(  # type: ignore[no-untyped-call]
         cameras, *request.parameters
@@ -203,17 +206,13 @@ def render(request: RenderRequest) -> RenderOutput:
 
 
 def _camera_structures(request: RenderRequest, tile_mask: Tensor | None) -> list[_Camera]:
-    # in float64: the position is a difference of numbers that may be large
-    views = request.viewmats.detach().cpu().numpy().astype(np.float64)
-    positions = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
     background = request.background.tolist()
     structures = []
-    for view, position, K in zip(
-        views.tolist(), positions.tolist(), request.Ks.tolist(), strict=True
-    ):
+    for view, K in zip(request.viewmats.tolist(), request.Ks.tolist(), strict=True):
         camera = _Camera()
         camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
-        camera.position[:] = position
+        # Python's floats are float64: this is a difference of numbers that may be large
+        camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
         camera.size[:] = [request.width, request.height]
@@ -283,13 +282,16 @@ class _Rasterize(torch.autograd.Function):
             return (None,) * (1 + len(parameters))
         image_gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
         packed = [p.contiguous() for p in parameters]
+        gaussians = _gaussians(ctx.cameras, packed)
+        views, ctx.lease.views = ctx.lease.views, []
+        if ctx.cameras.optimizer is not None:
+            _step(ctx, views, gaussians, image, image_gradient)
+            return (None,) * (1 + len(parameters))
         targets = [
             _gradient_target(p, needed)
             for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
         ]
-        gaussians = _gaussians(ctx.cameras, packed)
         gradients = _Gradients(*(pointer(buffer) for buffer, _ in targets))
-        views, ctx.lease.views = ctx.lease.views, []
         for c, image_gradient_c in enumerate(image_gradient):
             if views:
                 view = views[c]
@@ -305,6 +307,25 @@ class _Rasterize(torch.autograd.Function):
             )
             view.give_back()
         return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+
+
+def _step(
+    ctx: Any, views: list[View], gaussians: _Gaussians, image: Tensor, image_gradient: Tensor
+) -> None:
+    """The backward pass of one camera that ends in a step of its optimiser."""
+    if not views:
+        raise EngineError("rasterize: with an optimizer, backward() can be called only once.")
+    view = views[0]
+    view.call("roigs_render_backward", pointer(image), pointer(image_gradient))
+    ctx.cameras.optimizer.step_by(
+        lambda adam: view.call(
+            "roigs_project_backward_adam",
+            ctypes.byref(gaussians),
+            adam,
+            pointer(ctx.grad2d),
+        )
+    )
+    view.give_back()
 
 
 def _prepare(

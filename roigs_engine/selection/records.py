@@ -25,7 +25,8 @@ class SelectionConfig:
 
     Attributes:
         method: one of `METHODS`.
-        count: photos to choose; None for min(150, ceil(0.48 x candidates)).
+        count: photos to choose; None for min(150, ceil(share x candidates)).
+        share: see `count`; the paper's is 0.48.
         seed: of `random`, of the gp's optimiser restarts and of `gp_refresh`'s samples.
         acquisition: the gp's, «ucb» or «ei».
         beta: weight of the standard deviation in «ucb», >= 0.
@@ -37,6 +38,7 @@ class SelectionConfig:
 
     method: str = "coverage"
     count: int | None = None
+    share: float = PAPER_SHARE
     seed: int = 0
     acquisition: str = "ucb"
     beta: float = 2.0
@@ -55,6 +57,8 @@ class SelectionConfig:
             )
         if self.count is not None and self.count < 1:
             raise ConfigError(f"Cannot select {self.count} photos.", "Set count to 1 or more.")
+        if not 0 < self.share <= 1:
+            raise ConfigError(f"The share to select is {self.share:g}.", "Use above 0, up to 1.")
         if not (math.isfinite(self.beta) and self.beta >= 0):
             raise ConfigError(f"beta is {self.beta}.", "Set it to a number from 0 on (default 2).")
         if not 0 <= self.seed < 1 << 32:
@@ -71,7 +75,7 @@ class SelectionConfig:
         if self.count is not None:
             return min(self.count, candidates)
         # The small subtraction keeps e.g. 0.48 x 25 = 12.000000000000002 from becoming 13.
-        return min(PAPER_COUNT, math.ceil(PAPER_SHARE * candidates - 1e-9), candidates)
+        return min(PAPER_COUNT, math.ceil(self.share * candidates - 1e-9), candidates)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -97,7 +97,10 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
         print("for people", file=sys.stderr, flush=True)
         sys.stdout.buffer.write(b"\\xff\\xfe broken\\n")
         sys.stdout.flush()
-        say(event="progress", stage="scene", step=1, total=3)
+        say(event="message", text="17 photos left out")
+        say(event="progress", stage="scene", step=1, total=3, loss=0.12345, gaussians=70)
+        say(event="preview", path="p.ply")
+        say(event="progress", stage="scene", step=2, total=3)
         say(event="done", outputs={"result": "a.ply"}, stopped=False)
         """,
     )
@@ -108,6 +111,11 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
     assert outcome.outputs == {"result": "a.ply"}
     log = (tmp_path / "a" / "log.txt").read_text(encoding="utf-8")
     assert "Zwischentext 庭" in log and "for people" in log and "broken" in log
+    told = [line[10:] for line in log.splitlines()]
+    for line in ("scene: 3 steps", "17 photos left out", "Done."):
+        assert line in told
+    progress = [line for line in told if line.startswith("scene: ") and " of " in line]
+    assert progress == ["scene: 1 of 3, loss 0.123, gaussians 70"]  # the second came too soon
 
 
 @pytest.mark.parametrize(
@@ -217,6 +225,35 @@ def test_progress_becomes_properties(blender: ModuleType, work, tmp_path: Path) 
     state.stage = "joint"
     text = jobs.progress_text(state)
     assert text == "joint 12 / 30, 21.5 dB, 1,234 Gaussians, 2 min 05 s left"
+
+
+@pytest.mark.blender
+def test_no_preview_is_drawn_while_the_engine_stops(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+
+    first, last = tmp_path / "first.ply", tmp_path / "last.ply"
+    first.touch()
+    last.touch()
+    engine = fake(
+        tmp_path,
+        f"""
+        say(event="preview", path={str(first)!r})
+        sys.stdin.read()
+        say(event="preview", path={str(last)!r})
+        time.sleep(0.5)
+        say(event="done", outputs={{}}, stopped=True)
+        """,
+    )
+    shown: list[Path] = []
+    runner = jobs.start(engine, work(on_preview=shown.append))
+    assert until(lambda: runner.poll() and bool(shown))
+    runner.stop()
+    while runner.poll():
+        assert shown == [first]
+        time.sleep(0.02)
+    assert shown == [first, last] and runner.outcome.stopped
 
 
 @pytest.mark.blender

@@ -75,10 +75,12 @@ def test_attributes(blender: ModuleType, run, coefficients: int) -> None:
     np.testing.assert_allclose(values(mesh, "opacity"), opacity, rtol=1e-5)
     quats = arrays["quats"] / np.linalg.norm(arrays["quats"], axis=1, keepdims=True)
     np.testing.assert_allclose(values(mesh, "rotation"), quats, atol=1e-6)
-    np.testing.assert_array_equal(values(mesh, "radiance:base"), arrays["sh"][:, 0])
-    for index in range(1, coefficients):
-        np.testing.assert_array_equal(values(mesh, f"radiance:sh_{index}"), arrays["sh"][:, index])
-    assert f"radiance:sh_{coefficients}" not in mesh.attributes
+    radiance = values(mesh, "radiance:base")
+    np.testing.assert_array_equal(radiance[:, :3], arrays["sh"][:, 0])
+    np.testing.assert_allclose(radiance[:, 3], opacity, rtol=1e-5)
+    for index, name in enumerate((f"radiance:sh_{i}" for i in range(coefficients - 1)), start=1):
+        np.testing.assert_array_equal(values(mesh, name), arrays["sh"][:, index])
+    assert f"radiance:sh_{coefficients - 1}" not in mesh.attributes
     srgb = np.clip(0.5 + SH_C0 * arrays["sh"][:, 0], 0, 1)
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(values(mesh, "Color")[:, :3], linear, atol=1e-5)

@@ -19,9 +19,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from roigs_addon import properties
+from roigs_addon import clouds, properties
 from roigs_addon.gaussian_ply import read_splats
-from roigs_addon.viewport import draw, targets
+from roigs_addon.viewport import draw, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
@@ -156,6 +156,52 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     assert (covered <= free + 1e-3).all() and 0.3 < covered.sum() / free.sum() < 0.95
 
 
+def check_points(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """Points have their colours, size and depth; what changes or is switched off is seen to."""
+    shown = np.array([[1, 0, 0], [0, 0.5, 1], [0.1, 0.1, 0.1]], np.float32)
+    places = np.array([[0, 0, 0], [0.5, 0, 0], [0, 0, -2]], np.float32)  # the last behind the first
+    cloud = clouds.new_points("points", places)
+    colour = np.column_stack((clouds.to_linear(shown), np.ones(3, np.float32)))
+    clouds.set_attribute(cloud.data, clouds.COLOUR, "FLOAT_COLOR", colour)
+    clouds.show_as_points(cloud, clouds.colour_material("points"), 0.1)
+    bpy.context.scene.collection.objects.link(cloud)
+    focal = SIDE * DISTANCE
+    camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal}
+    clip = perspective({**camera, "cx": SIDE / 2, "cy": SIDE / 2}, 0.1, 100)
+
+    def look(smallest: float = 1.0) -> np.ndarray:
+        bpy.context.view_layer.update()
+        offscreen = gpu.types.GPUOffScreen(SIDE, SIDE, format="RGBA32F")
+        with offscreen.bind():
+            gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0), depth=1.0)
+            view = Matrix.Translation((0, 0, -DISTANCE))
+            points.draw(cloud, view, clip, SIDE, smallest=smallest)
+            data = offscreen.texture_color.read()
+        data.dimensions = SIDE * SIDE * 4
+        offscreen.free()
+        return np.array(data, np.float32).reshape(SIDE, SIDE, 4)
+
+    middle, right = (SIDE // 2, SIDE // 2), (SIDE // 2, SIDE - 2)
+    first = look()
+    np.testing.assert_allclose(first[middle], [1, 0, 0, 1], atol=2e-3)
+    np.testing.assert_allclose(first[right], [0, 0.5, 1, 1], atol=2e-3)
+    red = (first[..., 0] > 0.9).sum()
+    across = 0.2 * SIDE * DISTANCE / (DISTANCE - 0.1) + 1
+    assert 0.9 < red / (np.pi / 4 * across**2) < 1.1, red
+    cloud.scale = (0.5, 0.5, 0.5)
+    assert 0.2 < (look()[..., 0] > 0.9).sum() / red < 0.35
+    assert (look(smallest=40.0)[..., 0] > 0.9).sum() > 2 * red
+    cloud.scale = (1, 1, 1)
+    cloud.data.vertices[0].co.x = -0.4
+    cloud.data.update()
+    moved = look()
+    np.testing.assert_allclose(moved[middle], [0.1, 0.1, 0.1, 1], atol=2e-3)
+    assert (moved[..., 0] > 0.9).any() and not (moved[middle] == first[middle]).all()
+    cloud.modifiers[clouds.POINTS].show_viewport = False
+    assert not look().any()
+    bpy.data.objects.remove(cloud)
+
+
 def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
     """A scene shows its own objects; those of another stay at hand."""
     alone = seen(a)
@@ -191,9 +237,11 @@ def main() -> bool:
 
 if __name__ == "__main__":
     properties.register()
+    points.register()
     try:
         passed = with_gpu(main)
     finally:
         draw.unregister()
+        points.unregister()
         properties.unregister()
     sys.exit(0 if passed else 1)

@@ -132,6 +132,18 @@ def test_each_box_has_its_own_capacity() -> None:
     assert int(chosen[gaussians.in_box(right)].sum()) == 8
 
 
+def test_boxes_may_have_a_threshold_and_limits_of_their_own() -> None:
+    gaussians = model(300)
+    inside, gradient = gaussians.in_box(BOX), torch.linspace(0, 3e-4, 300)
+    config = TrainConfig(steps=100, grad_threshold=2e-4, box_grad_threshold=1e-4)
+    chosen = densify.choose(gaussians, stats(gradient), config, [BOX], None)
+    assert torch.equal(chosen, gradient > torch.where(inside, 1e-4, 2e-4))
+    room = 3
+    limited = densify.choose(gaussians, stats(gradient), config, [BOX], [int(inside.sum()) + room])
+    assert torch.equal(limited[~inside], chosen[~inside])
+    assert limited[inside].nonzero()[:, 0].tolist() == list(range(int(inside.sum())))[-room:]
+
+
 def test_the_size_reference_is_the_box_inside_and_the_scene_outside() -> None:
     gaussians = model(50)
     reference = densify.size_reference(gaussians, IN_BOXES, [BOX], extent=10.0)

@@ -83,6 +83,22 @@ def test_rows_are_those_of_the_box(result: Evaluation) -> None:
         result.roi("none")
 
 
+def test_the_mask_can_come_from_a_named_model(scene: SfmScene) -> None:
+    sparse = truth().rows(torch.arange(0, 300, 3))
+    worse = EvaluatedModel(name="Full Scene", gaussians=sparse, seconds=1.0)
+    models = [worse, EvaluatedModel(name="Joint", gaussians=truth(), seconds=1.0)]
+    best, named, alone = (
+        evaluate(given, scene, TEST[:1], [BOX], object_mask_from=name).roi("thing")
+        for given, name in ((models, None), (models, "Full Scene"), ([worse], None))
+    )
+    assert (best.object_mask_from, named.object_mask_from) == ("Joint", "Full Scene")
+    assert named.views == alone.views != best.views
+    assert named.rows[0] == alone.rows[0] != best.rows[0]
+    assert named.rows[1].object_psnr not in (None, best.rows[1].object_psnr)
+    with pytest.raises(ConfigError, match="No model of ROI «thing» is named «best»"):
+        evaluate(models, scene, TEST, [BOX], object_mask_from="best")
+
+
 def test_numbers_are_those_of_a_plain_computation(
     result: Evaluation, scene: SfmScene, models: list[EvaluatedModel]
 ) -> None:

@@ -167,7 +167,9 @@ def scene_of(kind: SceneKind) -> Scene:
     )
 
 
-def step(scene: Scene, leaves: list[Tensor], backend: str) -> RenderOutput:
+def step(
+    scene: Scene, leaves: list[Tensor], backend: str, optimizer: VisibleAdam | None = None
+) -> RenderOutput:
     """Renders the scene with these parameters, in their type, and differentiates the loss."""
     dtype = leaves[0].dtype
     output = rasterize(
@@ -181,6 +183,7 @@ def step(scene: Scene, leaves: list[Tensor], backend: str) -> RenderOutput:
         background=scene.background,
         region=scene.region,
         with_max_weight=True,
+        optimizer=optimizer,
         backend=backend,
     )
     photo_loss(output.image, scene.photo, backend=backend).loss.backward()
@@ -236,26 +239,36 @@ def test_many_steps_agree_with_float64(isa: str, kind: SceneKind) -> None:
     agrees_with_float64(kind)
 
 
-def bits_of_training(scene: Scene, threads: int) -> list[bytes]:
+def bits_of_training(scene: Scene, threads: int, *, fused: bool) -> dict[str, bytes]:
     """All that two training steps with so many threads leave behind."""
     library.set_threads(threads)
     leaves = [p.clone() for p in scene.parameters]
-    adam = VisibleAdam({n: (leaf, 0.01) for n, leaf in zip(NAMES, leaves, strict=True)})
-    left: list[Tensor] = []
-    for _ in range(2):
-        output = step(scene, leaves, "cpu")
-        left += [output.image, output.alpha, output.visible, output.grad2d]
-        left += [leaf.grad.clone() for leaf in leaves if leaf.grad is not None]
-        adam.step(output.visible[0])
-    left += [*leaves, *adam.exp_avg.values(), *adam.exp_avg_sq.values()]
-    return [t.detach().contiguous().numpy().tobytes() for t in left]
+    parameters = {n: (leaf, 0.01) for n, leaf in zip(NAMES, leaves, strict=True)}
+    adam = VisibleAdam(parameters, fused=fused)
+    left: dict[str, Tensor] = {}
+    for k in range(2):
+        output = step(scene, leaves, "cpu", adam if fused else None)
+        for name in ("image", "alpha", "visible", "grad2d", "max_weight"):
+            left[f"{name} {k}"] = getattr(output, name)
+        if not fused:
+            for name, leaf in zip(NAMES, leaves, strict=True):
+                assert leaf.grad is not None
+                left[f"gradient {name} {k}"] = leaf.grad.clone()
+            adam.step(output.visible[0])
+    for name, leaf in adam.parameters.items():
+        left |= {name: leaf, f"m {name}": adam.exp_avg[name], f"v {name}": adam.exp_avg_sq[name]}
+    assert adam.step_count == 2
+    return {name: t.detach().contiguous().numpy().tobytes() for name, t in left.items()}
 
 
 def has_the_same_bits(kind: SceneKind) -> None:
     scene = scene_of(kind)
-    alone = bits_of_training(scene, THREADS[0])
+    alone = bits_of_training(scene, THREADS[0], fused=False)
     for threads in THREADS[1:]:
-        assert bits_of_training(scene, threads) == alone, f"{threads} threads"
+        assert bits_of_training(scene, threads, fused=False) == alone, f"{threads} threads"
+    for threads in THREADS:
+        for name, bits in bits_of_training(scene, threads, fused=True).items():
+            assert bits == alone[name], f"{name}: {threads} threads, fused"
 
 
 # Larger scenes here: small ones are too little work to be divided.

@@ -246,6 +246,12 @@ def test_the_number_of_photos():
         150,
     ]
     assert SelectionConfig(count=9).resolved_count(5) == 5
+    assert [SelectionConfig(share=0.2).resolved_count(n) for n in (1, 25, 26, 1000)] == [
+        1,
+        5,
+        6,
+        150,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -254,6 +260,8 @@ def test_the_number_of_photos():
         {"method": "best"},
         {"acquisition": "pi"},
         {"count": 0},
+        {"share": 0.0},
+        {"share": 1.5},
         {"beta": float("nan")},
         {"beta": -1.0},
         {"seed": -1},

@@ -91,7 +91,9 @@ def test_resuming_equals_never_stopping(
     rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), config)
     rest.load_state_dict(state)
     assert rest.step == stop
+    assert rest.cpu_seconds == half.cpu_seconds > 0
     assert rest.run()
+    assert rest.cpu_seconds > half.cpu_seconds
     assert len(rest.gaussians) == len(whole.gaussians) > 0
     assert same_bits(rest.gaussians, whole.gaussians)
 

@@ -1,0 +1,1 @@
+"""Quality on held-out photos: from scenes and boxes to tables, see benchmarks/README.md."""

@@ -1,0 +1,212 @@
+"""The study: `python -m benchmarks.study SCENE ... --out DIR`; benchmarks/README.md explains it.
+
+DIR/rows/SCENE/seed-N/ROW.json has what was measured; what is there is not measured again. Exit
+status: 0 all done, 2 something failed (the rest is done), 3 stopped on request.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.study.figures import write_figures
+from benchmarks.study.measure import machine
+from benchmarks.study.results import Results, load_records
+from benchmarks.study.rows import BEYOND, TABLES, VARIANT, Row, all_rows, parse_variant, wanted
+from benchmarks.study.scenes import StudyScene, parse_scenes
+from benchmarks.study.tables import Study, command_line
+from benchmarks.study.work import Work
+from roigs_engine.commands.console import Console
+from roigs_engine.config import PRESETS, preset
+from roigs_engine.errors import ConfigError, EngineError, Stopped
+from roigs_engine.events import Done, Failed
+from roigs_engine.files import read_json, write_json, write_text
+from roigs_engine.kernels import library
+
+STOPPED = 3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure what is missing, then write the tables; the exit status."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = _options(given)
+    console = Console(json_lines=False)
+    # As in training: torch's pool would fight with the kernels' and with other programs.
+    torch_threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        console.watch()
+        return _run(options, given, console)
+    except EngineError as error:
+        console.emit(Failed(message=error.message, hint=error.hint))
+        return 2
+    except Stopped:
+        console.emit(Done(outputs={}, stopped=True))
+        return STOPPED
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        torch.set_num_threads(torch_threads)
+        console.close_bar()
+
+
+def _run(options: argparse.Namespace, given: Sequence[str], console: Console) -> int:
+    scenes = parse_scenes(options.scenes)
+    if not scenes and not options.report_only:
+        raise ConfigError("No scene is given.", "Name one, or add --report-only.")
+    if options.threads is not None:
+        library.set_threads(options.threads)
+    _claim(options)
+    variants = [parse_variant(text, options.preset) for text in options.vary]
+    rows = wanted(all_rows(options.preset, variants), options.tables, options.rows)
+
+    def report(*, figures: bool) -> None:
+        _report(options, given, scenes, rows, console, figures=figures)
+
+    failures: list[str] = []
+    try:
+        if not options.report_only:
+            work = Work(
+                folder=options.out,
+                preset=options.preset,
+                factor=options.steps,
+                max_side=options.max_side,
+                keep_models=options.keep_models,
+                console=console,
+            )
+            failures = work.do(rows, scenes, options.seeds, lambda: report(figures=False))
+    finally:
+        report(figures=True)
+    console.print(f"{options.out / 'study.md'}")
+    for failure in failures:
+        console.emit(Failed(message=failure))
+    return 2 if failures else 0
+
+
+def _claim(options: argparse.Namespace) -> None:
+    """A folder is for one preset, step factor and photo size; they are taken from it to report.
+
+    Raises:
+        ConfigError: the folder is for others.
+    """
+    path = options.out / "settings.json"
+    settings = {"preset": options.preset, "steps": options.steps, "max_side": options.max_side}
+    if path.exists():
+        before = read_json(path)
+        if options.report_only:
+            vars(options).update(before)
+        elif before != settings:
+            wrong = next(name for name in settings if before.get(name) != settings[name])
+            raise ConfigError(
+                f"{options.out} holds a study with {wrong} {before.get(wrong)}, not"
+                f" {settings[wrong]}.",
+                "Choose another --out.",
+            )
+    elif options.report_only:
+        raise ConfigError(f"{options.out} holds no study.", "Leave --report-only out to begin one.")
+    else:
+        write_json(path, settings)
+
+
+def _report(
+    options: argparse.Namespace,
+    given: Sequence[str],
+    scenes: Sequence[StudyScene],
+    rows: Sequence[Row],
+    console: Console,
+    *,
+    figures: bool,
+) -> None:
+    """Write study.md and study.json, and the figures with them."""
+    out, own = options.out, preset(options.preset).strategy
+    records = load_records(out / "rows")
+    results = Results(records, [scene.name for scene in scenes])
+    names = {row.name for row in rows}
+    shown = [*rows, *(row for row in _variants(records) if row.name not in names)]
+    drawn = write_figures(results, shown, own, out, console.emit) if figures else {}
+    study = Study(
+        results=results,
+        rows=shown,
+        tables=options.tables,
+        own=own,
+        head=_head(options, given, records),
+        figures=drawn,
+    )
+    write_json(out / "study.json", study.to_dict())
+    write_text(out / "study.md", study.markdown())
+
+
+def _variants(records: Sequence[dict[str, Any]]) -> list[Row]:
+    """The variants that were measured, whether they are asked for now or not."""
+    rows = {}
+    for record in records:
+        if record["request"]["kind"] == VARIANT:
+            changes = tuple((str(name), value) for name, value in record["changes"])
+            name = str(record["row"])
+            rows[name] = Row(name=name, kind=VARIANT, tables=(BEYOND,), rank=1, changes=changes)
+    return list(rows.values())
+
+
+def _head(
+    options: argparse.Namespace, given: Sequence[str], records: Sequence[dict[str, Any]]
+) -> dict[str, str]:
+    """Facts for the top of the page."""
+    machines = [record["machine"] for record in records] or [machine()]
+    words = dict.fromkeys(
+        f"{m['cpu']}, {m['cores']} cores, {m['threads']} threads, {m['kernels']},"
+        f" torch {m['torch']}"
+        for m in machines
+    )
+    dates = sorted({m["date"] for m in machines if "date" in m})
+    config = preset(options.preset).scaled(options.steps)
+    return {
+        "machine": "; ".join(words),
+        "measured": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "nothing yet",
+        "preset": f"{options.preset}, strategy {config.strategy}",
+        "steps": f"{config.scene.steps} + {config.roi.steps} (× {options.steps:g})",
+        "longest side": f"{options.max_side} px" if options.max_side else "of the photos",
+        "command": command_line(given),
+    }
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.study", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "scenes",
+        nargs="*",
+        metavar="SCENE",
+        help="[NAME=]PATH[:ROIS.json] of a COLMAP project",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="draft")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], metavar="N")
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=["I", "II"])
+    parser.add_argument("--rows", nargs="+", default=[], metavar="NAME", help="such as gp6-*")
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="NAME:FIELD=VALUE,...",
+        help="a row of the preset with other settings; repeatable",
+    )
+    parser.add_argument(
+        "--steps", type=float, default=1.0, metavar="F", help="multiply the steps of all stages"
+    )
+    parser.add_argument("--max-side", type=int, metavar="PX", help="longest side of the photos")
+    parser.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
+    parser.add_argument(
+        "--keep-models", action="store_true", help="keep the models of ablations and variants"
+    )
+    parser.add_argument("--report-only", action="store_true", help="measure nothing")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""The sparse points in their colours, in Solid shading.
+
+There, Blender draws all points of an object in one colour, whatever their attributes and its
+settings say. Each point is covered by a disc of its size, a little nearer; the object and the
+view's settings stay as they are. Other shadings show the colours by the points' material.
+"""
+
+from __future__ import annotations
+
+import traceback
+
+import bpy
+import gpu
+import numpy as np
+from bpy.app.handlers import persistent
+from mathutils import Matrix
+
+from .. import clouds, lookup
+from . import shaders
+
+SMALLEST = 2.5
+"""Pixels across, at an interface scale of 1: points that are far away are still seen."""
+
+_batches: dict[int, gpu.types.GPUBatch | None] = {}
+"""Mesh, by its number in this session -> its points on the GPU; None when they have no colour."""
+
+_shader: gpu.types.GPUShader | None = None
+_handler: object | None = None
+_failure: str = ""
+
+
+def problem() -> str:
+    """Why the points cannot be drawn, in one line; empty when they can."""
+    return _failure
+
+
+def draw(
+    item: bpy.types.Object,
+    view: Matrix,
+    projection: Matrix,
+    height: int,
+    *,
+    smallest: float = SMALLEST,
+    linear_target: bool = False,
+) -> None:
+    """Draw an object's points over the bound framebuffer, before and behind what is in its depth.
+
+    Args:
+        item: made by `clouds.show_as_points` with one radius for all points.
+        view: world -> camera.
+        projection: camera -> clip space, perspective or orthographic.
+        height: of the framebuffer, pixels.
+        smallest: least width of a point, pixels.
+        linear_target: the framebuffer takes linear light, as the viewport's does; else sRGB values.
+    """
+    global _shader
+    radius, batch = clouds.shown_radius(item), _batch(item.data)
+    if radius is None or batch is None:
+        return
+    if _shader is None:
+        _shader = shaders.point_shader()
+    matrix = view @ item.matrix_world
+    shader = _shader
+    shader.bind()
+    shader.uniform_float("model_view", matrix)
+    shader.uniform_float("projection", projection)
+    size = radius * abs(matrix.to_3x3().determinant()) ** (1 / 3)
+    shader.uniform_float("sizes", (size, height, smallest))
+    shader.uniform_bool("linear_target", [linear_target])
+    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.depth_mask_set(True)  # Gaussians, drawn later, respect it
+    gpu.state.program_point_size_set(True)
+    batch.draw(shader)
+    gpu.state.program_point_size_set(False)
+    gpu.state.depth_mask_set(False)
+    gpu.state.depth_test_set("NONE")
+
+
+def _batch(mesh: bpy.types.Mesh) -> gpu.types.GPUBatch | None:
+    """Kept until the mesh changes: a million points take a moment to upload."""
+    if mesh.session_uid not in _batches:
+        _batches.clear()  # there is one cloud at a time
+        _batches[mesh.session_uid] = _uploaded(mesh)
+    return _batches[mesh.session_uid]
+
+
+def _uploaded(mesh: bpy.types.Mesh) -> gpu.types.GPUBatch | None:
+    count, colour = len(mesh.vertices), mesh.attributes.get(clouds.COLOUR)
+    if not count or colour is None or colour.domain != "POINT":
+        return None
+    points, light = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
+    mesh.vertices.foreach_get("co", points.ravel())
+    colour.data.foreach_get("color", light.ravel())
+    form = gpu.types.GPUVertFormat()
+    form.attr_add(id="point", comp_type="F32", len=3, fetch_mode="FLOAT")
+    form.attr_add(id="light", comp_type="F32", len=4, fetch_mode="FLOAT")
+    buffer = gpu.types.GPUVertBuf(form, count)
+    buffer.attr_fill("point", points)
+    buffer.attr_fill("light", light)
+    return gpu.types.GPUBatch(type="POINTS", buf=buffer)
+
+
+def _on_redraw() -> None:
+    """The handler: Blender calls it for each 3D viewport, after the scene.
+
+    What fails once, a shader for instance, would fail at every redraw: drawing then stops.
+    """
+    global _failure
+    if _failure:
+        return
+    try:
+        _draw_region(bpy.context)
+    except Exception as error:
+        _failure = f"The points' colours cannot be drawn here ({error})."
+        traceback.print_exc()
+
+
+def _draw_region(context: bpy.types.Context) -> None:
+    space, data = context.space_data, context.region_data
+    item = lookup.points(context.scene) if space.shading.type == "SOLID" else None
+    if item is None or item.mode == "EDIT" or not item.visible_get(viewport=space):
+        return
+    draw(
+        item,
+        data.view_matrix,
+        data.window_matrix,
+        context.region.height,
+        smallest=SMALLEST * context.preferences.system.ui_scale,
+        linear_target=True,
+    )
+
+
+@persistent
+def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
+    """Blender calls it after every change: points that were edited are uploaded again."""
+    if not _batches:
+        return
+    for update in graph.updates:
+        if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
+            _batches.pop(update.id.original.session_uid, None)
+
+
+@persistent
+def _on_load(*_: object) -> None:
+    """Another file is open."""
+    _batches.clear()
+
+
+def register() -> None:
+    """Start to draw; in background mode there is no viewport."""
+    global _handler
+    bpy.app.handlers.depsgraph_update_post.append(_on_change)
+    bpy.app.handlers.load_post.append(_on_load)
+    if _handler is None and not bpy.app.background:
+        _handler = bpy.types.SpaceView3D.draw_handler_add(_on_redraw, (), "WINDOW", "POST_VIEW")
+
+
+def unregister() -> None:
+    """Stop, and free the GPU's memory."""
+    global _handler, _shader, _failure
+    if _handler is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
+        _handler = None
+    bpy.app.handlers.load_post.remove(_on_load)
+    bpy.app.handlers.depsgraph_update_post.remove(_on_change)
+    _batches.clear()
+    _shader, _failure = None, ""
