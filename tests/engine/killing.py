@@ -140,7 +140,11 @@ def contents(run: Path) -> dict[str, Any]:
 def timeless(value: Any) -> Any:
     """JSON without what was measured by the clock."""
     if isinstance(value, dict):
-        return {k: timeless(v) for k, v in value.items() if k not in ("seconds", "cpu_seconds", "stages")}
+        return {
+            k: timeless(v)
+            for k, v in value.items()
+            if k not in ("seconds", "cpu_seconds", "stages")
+        }
     return [timeless(item) for item in value] if isinstance(value, list) else value
 
 
