@@ -181,7 +181,7 @@ def test_errors_are_the_engines_own_words(
     assert bpy.context.scene.roigs.root is None and not bpy.data.cameras
 
 
-def test_the_name_of_a_project() -> None:
+def test_the_name_of_a_project(addon: ModuleType) -> None:
     from roigs_addon.operators.scene import project_name
 
     for path in ("/a/garden", "/a/garden/sparse", "/a/garden/sparse/0", "/a/garden/sparse/1"):

@@ -247,7 +247,7 @@ def test_no_preview_is_drawn_while_the_engine_stops(
         """,
     )
     shown: list[Path] = []
-    runner = jobs.start(engine, work(on_preview=shown.append))
+    runner = jobs.start(engine, work(on_preview=shown.append, folder=tmp_path))
     assert until(lambda: runner.poll() and bool(shown))
     runner.stop()
     while runner.poll():
