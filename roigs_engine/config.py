@@ -41,6 +41,9 @@ class TrainConfig:
             close around an object fills much of its silhouette.
         box_capacity: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
         box_grad_threshold: takes the place of `grad_threshold` in the boxes; 0: the same there.
+        full_every: in a ROI stage one step of so many looks at a whole photo, drawn from all; the
+            others look at the boxes' silhouettes and a rim, in photos that see a box (`region.py`).
+            1: all look at whole photos (paper).
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
@@ -71,11 +74,21 @@ class TrainConfig:
     box_margin: float = 1.0
     box_capacity: float = 0.0
     box_grad_threshold: float = 0.0
+    full_every: int = 1
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
     contribution_every: int = 0
     average_steps: int = 0
+
+    def __post_init__(self) -> None:
+        if self.full_every < 1:
+            raise ConfigError(f"full_every is {self.full_every}.", "Use 1 or more.")
+        if self.full_every > 1 and self.contribution_every:
+            raise ConfigError(
+                "contribution_every needs steps that look at whole photos.",
+                "Set full_every to 1, or contribution_every to 0.",
+            )
 
     def position_rate(self, step: int) -> float:
         """Learning rate of positions at a step, before the scene extent."""
@@ -247,11 +260,15 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=2,
+            # 3DGS's rates suit six times as many steps; view dependence is last to come.
+            lr_shN=1.5e-3,
+            lr_scales=0.01,
             densify_from=0,
             densify_until=roi_steps // 3,
             densify_in_boxes=True,
             grad_threshold=8e-5,
             box_capacity=2.2,
+            full_every=4,
             reset_every=0,
             average_steps=roi_steps // 10,
         ),

@@ -40,6 +40,7 @@ from .gaussians import Gaussians
 from .images import PhotoCache
 from .memory import plan_memory
 from .older import put_away_parts, take_back_parts
+from .region import Regions
 from .roi import OrientedBox
 from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
@@ -166,7 +167,7 @@ class Run:
 
     def full_object(self, roi: OrientedBox) -> StageResult:
         """Baseline: standard 3DGS on every photo that sees the box."""
-        names = list(visible_images(self.train_scene, roi, self._check))
+        names = list(self._seen(roi))
         return self._train(f"full-object-{roi.name}", names, self.config.baseline())
 
     def matched_scene(self, counts: Mapping[str, int]) -> StageResult:
@@ -224,6 +225,7 @@ class Run:
             extent=self.extent,
             rois=margins,
             capacities=capacities,
+            regions=Regions(images, margins, self.device) if config.full_every > 1 else None,
             seed=self.config.seed,
             device=self.device,
         )
@@ -246,15 +248,26 @@ class Run:
         config, every = self.config, range(len(images))
         if selected is not None:
             chosen = [k for k in every if images[k].name in selected]
+            whole, drawn = config.roi.full_every, list(every)
+            if whole > 1:
+                seen = {n for roi in self.rois for n in self._seen(roi)}
+                drawn = [k for k in every if images[k].name in seen]
             photo_at = sampling.mixed(
-                sampling.shuffled(every, config.seed),
+                sampling.shuffled(drawn, config.seed),
                 sampling.shuffled(chosen, config.seed + 1),
                 config.selected_share,
             )
-            return photo_at, ["mixed", config.selected_share, chosen, config.seed]
+            if whole > 1:
+                anything = sampling.shuffled(every, config.seed + 2)
+                photo_at = sampling.with_whole(anything, photo_at, whole)
+            return photo_at, ["mixed", config.selected_share, chosen, drawn, config.seed]
         if roi_stage and config.roi_order == "ordered":
             return sampling.ordered(every), ["ordered"]
         return sampling.shuffled(every, config.seed), ["shuffled", config.seed]
+
+    def _seen(self, roi: OrientedBox) -> tuple[str, ...]:
+        """Training photos that see the box."""
+        return visible_images(self.train_scene, roi, self._check)
 
     def _start(self, rois: Sequence[OrientedBox]) -> tuple[Gaussians, str]:
         """What a stage begins with, and a name for it."""

@@ -41,6 +41,21 @@ def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
     return photo_at
 
 
+def is_whole(step: int, every: int) -> bool:
+    """Whether a step is the one of `every` that looks at a whole photo."""
+    return step % every == 0
+
+
+def with_whole(whole: PhotoAt, partial: PhotoAt, every: int) -> PhotoAt:
+    """The steps that `is_whole` names draw from the first source, the others from the second."""
+
+    def photo_at(step: int) -> int:
+        before = -(-step // every)  # whole steps before this one
+        return whole(before) if is_whole(step, every) else partial(step - before)
+
+    return photo_at
+
+
 def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
     """Several ordered selections merged by rank, each name once, best first."""
     merged: dict[str, None] = {}

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import densify
+from . import densify, sampling
 from .averaging import ModelMean
 from .capacity import BoxCapacity
 from .config import TrainConfig
@@ -26,6 +26,7 @@ from .health import CHECK_EVERY, Health
 from .losses import photo_loss
 from .optimizer import VisibleAdam
 from .rasterize import rasterize
+from .region import Region, Regions
 from .roi import OrientedBox
 from .sampling import PhotoAt
 from .scene import PosedImage
@@ -73,6 +74,7 @@ class StageData:
         extent: the *scene's* extent, for position rates and world-size pruning.
         rois: boxes that confine densification, when the stage's config says so.
         capacities: of each box; None: no limit.
+        regions: what steps look at that do not look at whole photos (`config.full_every`).
         seed: of the split positions.
         device: where to train; the result is the same but for rounding.
     """
@@ -83,6 +85,7 @@ class StageData:
     extent: float
     rois: Sequence[OrientedBox] = ()
     capacities: Sequence[BoxCapacity] | None = None
+    regions: Regions | None = None
     seed: int = 0
     device: torch.device = CPU
 
@@ -185,14 +188,20 @@ class Trainer:
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target = self._photos[index]
         self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
-        output = self._render(index)
-        loss = photo_loss(output.image, target, ssim_weight=config.ssim_weight)
-        loss.loss.backward()  # type: ignore[no-untyped-call]
+        region = self._region(index)
+        output = self._render(index, region)
+        image, weights, share = output.image[0], None, 1.0
+        if region is not None:
+            image, target = region.crop(image), region.crop(target)
+            # A pixel pulls as hard as it does in a whole photo: thresholds keep their meaning.
+            weights, share = region.weights, region.share
+        loss = photo_loss(image, target, ssim_weight=config.ssim_weight, weights=weights)
+        (loss.loss * share).backward()  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         if not self._optimizer.fused:
             self._optimizer.step(visible)
         self._stats.add(visible, output.grad2d[0], output.max_weight)
-        self._observe(loss.loss.detach(), output.image, target)
+        self._observe(loss.loss.detach(), image, target, weights)
         self.health.saw(self.step, index, loss.loss.detach())
         self.step += 1
         if self.step % min(CHECK_EVERY, config.densify_every) == 0:
@@ -204,7 +213,14 @@ class Trainer:
         """Look whether all is well so far. Raises TrainingError where numbers are none."""
         self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
 
-    def _render(self, index: int) -> Any:
+    def _region(self, index: int) -> Region | None:
+        """What this step looks at of the photo; None: all of it."""
+        regions = self.data.regions
+        if regions is None or sampling.is_whole(self.step, self.config.full_every):
+            return None
+        return regions[index]
+
+    def _render(self, index: int, region: Region | None) -> Any:
         p, camera = self._parameters, self.data.images[index].camera
         return rasterize(
             p.means,
@@ -219,18 +235,22 @@ class Trainer:
             sh_degree=self.config.degree(self.step),
             raw=True,
             with_max_weight=self.config.contribution_every > 0,
+            region=None if region is None else region.mask,
             optimizer=self._optimizer if self._optimizer.fused else None,
         )
 
-    def _observe(self, loss: Tensor, rendered: Tensor, target: Tensor) -> None:
+    def _observe(
+        self, loss: Tensor, rendered: Tensor, target: Tensor, weights: Tensor | None
+    ) -> None:
         """Keep the running loss; the PSNR costs a pass over the image, so only now and then."""
         self._last_loss = loss
         self._loss = torch.where(
             self._loss.isnan(), loss, RECENT * self._loss + (1 - RECENT) * loss
         )
         if self.step % PSNR_EVERY == 0:
-            error = rendered.detach()[0] - target / 255.0
-            psnr = float(-10 * torch.log10(error.square().mean().clamp(min=1e-10)))
+            error = (rendered.detach() - target / 255.0).square().mean(dim=-1)
+            mean = error.mean() if weights is None else (error * weights).sum() / weights.sum()
+            psnr = float(-10 * torch.log10(mean.clamp(min=1e-10)))
             self._psnr = psnr if self._psnr != self._psnr else 0.7 * self._psnr + 0.3 * psnr
 
     def _progress(self, stage: str, seconds_left: float) -> Progress:

@@ -34,7 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         ),
         *("inspect", "export", "selection", "split", "config"),
         *("cuda", "rasterize", "losses", "optimizer", "metrics", "render"),
-        *("averaging", "densify", "capacity", "checkpoint", "health", "memory"),
+        *("averaging", "densify", "capacity", "region", "checkpoint", "health", "memory"),
         *("compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),

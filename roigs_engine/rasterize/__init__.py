@@ -119,7 +119,7 @@ def rasterize(
         with_weight_sum=with_weight_sum,
         pixel_weights=pixel_weights,
         tiles=tiles,
-        tile_mask=tile_mask,
+        tile_mask=None if tile_mask is None else tile_mask.to(means.device),
         optimizer=optimizer,
     )
     if backend == "reference":

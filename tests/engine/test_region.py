@@ -1,0 +1,88 @@
+"""Steps of the ROI stage that look at the boxes' silhouettes alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine import sampling
+from roigs_engine.config import TrainConfig
+from roigs_engine.errors import ConfigError
+from roigs_engine.losses import photo_loss
+from roigs_engine.region import Regions
+from roigs_engine.roi import OrientedBox
+from roigs_engine.scene import Camera, PosedImage
+
+CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
+BOX = OrientedBox.axis_aligned("thing", (-0.3, -0.2, 3.7), (0.3, 0.2, 4.3))
+
+
+def photo(pose: np.ndarray | None = None) -> PosedImage:
+    pose = np.eye(4) if pose is None else pose
+    return PosedImage(
+        name="a.jpg",
+        path=Path("a.jpg"),
+        camera=CAMERA,
+        world_to_camera=pose,
+        point_indices=np.zeros(0, dtype=np.int64),
+    )
+
+
+def test_a_region_is_the_silhouettes_tiles_and_a_rim() -> None:
+    region = Regions([photo()], [BOX])[0]
+    assert region is not None
+    silhouette = BOX.silhouette(CAMERA, np.eye(4))
+    mask = region.mask.numpy()
+    assert mask[silhouette].all()
+    ys, xs = np.nonzero(silhouette)
+    for reach in (-16, 16):  # a whole tile around every pixel of the silhouette
+        assert mask[ys, np.clip(xs + reach, 0, CAMERA.width - 1)].all()
+        assert mask[np.clip(ys + reach, 0, CAMERA.height - 1), xs].all()
+    assert 0 < region.share < 0.6
+    x0, y0, x1, y1 = region.window
+    assert not mask[:y0].any() and not mask[y1:].any()
+    assert not mask[:, :x0].any() and not mask[:, x1:].any()
+    assert torch.equal(region.weights, region.mask[y0:y1, x0:x1].float())
+    assert region.share == pytest.approx(float(region.mask.float().mean()))
+
+
+def test_a_photo_without_a_box_has_no_region() -> None:
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])
+    assert Regions([photo(behind)], [BOX])[0] is None
+
+
+def test_a_pixel_pulls_as_hard_as_in_the_whole_photo() -> None:
+    """The L1 term's gradient in the region is that of the whole photo."""
+    region = Regions([photo()], [BOX])[0]
+    assert region is not None
+    rng = torch.Generator().manual_seed(1)
+    image = torch.rand(CAMERA.height, CAMERA.width, 3, generator=rng, requires_grad=True)
+    target = torch.randint(0, 256, image.shape, generator=rng, dtype=torch.uint8)
+    (whole,) = torch.autograd.grad(photo_loss(image, target, ssim_weight=0).loss, image)
+    part = photo_loss(
+        region.crop(image), region.crop(target), ssim_weight=0, weights=region.weights
+    )
+    (gradient,) = torch.autograd.grad(part.loss * region.share, image)
+    assert torch.allclose(gradient[region.mask], whole[region.mask], rtol=1e-4)
+    assert not gradient[~region.mask].any()
+
+
+@pytest.mark.parametrize("every", [2, 3, 7])
+def test_whole_steps_and_others_draw_from_their_own_source_in_turn(every: int) -> None:
+    drawn = [sampling.with_whole(lambda k: k, lambda k: 1000 + k, every)(s) for s in range(50)]
+    whole = [d for d in drawn if d < 1000]
+    others = [d - 1000 for d in drawn if d >= 1000]
+    assert whole == list(range(len(whole))) and others == list(range(len(others)))
+    assert [s for s, d in enumerate(drawn) if d < 1000] == list(range(0, 50, every))
+
+
+def test_settings_that_do_not_go_together_are_refused() -> None:
+    config = TrainConfig(steps=10, full_every=4)
+    with pytest.raises(ConfigError, match="contribution_every"):
+        dataclasses.replace(config, contribution_every=100)
+    with pytest.raises(ConfigError, match="full_every is 0"):
+        dataclasses.replace(config, full_every=0)
