@@ -1,11 +1,14 @@
-"""What a run will need of the machine's memory: said before it begins, refused when it cannot be.
+"""What a run will need of the machine's memory, said before it begins; giving back what is freed.
 
 The constants were measured with `python -m benchmarks.memory` (docs/reliability.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+import functools
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .config import RunConfig, TrainConfig
@@ -20,6 +23,22 @@ PER_PIXEL = 80  # bytes: the picture, its gradient and the loss's images, of the
 PER_DENSIFICATION = 30_000  # the most Gaussians that one added, on average, on five scenes
 AHEAD = 3  # photos held at least: the one in use, and two that are decoded ahead
 DEFAULT_SHARE = 4  # the cache takes at most one part in so many of the machine's memory
+
+
+def give_back_freed() -> None:
+    """Hand memory that was freed back to the system, where the C library (glibc) would keep it.
+
+    Every densification frees all parameters and their moments and allocates them a little larger.
+    What is freed stays in holes of the heap that the next ones do not fit.
+    """
+    trim = _malloc_trim()
+    if trim is not None:
+        trim(0)
+
+
+@functools.cache
+def _malloc_trim() -> Callable[[int], int] | None:
+    return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
 @dataclass(frozen=True, kw_only=True)

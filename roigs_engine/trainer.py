@@ -24,6 +24,7 @@ from .events import Emit, Progress, ignore
 from .gaussians import NAMES, Gaussians
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
+from .memory import give_back_freed
 from .optimizer import VisibleAdam
 from .rasterize import rasterize
 from .region import Region, Regions
@@ -330,6 +331,7 @@ class Trainer:
         self._parameters = _leaves(edit.gaussians)
         self._optimizer.replace(self._parameters.tensors(), edit.rows)
         self._stats = self._stats.after(edit.rows)
+        give_back_freed()
 
     def _reset_opacities(self) -> None:
         logit = float(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
