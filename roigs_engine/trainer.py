@@ -191,13 +191,15 @@ class Trainer:
         self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
         region = self._region(index)
         output = self._render(index, region)
-        image, weights, share = output.image[0], None, 1.0
+        # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
+        image, weights = output.image.squeeze(0), None
         if region is not None:
             image, target = region.crop(image), region.crop(target)
             # A pixel pulls as hard as it does in a whole photo: thresholds keep their meaning.
-            weights, share = region.weights, region.share
+            weights = region.weights
         loss = photo_loss(image, target, ssim_weight=config.ssim_weight, weights=weights)
-        (loss.loss * share).backward()  # type: ignore[no-untyped-call]
+        share = None if region is None else loss.loss.new_tensor(region.share)
+        loss.loss.backward(share)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         if not self._optimizer.fused:
             self._optimizer.step(visible)
