@@ -112,6 +112,7 @@ class RunConfig:
         kept_share: share of each ROI's selected photos that Scene-GS sees too (paper: 0.5); the
             k-th photo stays when floor(k share) grows.
         scene, roi: the two stages.
+        scene_scale: the Scene-GS learns from photos at this share of their size.
         roi_init: what the ROI stage starts from: the whole Scene-GS, the sparse points, or the
             Scene-GS's Gaussians in the box (the paper's ablations).
         roi_order: `ordered` follows the selection and cycles (paper); `shuffled` draws epochs.
@@ -127,6 +128,7 @@ class RunConfig:
     kept_share: float
     scene: TrainConfig
     roi: TrainConfig
+    scene_scale: float = 1.0
     roi_init: str = "scene"
     roi_order: str = "ordered"
     selected_share: float = 0.5
@@ -147,6 +149,10 @@ class RunConfig:
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        if not 0 < self.scene_scale <= 1:
+            raise ConfigError(
+                f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, 1 at most."
+            )
         if not 0 <= self.seed < 1 << 32:
             raise ConfigError(f"The seed is {self.seed}.", "Use a number from 0 to 4294967295.")
         if self.strategy == "joint" and self.roi_init == "box":

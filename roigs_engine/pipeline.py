@@ -125,7 +125,7 @@ class Run:
         write_json(folder / "split.json", {"test": list(self.test)})
         self.train_scene = scene.without(set(self.test))
         self.extent = self.train_scene.extent()
-        self._photos: dict[tuple[str, ...], PhotoCache] = {}
+        self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
         self._selections: dict[str, CameraSelection] = {}
 
     # --- selection ---
@@ -158,7 +158,7 @@ class Run:
                 "Every photo is reserved for a box: none is left to train the scene on.",
                 "Set --kept-share above 0, or select fewer photos (--count).",
             )
-        return self._train("scene", names, self.config.scene)
+        return self._train("scene", names, self.config.scene, scale=self.config.scene_scale)
 
     def full_scene(self) -> StageResult:
         """Baseline: standard 3DGS on all training photos, as many steps as both stages."""
@@ -203,6 +203,7 @@ class Run:
         rois: Sequence[OrientedBox] = (),
         selected: set[str] | None = None,
         counts: Mapping[str, int] | None = None,
+        scale: float = 1.0,
     ) -> StageResult:
         """Run one stage; with `rois` it is a ROI stage and begins as `roi_init` says.
 
@@ -211,7 +212,7 @@ class Run:
         roi_stage = bool(rois) and counts is None
         margins = [roi.scaled(config.box_margin) for roi in rois]
         by_name = {image.name: image for image in self.train_scene.images}
-        images = [by_name[photo] for photo in photos]
+        images = [by_name[photo].scaled(scale) for photo in photos]
         photo_at, order = self._order(images, roi_stage, selected)
         start, start_name = self._start(rois if roi_stage else ())
         if counts is None:
@@ -283,7 +284,7 @@ class Run:
 
     def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
         """One cache for each list of photos, the last only: stages do not run side by side."""
-        key = tuple(image.name for image in images)
+        key = tuple((image.name, image.camera.width) for image in images)
         if key not in self._photos:
             for cache in self._photos.values():
                 cache.close()

@@ -91,7 +91,7 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
         pixels[: camera.height, : camera.width] |= roi.silhouette(camera, image.world_to_camera)
     touched = pixels.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
     padded = np.pad(touched, 1)
-    grown = np.zeros_like(touched)
+    grown: NDArray[np.bool_] = np.zeros_like(touched)
     for y in range(3):
         for x in range(3):
             grown |= padded[y : y + rows, x : x + columns]

@@ -80,6 +80,14 @@ class PosedImage:
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return -rotation.T @ translation
 
+    def scaled(self, factor: float) -> PosedImage:
+        """The same photo at that share of its size; the photo itself when it is 1."""
+        if factor == 1:
+            return self
+        width, height = self.camera.width, self.camera.height
+        size = max(1, round(width * factor)), max(1, round(height * factor))
+        return replace(self, camera=self.camera.resized(*size))
+
     @property
     def forward(self) -> Float64:
         """(3,) unit viewing direction in the world."""

@@ -112,6 +112,7 @@ def test_a_factor_that_is_not_positive_is_refused(factor: float) -> None:
         ({"roi_order": "backwards"}, "roi_order"),
         ({"kept_share": 1.5}, "kept_share"),
         ({"selected_share": -0.1}, "selected_share"),
+        ({"scene_scale": 0.0}, "scene_scale"),
         ({"kept_share": float("nan")}, "kept_share"),
         ({"strategy": "joint", "roi_init": "box"}, "box"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.gaussians import NAMES, Gaussians
 from roigs_engine.pipeline import Run
 from roigs_engine.scene import SfmScene
+from roigs_engine.stages import Stage, StageResult
 from tests.engine.synthetic_scene import BOX, make_scene
 
 
@@ -51,6 +53,22 @@ def test_a_run_writes_its_result_and_every_stage(
     assert len(part) == int(result.in_box(BOX).sum()) > 0
     assert len({model.name for model in trained.models}) == len(trained.models)
     assert not set(run.test) & {image.name for image in run.train_scene.images}
+
+
+def test_the_scene_learns_from_smaller_photos_and_the_boxes_from_whole_ones(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes: dict[str, set[int]] = {}
+    run_stage = Stage.run
+
+    def watched(stage: Stage, *arguments: Any) -> StageResult:
+        sizes[stage.name] = {image.camera.width for image in stage.data.images}
+        return run_stage(stage, *arguments)
+
+    monkeypatch.setattr(Stage, "run", watched)
+    Run(tmp_path, scene, [BOX], tiny("joint", scene_scale=0.5)).train()
+    (width,) = sizes["joint"]
+    assert sizes["scene"] == {round(width / 2)}
 
 
 def test_the_other_strategy_stands_in_the_same_table(scene: SfmScene, tmp_path: Path) -> None:

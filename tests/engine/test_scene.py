@@ -43,6 +43,12 @@ def test_resized_camera_sees_the_same_rays() -> None:
     assert np.allclose(big[:2] / [100, 50], little[:2] / [25, 10])
 
 
+def test_a_scaled_photo_sees_the_same_rays() -> None:
+    image = posed("a", [1.0, 2.0, 3.0])
+    assert image.scaled(1.0) is image
+    assert image.scaled(0.5).camera == CAMERA.resized(50, 25)
+
+
 def test_centre_and_forward() -> None:
     image = posed("a", [1.0, 2.0, 3.0], turn=0.4)
     assert np.allclose(image.centre, [1, 2, 3])
