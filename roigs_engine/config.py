@@ -258,6 +258,7 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
         strategy="joint",
         selection=SelectionConfig(method="coverage"),
         kept_share=1.0,
+        scene_scale=0.5,
         scene=TrainConfig(
             steps=scene_steps,
             densify_until=scene_steps * 5 // 8,
