@@ -20,7 +20,7 @@ VISITS = 5  # the last ones of a photo; with fewer, nothing is said of it
 FEWEST_PHOTOS = 8  # with fewer, nothing is said of any
 # An outlier is so many standard deviations above the median, estimated from the median deviation
 # (Iglewicz and Hoaglin 1993 take 3.5; photos differ in what they show), and so many times as large.
-DEVIATIONS, TIMES = 6.0, 2.5
+DEVIATIONS, TIMES = 6.0, 1.5
 HINT = (
     "Look at the photos that were named in warnings, and at the model's scale. The last good"
     " checkpoint is kept; the same command goes on from it."
