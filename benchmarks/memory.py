@@ -110,7 +110,6 @@ def known(trainer: Trainer, photo_bytes: int) -> list[tuple[str, float]]:
     parameters = sum(t.nbytes for t in tensors) / MIB
     return [
         ("of it: parameters", parameters),
-        ("of it: their gradients", parameters),
         ("of it: Adam's moments", 2 * parameters),
         ("of it: photos, 8 bits", photo_bytes / MIB),
     ]
