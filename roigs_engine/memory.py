@@ -20,7 +20,7 @@ from .scene import PosedImage
 ENGINE = 260 << 20  # bytes of Python, torch and the kernels
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
 PER_PIXEL = 80  # bytes: the picture, its gradient and the loss's images, of the largest photo
-PER_DENSIFICATION = 30_000  # the most Gaussians that one added, on average, on five scenes
+PER_DENSIFICATION = 30_000  # the most Gaussians that one added, on average, on four scenes
 AHEAD = 3  # photos held at least: the one in use, and two that are decoded ahead
 DEFAULT_SHARE = 4  # the cache takes at most one part in so many of the machine's memory
 
