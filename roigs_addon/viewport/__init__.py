@@ -9,7 +9,8 @@
 | `shaders` | the GPU programs, from `shaders/` |
 | `targets` | pictures on the GPU: the splats' own, and the scene's depth |
 | `painter` | keeps the sets and orders on the GPU, and draws them |
-| `draw` | the handler in the viewport, `draw_view` for any other picture |
+| `handler` | what Blender calls for each viewport |
+| `draw` | the Gaussians in the viewport, `draw_view` for any other picture |
 | `points` | the sparse points in their colours |
 | `marks` | boxes and chosen cameras as coloured lines |
 

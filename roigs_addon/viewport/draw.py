@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Iterable
 
 import bpy
 from mathutils import Matrix
 
 from . import targets
+from .handler import ViewHandler
 from .objects import marked, splat_objects, surfaces_are_visible
 from .painter import Painter
 
@@ -16,8 +16,6 @@ POLL = 0.02
 """Seconds between looks at what the threads have done."""
 
 _painter: Painter | None = None
-_handler: object | None = None
-_failure: str = ""
 
 
 def painter() -> Painter:
@@ -30,7 +28,7 @@ def painter() -> Painter:
 
 def problems() -> dict[str, str]:
     """Path -> why it cannot be drawn, in one line; path "" for what concerns all."""
-    own = {"": _failure} if _failure else {}
+    own = {"": _handler.failure} if _handler.failure else {}
     return {**own, **(_painter.problems if _painter else {})}
 
 
@@ -54,21 +52,6 @@ def draw_view(
     painter().draw(
         things, Matrix(view_matrix), Matrix(projection_matrix), (width, height), key="", wait=True
     )
-
-
-def _on_redraw() -> None:
-    """The handler: Blender calls it for each 3D viewport, after the scene.
-
-    What fails once, a shader for instance, would fail at every redraw: drawing then stops.
-    """
-    global _failure
-    if _failure:
-        return
-    try:
-        _draw_region(bpy.context)
-    except Exception as error:
-        _failure = f"Gaussians cannot be drawn here ({error})."
-        traceback.print_exc()
 
 
 def _draw_region(context: bpy.types.Context) -> None:
@@ -106,20 +89,18 @@ def _poll() -> float | None:
     return None
 
 
+_handler = ViewHandler(_draw_region, "Gaussians cannot be drawn here")
+
+
 def register() -> None:
     """Add the handler; in background mode there is no viewport."""
-    global _handler
-    if _handler is None and not bpy.app.background:
-        _handler = bpy.types.SpaceView3D.draw_handler_add(_on_redraw, (), "WINDOW", "POST_VIEW")
+    _handler.start()
 
 
 def unregister() -> None:
     """Remove the handler, end the threads, free the GPU's memory."""
-    global _handler, _painter, _failure
-    _failure = ""
-    if _handler is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
-        _handler = None
+    global _painter
+    _handler.stop()
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)
     if _painter is not None:

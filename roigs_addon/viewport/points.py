@@ -7,8 +7,6 @@ view's settings stay as they are. Other shadings show the colours by the points'
 
 from __future__ import annotations
 
-import traceback
-
 import bpy
 import gpu
 import numpy as np
@@ -17,6 +15,7 @@ from mathutils import Matrix
 
 from .. import clouds, lookup
 from . import shaders
+from .handler import ViewHandler
 
 SMALLEST = 2.5
 """Pixels across, at an interface scale of 1: points that are far away are still seen."""
@@ -25,13 +24,11 @@ _batches: dict[int, gpu.types.GPUBatch | None] = {}
 """Mesh, by its number in this session -> its points on the GPU; None when they have no colour."""
 
 _shader: gpu.types.GPUShader | None = None
-_handler: object | None = None
-_failure: str = ""
 
 
 def problem() -> str:
     """Why the points cannot be drawn, in one line; empty when they can."""
-    return _failure
+    return _handler.failure
 
 
 def draw(
@@ -100,21 +97,6 @@ def _uploaded(mesh: bpy.types.Mesh) -> gpu.types.GPUBatch | None:
     return gpu.types.GPUBatch(type="POINTS", buf=buffer)
 
 
-def _on_redraw() -> None:
-    """The handler: Blender calls it for each 3D viewport, after the scene.
-
-    What fails once, a shader for instance, would fail at every redraw: drawing then stops.
-    """
-    global _failure
-    if _failure:
-        return
-    try:
-        _draw_region(bpy.context)
-    except Exception as error:
-        _failure = f"The points' colours cannot be drawn here ({error})."
-        traceback.print_exc()
-
-
 def _draw_region(context: bpy.types.Context) -> None:
     space, data = context.space_data, context.region_data
     item = lookup.points(context.scene) if space.shading.type == "SOLID" else None
@@ -128,6 +110,9 @@ def _draw_region(context: bpy.types.Context) -> None:
         smallest=SMALLEST * context.preferences.system.ui_scale,
         linear_target=True,
     )
+
+
+_handler = ViewHandler(_draw_region, "The points' colours cannot be drawn here")
 
 
 @persistent
@@ -148,20 +133,16 @@ def _on_load(*_: object) -> None:
 
 def register() -> None:
     """Start to draw; in background mode there is no viewport."""
-    global _handler
     bpy.app.handlers.depsgraph_update_post.append(_on_change)
     bpy.app.handlers.load_post.append(_on_load)
-    if _handler is None and not bpy.app.background:
-        _handler = bpy.types.SpaceView3D.draw_handler_add(_on_redraw, (), "WINDOW", "POST_VIEW")
+    _handler.start()
 
 
 def unregister() -> None:
     """Stop, and free the GPU's memory."""
-    global _handler, _shader, _failure
-    if _handler is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
-        _handler = None
+    global _shader
+    _handler.stop()
     bpy.app.handlers.load_post.remove(_on_load)
     bpy.app.handlers.depsgraph_update_post.remove(_on_change)
     _batches.clear()
-    _shader, _failure = None, ""
+    _shader = None

@@ -1,0 +1,47 @@
+"""What Blender calls for each 3D viewport, after the scene."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+
+import bpy
+
+
+class ViewHandler:
+    """Has a function draw in every 3D viewport.
+
+    What fails once, a shader for instance, would fail at every redraw: drawing then stops.
+
+    Attributes:
+        failure: why it has stopped, in one line; empty while all is well.
+    """
+
+    def __init__(self, draw: Callable[[bpy.types.Context], None], failing: str) -> None:
+        """Args: `draw`: draws in the context's region; `failing`: begins the line that says why."""
+        self._draw, self._failing = draw, failing
+        self._handle: object | None = None
+        self.failure = ""
+
+    def start(self) -> None:
+        """Begin; in background mode there is no viewport."""
+        if self._handle is None and not bpy.app.background:
+            self._handle = bpy.types.SpaceView3D.draw_handler_add(
+                self._on_redraw, (), "WINDOW", "POST_VIEW"
+            )
+
+    def stop(self) -> None:
+        """End, and forget what failed."""
+        if self._handle is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
+        self.failure = ""
+
+    def _on_redraw(self) -> None:
+        if self.failure:
+            return
+        try:
+            self._draw(bpy.context)
+        except Exception as error:
+            self.failure = f"{self._failing} ({error})."
+            traceback.print_exc()
