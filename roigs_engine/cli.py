@@ -10,7 +10,7 @@ import argparse
 import atexit
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import ModuleType
 
@@ -63,19 +63,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser, commands = build_parser()
     args = parser.parse_args(argv)
     console = Console(json_lines=args.events)
-    try:
+
+    def work() -> int:
+        nonlocal args
         args = with_request_file(parser, commands[args.command], args, argv)
         console.watch()
         outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
         return 0
+
+    return answered(work, console, args.command)
+
+
+def answered(work: Callable[[], int], console: Console, name: str) -> int:
+    """The exit status of `work`, whose errors become one line each; `name` is what it is called."""
+    try:
+        return work()
     except EngineError as error:
         console.emit(Failed(message=error.message, hint=error.hint))
         return 2
     except ModuleNotFoundError as error:
         if (error.name or "").startswith(__package__):
             raise
-        text = f"`{args.command}` needs {error.name}, which this Python lacks ({sys.executable})."
+        text = f"`{name}` needs {error.name}, which this Python lacks ({sys.executable})."
         console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
     except (OSError, MemoryError, RuntimeError) as error:

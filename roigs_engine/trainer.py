@@ -152,7 +152,7 @@ class Trainer:
             on_preview, preview_seconds: the same, to show the present model; 0: never.
         """
         breaks = [_Break(pause_seconds, on_pause), _Break(preview_seconds, on_preview)]
-        with _one_torch_thread(), memory_explained(self._doing, self._advice):
+        with one_torch_thread(), memory_explained(self._doing, self._advice):
             return self._run(stage, emit, should_stop, breaks)
 
     def _run(
@@ -388,7 +388,7 @@ class Trainer:
 
 
 @contextmanager
-def _one_torch_thread() -> Iterator[None]:
+def one_torch_thread() -> Iterator[None]:
     """Keep torch's own pool quiet: it and the kernels' pool would fight for the same cores.
 
     What torch does in a training step is small; its threads cost more than they bring.

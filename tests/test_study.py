@@ -17,6 +17,7 @@ from benchmarks.study.results import Results, Stat, load_records, mean_of
 from benchmarks.study.rows import all_rows, changed, parse_variant, wanted
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine import config as engine_config
+from roigs_engine.cli import STOPPED
 from roigs_engine.config import RunConfig, TrainConfig, preset
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
@@ -211,7 +212,7 @@ def test_a_study_cut_short_goes_on(
 
     with monkeypatch.context() as patch:
         patch.setattr(Bench, "measure", stopped)
-        assert study(scene_folder, tmp_path, *options) == command.STOPPED
+        assert study(scene_folder, tmp_path, *options) == STOPPED
     assert measured == ["full-scene 3"]
     assert "Full Scene" in (tmp_path / "study.md").read_text(encoding="utf-8")
     assert study(scene_folder, tmp_path, *options) == 0

@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from benchmarks.study.figures import write_figures
 from benchmarks.study.measure import machine
 from benchmarks.study.results import Results, load_records
@@ -21,14 +19,14 @@ from benchmarks.study.rows import BEYOND, TABLES, VARIANT, Row, all_rows, parse_
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from benchmarks.study.tables import Study, command_line
 from benchmarks.study.work import Work
+from roigs_engine.cli import answered
 from roigs_engine.commands.console import Console
 from roigs_engine.config import PRESETS, preset
-from roigs_engine.errors import ConfigError, EngineError, Stopped
-from roigs_engine.events import Done, Failed
+from roigs_engine.errors import ConfigError
+from roigs_engine.events import Failed
 from roigs_engine.files import read_json, write_json, write_text
 from roigs_engine.kernels import library
-
-STOPPED = 3
+from roigs_engine.trainer import one_torch_thread
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,23 +34,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = _options(given)
     console = Console(json_lines=False)
-    # As in training: torch's pool would fight with the kernels' and with other programs.
-    torch_threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+
+    def work() -> int:
         console.watch()
         return _run(options, given, console)
-    except EngineError as error:
-        console.emit(Failed(message=error.message, hint=error.hint))
-        return 2
-    except Stopped:
-        console.emit(Done(outputs={}, stopped=True))
-        return STOPPED
-    except KeyboardInterrupt:
-        return 130
-    finally:
-        torch.set_num_threads(torch_threads)
-        console.close_bar()
+
+    with one_torch_thread():
+        return answered(work, console, "study")
 
 
 def _run(options: argparse.Namespace, given: Sequence[str], console: Console) -> int:
