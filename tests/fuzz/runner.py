@@ -36,7 +36,7 @@ class Result:
 
     ended: Counter[tuple[str, str]] = field(default_factory=Counter)
     wrong: dict[str, str] = field(default_factory=dict)
-    peak_mib: int = 0
+    peak_mib: float = 0.0
 
     @property
     def cases(self) -> int:
@@ -104,7 +104,8 @@ def main(share: float) -> None:
         print(f"{family:13}{well:5} well, {refused:5} refused")
     seconds = time.monotonic() - started
     print(
-        f"{result.cases} cases in {seconds:.0f} s, {len(result.wrong)} wrong, {result.peak_mib} MiB"
+        f"{result.cases} cases in {seconds:.0f} s, {len(result.wrong)} wrong,"
+        f" {result.peak_mib:.0f} MiB"
     )
 
 
