@@ -18,6 +18,7 @@ from .selection import SelectionConfig
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
+SEAM_SHARE = 0.2  # of the ROI stage, where a composition is refined (docs/results.md)
 MAX_FACTOR = 1000  # of the steps: a larger one is a slip of the finger
 COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
 
@@ -118,6 +119,8 @@ class RunConfig:
         roi_order: `ordered` follows the selection and cycles (paper); `shuffled` draws epochs.
         selected_share: joint only; share of steps that draw a selected photo, the rest draws from
             all training photos.
+        seam_share: independent only; share of the ROI stage's steps that the composed model gets
+            instead of the objects. 0: composition is the end (paper).
         test_every: every n-th ROI-visible photo, by distance, is kept for the tests.
         seed: of everything random.
     """
@@ -132,6 +135,7 @@ class RunConfig:
     roi_init: str = "scene"
     roi_order: str = "ordered"
     selected_share: float = 0.5
+    seam_share: float = 0.0
     test_every: int = 8
     seed: int = 0
 
@@ -146,6 +150,7 @@ class RunConfig:
         for name, share in (
             ("kept_share", self.kept_share),
             ("selected_share", self.selected_share),
+            ("seam_share", self.seam_share),
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
@@ -195,6 +200,26 @@ class RunConfig:
         """The baseline, densified in the boxes as readily as the ROI stage is."""
         return replace(self.baseline(), box_grad_threshold=self.roi.grad_threshold)
 
+    @property
+    def seam_steps(self) -> int:
+        """Steps of the seam stage; 0: there is none."""
+        return round(self.seam_share * self.roi.steps) if self.strategy == "independent" else 0
+
+    def object_stage(self) -> TrainConfig:
+        """The stage of an Object-GS: what the seam stage leaves of the ROI stage's steps."""
+        return with_steps(self.roi, self.roi.steps - self.seam_steps)
+
+    def seam_stage(self) -> TrainConfig:
+        """The stage that the composed model ends with: the joint one's, without new Gaussians."""
+        return replace(
+            _short("", self.scene.steps, self.roi.steps).roi,
+            steps=self.seam_steps,
+            sh_start=self.roi.sh_degree,
+            densify_until=0,
+            box_capacity=0.0,
+            average_steps=self.seam_steps // 2,
+        )
+
     def in_strategy(self, strategy: str) -> RunConfig:
         """The same steps, tests and seed in another strategy: the paper's own or `standard`'s."""
         label = f"{self.preset}, {strategy}"
@@ -205,6 +230,7 @@ class RunConfig:
             other = replace(
                 other,
                 preset=label,
+                seam_share=SEAM_SHARE,
                 selection=replace(other.selection, seed=self.seed),
                 scene=with_steps(other.scene, self.scene.steps),
                 roi=with_steps(other.roi, self.roi.steps),

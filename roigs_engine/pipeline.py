@@ -5,7 +5,7 @@ The run folder:
     request.json            settings of the run; another request is refused
     split.json              the test photos, which nothing but the evaluation sees
     selection/ROI.json      ordered photos of each box
-    scene/ joint/ object-ROI/ full-scene/ full-object-ROI/ matched-scene/
+    scene/ joint/ object-ROI/ seam/ full-scene/ full-object-ROI/ matched-scene/
                             stages (see `stages.py`)
     independent/            the other strategy's run, when it is compared with
     result.ply              the run's result
@@ -18,7 +18,6 @@ The run folder:
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,15 +31,15 @@ from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
 from .cuda.device import CPU
-from .errors import RunFolderError, SceneError
+from .errors import SceneError
 from .evaluate import EvaluatedModel
-from .events import Emit, Message, check_of, ignore
-from .files import read_json, write_json
+from .events import Emit, check_of, ignore
+from .files import write_json
 from .gaussians import Gaussians
 from .images import PhotoCache
 from .memory import plan_memory
-from .older import put_away_parts, take_back_parts
 from .region import Regions
+from .request import claim
 from .roi import OrientedBox
 from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
@@ -51,11 +50,6 @@ from .stages import Stage, StageResult, fingerprint
 from .trainer import StageData
 
 BASELINE = "Full Scene"
-# What follows from a request as a whole, and not from one stage.
-RESULTS = (
-    *("result.ply", "surroundings.ply", "rois", "coarse"),
-    *("report.md", "report.json", "crops", "selection"),
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,12 +115,23 @@ class Run:
             roi: check_given(names, scene, self.test, roi, emit)
             for roi, names in (given or {}).items()
         }
-        self._claim()
+        claim(folder, self._request(), update=update, emit=emit)
         write_json(folder / "split.json", {"test": list(self.test)})
         self.train_scene = scene.without(set(self.test))
         self.extent = self.train_scene.extent()
         self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
         self._selections: dict[str, CameraSelection] = {}
+
+    def _request(self) -> dict[str, Any]:
+        """What decides the results, beside the photos' pixels."""
+        images = self.scene.images
+        request = {
+            "config": self.config.to_dict(),
+            "rois": [roi.to_dict() for roi in self.rois],
+            "photos": len(images),
+            "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
+        }
+        return request | ({"given": self.given} if self.given else {})
 
     # --- selection ---
 
@@ -186,13 +191,45 @@ class Run:
     def object_stage(self, roi: OrientedBox) -> StageResult:
         """Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
         names = list(self.selection(roi).names)
-        return self._train(f"object-{roi.name}", names, self.config.roi, rois=[roi])
+        return self._train(
+            f"object-{roi.name}",
+            names,
+            self.config.object_stage(),
+            rois=[roi],
+            start=self._start([roi]),
+            ordered=self.config.roi_order == "ordered",
+        )
+
+    def seam_stage(self, scene: StageResult, objects: Sequence[StageResult]) -> StageResult:
+        """The composition, trained on as a whole (ours): inside and outside come to meet."""
+        parts = ",".join(stage.fingerprint for stage in (scene, *objects))
+        return self._train(
+            "seam",
+            [i.name for i in self.train_scene.images],
+            self.config.seam_stage(),
+            rois=self.rois,
+            start=(self.composed(scene, objects), f"composition:{parts}"),
+            selected=self._selected(),
+        )
+
+    def composed(self, scene: StageResult, objects: Sequence[StageResult]) -> Gaussians:
+        """The Scene-GS with every box's inside taken from its Object-GS."""
+        pairs = zip(self.rois, objects, strict=True)
+        return replace_in_boxes(scene.gaussians, [(roi, stage.gaussians) for roi, stage in pairs])
 
     def joint_stage(self) -> StageResult:
         """One stage for all boxes: all photos and the selected ones, densified in the boxes."""
-        selected = set(sampling.interleaved(self._orders()))
-        names = [i.name for i in self.train_scene.images]
-        return self._train("joint", names, self.config.roi, rois=self.rois, selected=selected)
+        return self._train(
+            "joint",
+            [i.name for i in self.train_scene.images],
+            self.config.roi,
+            rois=self.rois,
+            start=self._start(self.rois),
+            selected=self._selected(),
+        )
+
+    def _selected(self) -> set[str]:
+        return set(sampling.interleaved(self._orders()))
 
     def _train(
         self,
@@ -201,24 +238,37 @@ class Run:
         config: TrainConfig,
         *,
         rois: Sequence[OrientedBox] = (),
+        start: tuple[Gaussians, str] | None = None,
         selected: set[str] | None = None,
+        ordered: bool = False,
         counts: Mapping[str, int] | None = None,
         scale: float = 1.0,
     ) -> StageResult:
-        """Run one stage; with `rois` it is a ROI stage and begins as `roi_init` says.
+        """Run one stage.
 
-        With `counts` it is a baseline instead, whose boxes come to hold so many Gaussians at most.
+        Args:
+            name, photos, config, rois: of the stage.
+            start: Gaussians, and a name for them; None: the sparse points.
+            selected: photos that are drawn more often; None: all are drawn as often.
+            ordered: photos follow one another as they stand instead.
+            counts: box -> Gaussians it comes to hold at most; None: as the config says.
+            scale: the photos are used at this share of their size.
         """
-        roi_stage = bool(rois) and counts is None
         margins = [roi.scaled(config.box_margin) for roi in rois]
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo].scaled(scale) for photo in photos]
-        photo_at, order = self._order(images, roi_stage, selected)
-        start, start_name = self._start(rois if roi_stage else ())
-        if counts is None:
-            capacities = box_capacities(start, images, margins, config, self._check)
+        if selected is not None:
+            photo_at, order = self._mixed(images, config, selected)
+        elif ordered:
+            photo_at, order = sampling.ordered(range(len(images))), ["ordered"]
         else:
-            capacities = capacities_to(start, margins, [counts[roi.name] for roi in rois])
+            seed = self.config.seed
+            photo_at, order = sampling.shuffled(range(len(images)), seed), ["shuffled", seed]
+        model, start_name = self._points() if start is None else start
+        if counts is None:
+            capacities = box_capacities(model, images, margins, config, self._check)
+        else:
+            capacities = capacities_to(model, margins, [counts[roi.name] for roi in rois])
         data = StageData(
             images=images,
             photos=self._cache(images),
@@ -235,47 +285,44 @@ class Run:
             folder=self.folder / name,
             data=data,
             config=config,
-            start=start,
+            start=model,
             fingerprint=fingerprint(data, config, start_name, order),
             update=self._update,
             preview_seconds=self._preview_seconds,
         )
         return stage.run(self._emit, self._should_stop)
 
-    def _order(
-        self, images: Sequence[PosedImage], roi_stage: bool, selected: set[str] | None
-    ) -> tuple[PhotoAt, Any]:
-        """The photo of each step, and a description of that order."""
-        config, every = self.config, range(len(images))
-        if selected is not None:
-            chosen = [k for k in every if images[k].name in selected]
-            whole, drawn = config.roi.full_every, list(every)
-            if whole > 1:
-                seen = {n for roi in self.rois for n in self._seen(roi)}
-                drawn = [k for k in every if images[k].name in seen]
-            photo_at = sampling.mixed(
-                sampling.shuffled(drawn, config.seed),
-                sampling.shuffled(chosen, config.seed + 1),
-                config.selected_share,
-            )
-            if whole > 1:
-                anything = sampling.shuffled(every, config.seed + 2)
-                photo_at = sampling.with_whole(anything, photo_at, whole)
-            return photo_at, ["mixed", config.selected_share, chosen, drawn, config.seed]
-        if roi_stage and config.roi_order == "ordered":
-            return sampling.ordered(every), ["ordered"]
-        return sampling.shuffled(every, config.seed), ["shuffled", config.seed]
+    def _mixed(
+        self, images: Sequence[PosedImage], stage: TrainConfig, selected: set[str]
+    ) -> tuple[PhotoAt, list[Any]]:
+        """The photo of each step of a stage on selected and other photos; what decides it."""
+        seen = {name for roi in self.rois for name in self._seen(roi)}
+        chosen, drawn = (
+            [k for k, image in enumerate(images) if image.name in names]
+            for names in (selected, seen)
+        )
+        if stage.full_every == 1:
+            drawn = list(range(len(images)))
+        share, seed = self.config.selected_share, self.config.seed
+        photo_at = sampling.of_boxes(
+            len(images), drawn, chosen, share=share, full_every=stage.full_every, seed=seed
+        )
+        return photo_at, ["mixed", share, chosen, drawn, seed]
 
     def _seen(self, roi: OrientedBox) -> tuple[str, ...]:
         """Training photos that see the box."""
         return visible_images(self.train_scene, roi, self._check)
 
+    def _points(self) -> tuple[Gaussians, str]:
+        """The sparse points as Gaussians, and a name for them."""
+        scene = self.train_scene
+        digest = hashlib.sha256(scene.points.tobytes() + scene.colors.tobytes()).hexdigest()
+        return Gaussians.from_points(scene.points, scene.colors), f"points:{digest}"
+
     def _start(self, rois: Sequence[OrientedBox]) -> tuple[Gaussians, str]:
-        """What a stage begins with, and a name for it."""
-        if not rois or self.config.roi_init == "points":
-            scene = self.train_scene
-            digest = hashlib.sha256(scene.points.tobytes() + scene.colors.tobytes()).hexdigest()
-            return Gaussians.from_points(scene.points, scene.colors), f"points:{digest}"
+        """What a ROI stage begins with, and a name for it."""
+        if self.config.roi_init == "points":
+            return self._points()
         base = self.scene_stage()
         if self.config.roi_init == "box":
             (roi,) = rois
@@ -324,13 +371,16 @@ class Run:
     def _independent(self) -> list[EvaluatedModel]:
         """Rows of the paper's strategy, its composition last."""
         scene = self.scene_stage()
-        objects = [(roi, self.object_stage(roi)) for roi in self.rois]
-        composed = replace_in_boxes(scene.gaussians, [(r, s.gaussians) for r, s in objects])
-        return [
-            _row("Scene-GS", scene),
-            *(_row(f"Object-GS {roi.name}", stage, (roi.name,)) for roi, stage in objects),
-            _sum("Composition", composed, [scene, *(stage for _, stage in objects)]),
-        ]
+        objects = [self.object_stage(roi) for roi in self.rois]
+        rows = [_row("Scene-GS", scene)]
+        for roi, stage in zip(self.rois, objects, strict=True):
+            rows.append(_row(f"Object-GS {roi.name}", stage, (roi.name,)))
+        stages = [scene, *objects]
+        rows.append(_sum("Composition", self.composed(scene, objects), stages))
+        if self.config.seam_steps:
+            seam = self.seam_stage(scene, objects)
+            rows.append(_sum("Composition, refined", seam.gaussians, [*stages, seam]))
+        return rows
 
     def _other(self, strategy: str) -> Run:
         """The same steps in the other strategy, as its preset has it, in a folder of its own."""
@@ -356,63 +406,6 @@ class Run:
         for roi in self.rois:
             for model, home in ((result, "rois"), (coarse, "coarse")):
                 cut(model, roi, self.rois).save_ply(self.folder / home / f"{roi.name}.ply")
-
-    # --- the folder ---
-
-    def _claim(self) -> None:
-        """Write the request, or check that it is the one this folder was made for.
-
-        To update, the results of another request make room for those of this one.
-        """
-        request = {
-            "config": self.config.to_dict(),
-            "rois": [roi.to_dict() for roi in self.rois],
-            "photos": len(self.scene.images),
-            "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in self.scene.images}),
-        }
-        if self.given:
-            request["given"] = self.given
-        path = self.folder / "request.json"
-        if not path.exists():
-            write_json(path, request)
-            return
-        before = read_json(path)
-        # JSON has no tuples: compare what would be read back.
-        difference = _difference(before, _plain(request))
-        if not difference:
-            return
-        if not self._update:
-            raise RunFolderError(
-                f"{self.folder} holds another run ({difference}).",
-                "Add --update to bring it up to date, or choose another --run-dir.",
-            )
-        put_away_parts(self.folder, RESULTS, _digest(before))
-        take_back_parts(self.folder, RESULTS, _digest(_plain(request)))
-        write_json(path, request)
-        self._emit(Message(text=f"{self.folder} is brought up to date ({difference})."))
-
-
-def _digest(request: Any) -> str:
-    """Hash of a request as it comes back from JSON."""
-    return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:
-    """The value as it comes back from JSON."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
-
-
-def _difference(before: Any, now: Any, path: str = "") -> str:
-    """The first place where two JSON values differ, in words; empty when they agree."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in [*before, *(k for k in now if k not in before)]:
-            found = _difference(before.get(key), now.get(key), f"{path}.{key}" if path else key)
-            if found:
-                return found
-        return ""
-    return "" if before == now else f"{path} was {before}, now {now}"
 
 
 def _row(name: str, stage: StageResult, rois: tuple[str, ...] | None = None) -> EvaluatedModel:

@@ -56,6 +56,30 @@ def with_whole(whole: PhotoAt, partial: PhotoAt, every: int) -> PhotoAt:
     return photo_at
 
 
+def of_boxes(
+    count: int,
+    seen: Sequence[int],
+    selected: Sequence[int],
+    *,
+    share: float,
+    full_every: int,
+    seed: int,
+) -> PhotoAt:
+    """The order of a stage that looks at boxes.
+
+    Args:
+        count: of all photos.
+        seen: photos drawn by the steps that look at the boxes.
+        selected: photos that `share` of those steps draw.
+        full_every: one step of so many draws from all photos instead; 1: none does, `seen` is all.
+        seed: of the epochs.
+    """
+    photo_at = mixed(shuffled(seen, seed), shuffled(selected, seed + 1), share)
+    if full_every == 1:
+        return photo_at
+    return with_whole(shuffled(range(count), seed + 2), photo_at, full_every)
+
+
 def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
     """Several ordered selections merged by rank, each name once, best first."""
     merged: dict[str, None] = {}

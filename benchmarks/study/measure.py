@@ -18,7 +18,6 @@ from benchmarks.study.rows import BASELINES, FULL_OBJECT, FULL_SCENE, MATCHED, V
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.commands.console import Console
 from roigs_engine.compose import cut
-from roigs_engine.compose import replace as replace_in_boxes
 from roigs_engine.config import RunConfig
 from roigs_engine.crops import choose_views, write_crops
 from roigs_engine.evaluate import EvaluatedModel, Evaluation, evaluate
@@ -151,20 +150,25 @@ class Bench:
                 ),
                 Made(name="Joint", gaussians=joint.gaussians, stages=self._for_all([scene, joint])),
             ]
-        objects = [(roi, run.object_stage(roi)) for roi in run.rois]
-        whole = replace_in_boxes(scene.gaussians, [(roi, o.gaussians) for roi, o in objects])
-        return [
+        objects = [run.object_stage(roi) for roi in run.rois]
+        by_roi = [(roi.name, stage) for roi, stage in zip(run.rois, objects, strict=True)]
+        made = [
             Made(name="Scene-GS", gaussians=scene.gaussians, stages=self._for_all([scene])),
             *(
-                Made(name="Object-GS", gaussians=o.gaussians, stages={roi.name: [o]})
-                for roi, o in objects
+                Made(name="Object-GS", gaussians=stage.gaussians, stages={roi: [stage]})
+                for roi, stage in by_roi
             ),
             Made(
                 name="Composition",
-                gaussians=whole,
-                stages={roi.name: [scene, o] for roi, o in objects},
+                gaussians=run.composed(scene, objects),
+                stages={roi: [scene, stage] for roi, stage in by_roi},
             ),
         ]
+        if run.config.seam_steps:
+            seam = run.seam_stage(scene, objects)
+            stages = {roi: [scene, stage, seam] for roi, stage in by_roi}
+            made.append(Made(name="Refined", gaussians=seam.gaussians, stages=stages))
+        return made
 
     def _for_all(self, stages: list[StageResult]) -> dict[str, list[StageResult]]:
         return {roi.name: stages for roi in self.scene.rois}

@@ -7,15 +7,15 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
-from roigs_engine.config import RunConfig, preset, with_steps
+from roigs_engine.config import SEAM_SHARE, RunConfig, preset, with_steps
 from roigs_engine.errors import ConfigError
 
 TABLES = ("I", "II", "III")
 BEYOND = "Beyond"
 FULL_SCENE, FULL_OBJECT, MATCHED = "full-scene", "full-object", "matched"
-INDEPENDENT, JOINT, VARIANT = "independent", "joint", "variant"
+INDEPENDENT, REFINED, JOINT, VARIANT = "independent", "refined", "joint", "variant"
 BASELINES = (FULL_SCENE, FULL_OBJECT, MATCHED)
-KINDS = (*BASELINES, INDEPENDENT, JOINT, VARIANT)
+KINDS = (*BASELINES, INDEPENDENT, REFINED, JOINT, VARIANT)
 # Percent of the candidates that Table III selects. The last is the presets' own.
 PERCENTS = (20, 40, 48)
 # Every row of a study has the same tests and seeds, so a variant cannot set them.
@@ -53,8 +53,11 @@ class Row:
     def config(self, preset_name: str, factor: float, seed: int) -> RunConfig:
         """The settings of the row; `factor` multiplies the steps."""
         config = preset(preset_name)
-        if self.kind in (INDEPENDENT, JOINT) and self.kind != config.strategy:
-            config = config.in_strategy(self.kind)
+        strategy = {INDEPENDENT: INDEPENDENT, REFINED: INDEPENDENT, JOINT: JOINT}.get(self.kind)
+        if strategy is not None and strategy != config.strategy:
+            config = config.in_strategy(strategy)
+        if strategy == INDEPENDENT:
+            config = replace(config, seam_share=SEAM_SHARE if self.kind == REFINED else 0.0)
         config = changed(config, self.changes).scaled(factor)
         return replace(config, seed=seed, selection=replace(config.selection, seed=seed))
 
@@ -62,14 +65,15 @@ class Row:
 def all_rows(preset_name: str, variants: Iterable[Row] = ()) -> list[Row]:
     """Every row of a study, in the order of the tables."""
     own = preset(preset_name).strategy
+    first = 0 if own == INDEPENDENT else 1
     rows = [
         Row(name=FULL_SCENE, kind=FULL_SCENE, tables=("I", "II", "III"), rank=0),
         Row(name=FULL_OBJECT, kind=FULL_OBJECT, tables=("I",), rank=1),
         Row(name=MATCHED, kind=MATCHED, tables=("I", "II"), rank=0),
     ]
-    for kind in (INDEPENDENT, JOINT):
-        rank = 0 if kind == own else 1
+    for kind, rank in ((INDEPENDENT, first), (JOINT, 1 - first)):
         rows.append(Row(name=kind, kind=kind, tables=("I", "II", "III"), rank=rank, percent=48))
+    rows.insert(-1, Row(name=REFINED, kind=REFINED, tables=("I", "II"), rank=1))
     return [*rows, *_ablations(), *variants]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.study.results import METRICS, NONE, Results, Stat, mean_of
-from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, Row
+from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, REFINED, Row
 from roigs_engine.pipeline import BASELINE
 
 # A line of a table: what it is called, the row it comes from, the model of that row.
@@ -21,6 +21,8 @@ LINES: tuple[Line, ...] = (
     ("Scene-GS", INDEPENDENT, "Scene-GS"),
     ("Object-GS", INDEPENDENT, "Object-GS"),
     ("Composition", INDEPENDENT, "Composition"),
+    ("Object-GS (refined)", REFINED, "Object-GS"),
+    ("Composition, refined", REFINED, "Refined"),
     ("Scene-GS (joint)", JOINT, "Scene-GS (joint)"),
     ("Joint", JOINT, "Joint"),
 )
@@ -161,7 +163,7 @@ class Study:
         shown = [
             (label, row, model)
             for label, row, model in self._lines()
-            if model in (BASELINE, "Matched", "Composition", "Joint")
+            if model in (BASELINE, "Matched", "Composition", "Refined", "Joint")
         ]
         head = [*("scene", "box"), *(label for label, _, _ in shown)]
         head += ["gain", "over matched", "object gain", "peak gain", "image over Scene-GS"]

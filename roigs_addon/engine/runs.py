@@ -46,7 +46,12 @@ def read(folder: Path) -> Run:
 
 def stage_in_words(stage: str) -> str:
     """«whole scene» for «scene»."""
-    words = {"scene": "whole scene", "joint": "all boxes", "undistort": "undistorting photos"}
+    words = {
+        "scene": "whole scene",
+        "joint": "all boxes",
+        "seam": "seams",
+        "undistort": "undistorting photos",
+    }
     if stage.startswith("object-"):
         return f"box «{stage.removeprefix('object-')}»"
     return words.get(stage, stage)

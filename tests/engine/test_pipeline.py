@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,8 +75,28 @@ def test_the_scene_learns_from_smaller_photos_and_the_boxes_from_whole_ones(
 def test_the_other_strategy_stands_in_the_same_table(scene: SfmScene, tmp_path: Path) -> None:
     trained = Run(tmp_path, scene, [BOX], tiny("joint")).train(["independent"])
     names = [model.name for model in trained.models]
-    assert names == ["Scene-GS", "Object-GS thing", "Composition", "Scene-GS (joint)", "Joint"]
+    ours = ["Scene-GS (joint)", "Joint"]
+    theirs = ["Scene-GS", "Object-GS thing", "Composition", "Composition, refined"]
+    assert names == theirs + ours
     assert (tmp_path / "independent" / "result.ply").exists()
+
+
+def test_a_refined_composition_takes_no_more_steps_and_no_more_gaussians(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    plain = Run(tmp_path / "plain", scene, [BOX], tiny("independent")).train().models
+    config = tiny("independent", seam_share=0.2)
+    rows = Run(tmp_path / "refined", scene, [BOX], config).train().models
+    steps = {
+        path.parent.name: json.loads(path.read_text())["steps"]
+        for path in (tmp_path / "refined").glob("*/stage.json")
+    }
+    assert steps == {"scene": 20, "object-thing": 24, "seam": 6}
+    assert [row.name for row in rows[:-1]] == [row.name for row in plain]
+    composed, refined = (row.gaussians for row in rows[-2:])
+    assert len(refined) == len(composed)
+    assert not torch.equal(refined.sh, composed.sh)
+    assert rows[-1].seconds > rows[-2].seconds
 
 
 def test_a_stopped_run_goes_on_to_the_same_bytes(scene: SfmScene, tmp_path: Path) -> None:
