@@ -33,6 +33,8 @@ class TrainConfig:
         ssim_weight: weight of 1 - SSIM beside L1.
         lr_means, lr_means_final: position rates x scene extent, exponential in between.
         lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam rates.
+        lr_shN_spacing: where photos stand farther apart around a box than so many degrees, `lr_shN`
+            is lowered (`spacing.py`); 0: it is not.
         densify_from, densify_until, densify_every: steps.
         grad_threshold: mean 2D gradient above which a Gaussian is cloned or split.
         split_fraction: a Gaussian larger than this share of the size reference is split.
@@ -63,6 +65,7 @@ class TrainConfig:
     lr_means_final: float = 1.6e-6
     lr_sh0: float = 2.5e-3
     lr_shN: float = 1.25e-4  # noqa: N815 - the field's name
+    lr_shN_spacing: float = 0.0  # noqa: N815
     lr_opacities: float = 0.05
     lr_scales: float = 5e-3
     lr_quats: float = 1e-3
@@ -295,6 +298,7 @@ def _short(name: str, scene_steps: int, roi_steps: int) -> RunConfig:
             sh_start=2,
             # 3DGS's rates suit six times as many steps; view dependence is last to come.
             lr_shN=1.5e-3,
+            lr_shN_spacing=25.0,
             lr_scales=0.01,
             densify_from=0,
             densify_until=roi_steps // 3,

@@ -45,6 +45,7 @@ from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
 from .selection import CameraSelection, select_cameras, visible_images
 from .selection.given import check_given, given_selection
+from .spacing import photo_spacing, rates_for_spacing
 from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
 from .trainer import StageData
@@ -255,6 +256,8 @@ class Run:
             scale: the photos are used at this share of their size.
         """
         margins = [roi.scaled(config.box_margin) for roi in rois]
+        if config.lr_shN_spacing:
+            config = rates_for_spacing(config, max(map(self._spacing, rois)))
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo].scaled(scale) for photo in photos]
         if selected is not None:
@@ -308,6 +311,11 @@ class Run:
             len(images), drawn, chosen, share=share, full_every=stage.full_every, seed=seed
         )
         return photo_at, ["mixed", share, chosen, drawn, seed]
+
+    def _spacing(self, roi: OrientedBox) -> float:
+        """Degrees between the training photos that see the box."""
+        seen = set(self._seen(roi))
+        return photo_spacing([i for i in self.train_scene.images if i.name in seen], roi)
 
     def _seen(self, roi: OrientedBox) -> tuple[str, ...]:
         """Training photos that see the box."""

@@ -34,11 +34,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
         ),
         *("inspect", "export", "selection", "split", "config"),
         *("cuda", "rasterize", "losses", "optimizer", "metrics", "render"),
-        *("averaging", "densify", "capacity", "region", "checkpoint", "health", "memory"),
+        *("averaging", "densify", "capacity", "spacing", "region"),
+        *("checkpoint", "health", "memory"),
         *("compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),
-    "run": ("pipeline", "sessions"),
+    "run": ("request", "pipeline", "sessions"),
     "command line": ("commands", "cli", "__main__"),
 }
 # Entries that must work, up to their first use of anything else, without torch.

@@ -1,0 +1,61 @@
+"""How far apart photos stand around a box, and the rate that follows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.config import TrainConfig, preset
+from roigs_engine.roi import OrientedBox
+from roigs_engine.scene import Camera, PosedImage
+from roigs_engine.spacing import photo_spacing, rates_for_spacing
+
+BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
+
+
+def ring(degrees: float, count: int, radius: float = 5.0) -> list[PosedImage]:
+    """Photos on an arc around the box's centre, so far apart; where they look does not matter."""
+    images = []
+    for k in range(count):
+        angle = np.radians(k * degrees)
+        pose = np.eye(4)
+        pose[:3, 3] = -(BOX.centre + radius * np.array([np.cos(angle), np.sin(angle), 0.0]))
+        images.append(
+            PosedImage(
+                name=f"{k}.jpg",
+                path=Path(),
+                camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0),
+                world_to_camera=pose,
+                point_indices=np.zeros(0, dtype=np.int64),
+            )
+        )
+    return images
+
+
+def test_the_third_neighbour_of_a_ring_stands_two_steps_away() -> None:
+    assert photo_spacing(ring(10, 36), BOX) == pytest.approx(20)
+    assert photo_spacing(ring(10, 36, radius=0.5), BOX) == pytest.approx(20)
+
+
+def test_few_photos() -> None:
+    assert photo_spacing(ring(10, 2), BOX) == pytest.approx(10)
+    assert photo_spacing(ring(10, 1), BOX) == photo_spacing([], BOX) == 180
+    inside = ring(10, 9, radius=0.0)  # in the box's very centre
+    assert photo_spacing(inside, BOX) == pytest.approx(0)
+
+
+def test_the_rate_falls_where_photos_stand_far_apart() -> None:
+    config = TrainConfig(steps=9, lr_shN=1e-3, lr_shN_spacing=20)
+    assert rates_for_spacing(config, 20) == config
+    assert rates_for_spacing(config, 40).lr_shN == pytest.approx(1e-3 / 8)
+    assert rates_for_spacing(config, 180).lr_shN == TrainConfig.lr_shN
+    slow = replace(config, lr_shN=1e-5)
+    assert rates_for_spacing(slow, 180) == slow
+
+
+def test_the_paper_keeps_its_rate() -> None:
+    paper = preset("paper").roi
+    assert rates_for_spacing(paper, 180) == paper
