@@ -96,6 +96,6 @@ class Health:
         return [
             f"The photo «{self._photos[k]}» does not fit the others: its loss stays at"
             f" {least[k]:.3f}, theirs is {middle:.3f} (median). Is it sharp, of this scene, and"
-            " posed well?"
+            " posed well? A close-up that few others are like is no fault."
             for k in worst
         ]
