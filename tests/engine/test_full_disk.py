@@ -69,7 +69,7 @@ def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kilobytes", [16, 64, 500, 1000, 2000])
+@pytest.mark.parametrize("kilobytes", [16, 64, 500, 1000, 1500])
 def test_a_disk_that_is_too_small(
     request_: Request, mounted: Callable[[str], Path], kilobytes: int
 ) -> None:
