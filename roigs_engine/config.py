@@ -201,8 +201,11 @@ class RunConfig:
         )
 
     def matched_baseline(self) -> TrainConfig:
-        """The baseline, densified in the boxes as readily as the ROI stage is."""
-        return replace(self.baseline(), box_grad_threshold=self.roi.grad_threshold)
+        """The baseline, densified in the boxes more readily than the ROI stage is.
+
+        What limits it shall be the number of Gaussians allowed there: the threshold is a quarter.
+        """
+        return replace(self.baseline(), box_grad_threshold=self.roi.grad_threshold / 4)
 
     @property
     def seam_steps(self) -> int:

@@ -179,8 +179,8 @@ class Run:
     def matched_scene(self, counts: Mapping[str, int]) -> StageResult:
         """Baseline: Full Scene with as many Gaussians in the boxes as another model has there.
 
-        In the boxes it densifies at the ROI stage's threshold. What it loses to that model is not
-        for want of Gaussians.
+        In the boxes it densifies more readily than the ROI stage. What it loses to that model is
+        not for want of Gaussians.
 
         Args:
             counts: box -> most Gaussians that belong to it; where boxes overlap, to one of them.
