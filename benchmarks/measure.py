@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from benchmarks.memory import MIB, resident
 from benchmarks.synthetic import CAMERAS, ring_cameras, synthetic_gaussians
 from roigs_engine.gaussians import NAMES
 from roigs_engine.kernels import library
@@ -186,8 +187,7 @@ def forget_peak_memory() -> None:
 def peak_memory() -> int | None:
     """The most bytes this process had resident; None where the system does not say (Windows)."""
     if sys.platform == "linux":
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+        return round(resident("VmHWM") * MIB)
     if sys.platform == "darwin":
         import resource
 

@@ -122,6 +122,7 @@ class Run:
         self.extent = self.train_scene.extent()
         self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
         self._selections: dict[str, CameraSelection] = {}
+        self._visible: dict[str, tuple[str, ...]] = {}
 
     def _request(self) -> dict[str, Any]:
         """What decides the results, beside the photos' pixels."""
@@ -318,8 +319,10 @@ class Run:
         return photo_spacing([i for i in self.train_scene.images if i.name in seen], roi)
 
     def _seen(self, roi: OrientedBox) -> tuple[str, ...]:
-        """Training photos that see the box."""
-        return visible_images(self.train_scene, roi, self._check)
+        """Training photos that see the box; looked for once."""
+        if roi.name not in self._visible:
+            self._visible[roi.name] = visible_images(self.train_scene, roi, self._check)
+        return self._visible[roi.name]
 
     def _points(self) -> tuple[Gaussians, str]:
         """The sparse points as Gaussians, and a name for them."""
