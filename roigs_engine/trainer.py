@@ -20,7 +20,9 @@ from .cuda.device import CPU, on_device
 from .cuda.memory import memory_explained, smaller
 from .cuda.photos import Photos, photos_on
 from .densify import DensityStats, Edit
-from .events import Emit, Progress, ignore
+from .errors import Stopped
+from .events import Emit, Progress, check_of, ignore
+from .floaters import vouched_for
 from .gaussians import NAMES, Gaussians
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
@@ -141,12 +143,12 @@ class Trainer:
         on_preview: Callable[[], None] = lambda: None,
         preview_seconds: float = 0.0,
     ) -> bool:
-        """Train until the config's last step; False when `should_stop` ended it before.
+        """Train until the config's last step, then leave floaters out; False when stopped before.
 
         Args:
             stage: name that progress events carry.
             emit: takes progress events, at most two a second.
-            should_stop: asked before every step.
+            should_stop: asked before every step, and between the photos that show floaters.
             on_pause: called every `pause_seconds` of training, to write a checkpoint.
             pause_seconds: see above.
             on_preview, preview_seconds: the same, to show the present model; 0: never.
@@ -180,7 +182,9 @@ class Trainer:
                 # Writing files is not training: the clock leaves it out.
                 started += one.take_if_due(self.seconds)
             cpu_started = time.process_time() - self.cpu_seconds
-        return self.step >= self.config.steps
+        if self.step < self.config.steps:
+            return False
+        return not self.config.front_photos or self._leave_floaters_out(should_stop)
 
     def train_step(self) -> None:
         """One photo: render, compare, descend; then edit the Gaussians where that is due."""
@@ -290,6 +294,20 @@ class Trainer:
         if self.step == config.steps and self._mean.count:
             self._parameters = _leaves(self._mean.mean())
             self._mean.clear()
+
+    def _leave_floaters_out(self, should_stop: Callable[[], bool]) -> bool:
+        """End with what the photos vouch for; False when stopped before, with nothing changed."""
+        began, cpu_began = time.perf_counter(), time.process_time()
+        data, photos = self.data, self.config.front_photos
+        check = check_of(should_stop)
+        try:
+            keep = vouched_for(self._parameters, data.images, data.rois, photos, check)
+        except Stopped:
+            return False
+        self._apply(densify.keep_rows(densify.unchanged(self._parameters), keep))
+        self.seconds += time.perf_counter() - began
+        self.cpu_seconds += time.process_time() - cpu_began
+        return True
 
     def _doing(self) -> str:
         """For the message when memory is full."""

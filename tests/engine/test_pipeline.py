@@ -94,7 +94,7 @@ def test_a_refined_composition_takes_no_more_steps_and_no_more_gaussians(
     assert steps == {"scene": 20, "object-thing": 24, "seam": 6}
     assert [row.name for row in rows[:-1]] == [row.name for row in plain]
     composed, refined = (row.gaussians for row in rows[-2:])
-    assert len(refined) == len(composed)
+    assert 0 < len(refined) <= len(composed)
     assert not torch.equal(refined.sh, composed.sh)
     assert rows[-1].seconds > rows[-2].seconds
 

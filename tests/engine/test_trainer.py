@@ -29,6 +29,7 @@ SHORT = TrainConfig(
     reset_every=30,
     contribution_every=20,
 )
+RESTING = TrainConfig(steps=20, densify_until=0)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
 
 
@@ -49,6 +50,26 @@ def stage_data(scene: SfmScene, **changes: object) -> StageData:
 
 def first_model(scene: SfmScene) -> Gaussians:
     return Gaussians.from_points(scene.points[::3], scene.colors[::3])
+
+
+def floater(scene: SfmScene) -> np.ndarray:
+    """A place close before the first camera."""
+    pose = scene.images[0].world_to_camera
+    place: np.ndarray = -0.75 * pose[:3, :3].T @ pose[:3, 3]
+    return place
+
+
+def with_floaters(scene: SfmScene) -> Gaussians:
+    places = np.array([floater(scene), floater(scene) + 0.01])
+    floaters = Gaussians.from_points(places, scene.colors[:2])
+    return Gaussians.concatenate([first_model(scene), floaters])
+
+
+def one_side(scene: SfmScene) -> StageData:
+    """A quarter of the ring of photos: none looks at the others' floaters from behind."""
+    images = scene.images[:4]
+    order = sampling.shuffled(range(4), 3)
+    return stage_data(scene, images=images, photos=PhotoCache(images), photo_at=order, rois=[BOX])
 
 
 def same_bits(a: Gaussians, b: Gaussians) -> bool:
@@ -150,3 +171,28 @@ def test_non_contributing_gaussians_are_pruned(scene: SfmScene) -> None:
     trainer.run()
     assert not bool((trainer.gaussians.means[:, 2] > 40).any())
     assert len(trainer.gaussians) > 0.5 * len(start)
+
+
+def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
+    left = {}
+    for photos in (0, 3):
+        config = replace(RESTING, front_photos=photos)
+        trainer = Trainer(with_floaters(scene), one_side(scene), config)
+        assert trainer.run()
+        distance = np.linalg.norm(trainer.gaussians.means.detach().numpy() - floater(scene), axis=1)
+        left[photos] = int((distance < 0.1).sum())
+    assert left == {0: 2, 3: 0}
+
+
+def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
+    model, data = with_floaters(scene), one_side(scene)
+    config = replace(RESTING, front_photos=3)
+    whole, stopped = (Trainer(model, data, config) for _ in range(2))
+    whole.run()
+    assert not stopped.run(should_stop=lambda: stopped.step == config.steps)
+    assert len(whole.gaussians) < len(stopped.gaussians) == len(model)
+    state = stopped.state_dict()
+    resumed = Trainer(Gaussians(**state["parameters"]), data, config)
+    resumed.load_state_dict(state)
+    assert resumed.run()
+    assert same_bits(resumed.gaussians, whole.gaussians)

@@ -1,0 +1,81 @@
+"""What the photos do not vouch for: Gaussians that none of them shows, and floaters (ours).
+
+A Gaussian that one or two photos show can stand anywhere along their rays and still be right in
+them. Standing close before a camera, it does no harm there, but hides the object from every view
+that lies between the photos. So what stands nearer than the boxes is kept only if enough photos
+show it; what stands farther away is background, which few photos may well show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .densify import VISIBLE_WEIGHT
+from .events import Check, go_on
+from .gaussians import Gaussians
+from .rasterize import rasterize
+from .roi import OrientedBox
+from .scene import Float64, PosedImage
+
+
+@torch.no_grad()
+def vouched_for(
+    gaussians: Gaussians,
+    images: Sequence[PosedImage],
+    rois: Sequence[OrientedBox],
+    photos: int,
+    check: Check = go_on,
+) -> Tensor:
+    """(N,) bool: which Gaussians the photos vouch for.
+
+    A photo shows a Gaussian where it has alpha x T of 1/255 or more on some pixel.
+
+    Args:
+        gaussians: the model, N rows.
+        images: the training photos; their pixels are not looked at.
+        rois: the boxes.
+        photos: so many must show what stands nearer than the nearest box in each that does; one
+            is enough for the rest.
+        check: called between photos; may raise to stop.
+    """
+    shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=gaussians.means.device)
+    in_front = torch.ones_like(shown_by, dtype=torch.bool)
+    for image in images:
+        check()
+        shown = _largest_weight(gaussians, image) >= VISIBLE_WEIGHT
+        pose = torch.from_numpy(image.world_to_camera).to(gaussians.means)
+        depth = gaussians.means @ pose[2, :3] + pose[2, 3]
+        shown_by += shown
+        in_front &= ~shown | (depth < _nearest(rois, image.world_to_camera))
+    return (shown_by >= photos) | ((shown_by > 0) & ~in_front)
+
+
+def _largest_weight(gaussians: Gaussians, image: PosedImage) -> Tensor:
+    """(N,) largest alpha x T on any pixel of the photo."""
+    camera, place = image.camera, gaussians.means
+    output = rasterize(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.log_scales,
+        gaussians.logit_opacities,
+        gaussians.sh,
+        torch.from_numpy(image.world_to_camera[None]).to(place),
+        torch.from_numpy(camera.matrix()[None]).to(place),
+        camera.width,
+        camera.height,
+        sh_degree=0,  # colours do not matter
+        raw=True,
+        with_max_weight=True,
+    )
+    assert output.max_weight is not None
+    return output.max_weight
+
+
+def _nearest(rois: Sequence[OrientedBox], world_to_camera: Float64) -> float:
+    """Depth of the nearest corner of all boxes; negative where one lies partly behind."""
+    corners = np.concatenate([roi.corners() for roi in rois])
+    return float((corners @ world_to_camera[2, :3] + world_to_camera[2, 3]).min())

@@ -1,0 +1,112 @@
+"""What the photos vouch for, among Gaussians whose place is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.errors import Stopped
+from roigs_engine.floaters import vouched_for
+from roigs_engine.gaussians import Gaussians
+from roigs_engine.roi import OrientedBox
+from roigs_engine.scene import PosedImage
+from tests.engine.synthetic_scene import BOX, CAMERA, look_at
+
+DISTANCE = 4.0
+
+
+def ring(count: int) -> list[PosedImage]:
+    """Photos from a circle around the box."""
+    images = []
+    for k in range(count):
+        pose = look_at(eye(k, count) * DISTANCE, np.zeros(3))
+        indices = np.zeros(0, dtype=np.int64)
+        images.append(
+            PosedImage(
+                name=f"{k}.png",
+                path=Path(),
+                camera=CAMERA,
+                world_to_camera=pose,
+                point_indices=indices,
+            )
+        )
+    return images
+
+
+def eye(k: int, count: int = 20) -> np.ndarray:
+    angle = 2 * np.pi * k / count
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+SIDE = ring(20)[:6]  # each alone sees what stands close before it
+
+
+def balls(*places: object, opacity: float = 0.9) -> Gaussians:
+    """A small ball at each place, given as x, y, z."""
+    count = len(places)
+    logit = float(np.log(opacity / (1 - opacity)))
+    arrays = {
+        "means": np.array(places).reshape(count, 3),
+        "quats": np.tile([1.0, 0, 0, 0], (count, 1)),
+        "log_scales": np.full((count, 3), np.log(0.05)),
+        "logit_opacities": np.full(count, logit),
+        "sh": np.zeros((count, 16, 3)),
+    }
+    return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
+
+
+def kept(model: Gaussians, photos: int = 3, images: list[PosedImage] | None = None) -> list[bool]:
+    return vouched_for(model, images or SIDE, [BOX], photos).tolist()
+
+
+def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
+    close, behind = eye(0) * 0.85 * DISTANCE, eye(0) * -2 * DISTANCE
+    to_the_side = np.array([0.0, 0.0, 0.3])
+    model = balls((0, 0, 0), close + to_the_side, behind + to_the_side)
+    assert kept(model) == [True, False, True]
+    assert kept(model, photos=1) == [True, True, True]
+
+
+def test_what_enough_photos_show_before_the_box_stays() -> None:
+    shown_by_three = ring(48)[:3]  # 7.5 degrees apart
+    model = balls(eye(1, 48) * 0.6 * DISTANCE)
+    assert kept(model, 3, shown_by_three) == [True]
+    assert kept(model, 4, shown_by_three) == [False]
+
+
+def test_what_no_photo_shows_goes() -> None:
+    hidden = balls((0, 0, 0))
+    shell = balls(*(np.array(eye(k, 40)) * r for k in range(40) for r in (0.3, 0.35, 0.4)))
+    shell = replace(shell, log_scales=shell.log_scales + 1.5, logit_opacities=shell.quats[:, 0] * 9)
+    faint = balls((0, 0, 0.5), opacity=0.003)
+    model = Gaussians.concatenate([hidden, shell, faint, balls((0, 0, 1e6))])
+    mask = kept(model)
+    assert not mask[0] and not any(mask[-2:])
+    assert any(mask[1:-2])
+
+
+def test_a_box_behind_the_camera_has_nothing_before_it() -> None:
+    away = [
+        replace(image, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ image.world_to_camera)
+        for image in SIDE
+    ]
+    assert kept(balls(eye(0) * 1.5 * DISTANCE), 3, away) == [True]
+
+
+def test_every_box_counts() -> None:
+    near = OrientedBox.axis_aligned("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
+    model = balls(eye(0) * 2.8)
+    one_sees_it = SIDE[:1]
+    assert vouched_for(model, one_sees_it, [BOX], 3).tolist() == [False]
+    assert vouched_for(model, one_sees_it, [BOX, near], 3).tolist() == [True]
+
+
+def test_it_can_be_stopped() -> None:
+    def stop() -> None:
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        vouched_for(balls((0, 0, 0)), SIDE, [BOX], 3, stop)
