@@ -52,9 +52,9 @@ class TrainConfig:
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
         contribution_every: Gaussians whose alpha x T stayed below 1/255 on every training pixel of
             a window of at least so many steps are removed; 0: never.
-        front_photos: the stage ends without Gaussians that no training photo shows, and without
-            those nearer than the boxes that fewer photos than this show (`floaters.py`); 0: all
-            stay.
+        front_photos: the stage ends without Gaussians that stand before the boxes and fewer
+            training photos than this show, and without those in the boxes that none shows
+            (`floaters.py`); 0: all stay.
         average_steps: the stage ends with the mean of the models that it went through in its last
             so many steps; 0: with the last one, as 3DGS.
     """
@@ -321,7 +321,7 @@ def _short(
             box_capacity=2.2,
             full_every=4,
             reset_every=0,
-            front_photos=3,
+            front_photos=4,
             average_steps=roi_steps // 10,
         ),
         roi_order="shuffled",

@@ -1,9 +1,10 @@
-"""What the photos do not vouch for: Gaussians that none of them shows, and floaters (ours).
+"""What the photos do not vouch for: floaters before the boxes, and what is buried in them (ours).
 
 A Gaussian that one or two photos show can stand anywhere along their rays and still be right in
 them. Standing close before a camera, it does no harm there, but hides the object from every view
 that lies between the photos. So what stands nearer than the boxes is kept only if enough photos
-show it; what stands farther away is background, which few photos may well show.
+show it; what stands farther away is background, which few photos may well show. What none shows is
+useless in a box; elsewhere a new view may look at it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .densify import VISIBLE_WEIGHT
+from .densify import VISIBLE_WEIGHT, box_owner
 from .events import Check, go_on
 from .gaussians import Gaussians
 from .rasterize import rasterize
@@ -38,8 +39,8 @@ def vouched_for(
         gaussians: the model, N rows.
         images: the training photos; their pixels are not looked at.
         rois: the boxes.
-        photos: so many must show what stands nearer than the nearest box in each that does; one
-            is enough for the rest.
+        photos: of those that a photo shows, what stands nearer than the nearest box in each such
+            photo must be shown by so many.
         check: called between photos; may raise to stop.
     """
     shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=gaussians.means.device)
@@ -51,7 +52,9 @@ def vouched_for(
         depth = gaussians.means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
         in_front &= ~shown | (depth < _nearest(rois, image.world_to_camera))
-    return (shown_by >= photos) | ((shown_by > 0) & ~in_front)
+    floating = (shown_by > 0) & (shown_by < photos) & in_front
+    buried = (shown_by == 0) & (box_owner(gaussians, rois) >= 0)
+    return ~(floating | buried)
 
 
 def _largest_weight(gaussians: Gaussians, image: PosedImage) -> Tensor:
