@@ -202,6 +202,7 @@ class RunConfig:
             densify_until=self.total_steps // 2,
             lr_means_final=TrainConfig.lr_means_final,
             grad_threshold=TrainConfig.grad_threshold,
+            reset_every=TrainConfig.reset_every,
         )
 
     def matched_baseline(self) -> TrainConfig:
@@ -306,6 +307,7 @@ def _short(
             densify_until=scene_steps * 5 // 8,
             grad_threshold=scene_threshold,
             lr_means_final=middle,
+            reset_every=0,  # so short a stage does not recover: a haze would stay
         ),
         roi=TrainConfig(
             steps=roi_steps,
