@@ -14,6 +14,7 @@ from torch import Tensor
 
 from . import densify, sampling
 from .averaging import ModelMean
+from .breaks import Break
 from .capacity import BoxCapacity
 from .config import TrainConfig
 from .cuda.device import CPU, on_device
@@ -39,31 +40,6 @@ RESET_OPACITY = 0.01
 AVERAGE_EVERY = 10  # steps between the models that are averaged: neighbours hardly differ
 PSNR_EVERY = 50  # steps
 RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
-
-
-class _Break:
-    """Something done every so many seconds of training, for at most a tenth of the time.
-
-    Args: `every`: seconds, 0: never; `do`: what.
-    """
-
-    def __init__(self, every: float, do: Callable[[], None]) -> None:
-        self._every, self._do = every, do
-        self._due: float | None = None
-
-    def take_if_due(self, seconds: float) -> float:
-        """Do it if it is due after `seconds` of training; the seconds that it took."""
-        if self._every <= 0:
-            return 0.0
-        if self._due is None:
-            self._due = seconds + self._every
-        if seconds < self._due:
-            return 0.0
-        began = time.perf_counter()
-        self._do()
-        spent = time.perf_counter() - began
-        self._due = seconds + max(self._every, 9 * spent)
-        return spent
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +129,7 @@ class Trainer:
             pause_seconds: see above.
             on_preview, preview_seconds: the same, to show the present model; 0: never.
         """
-        breaks = [_Break(pause_seconds, on_pause), _Break(preview_seconds, on_preview)]
+        breaks = [Break(pause_seconds, on_pause), Break(preview_seconds, on_preview)]
         with one_torch_thread(), memory_explained(self._doing, self._advice):
             return self._run(stage, emit, should_stop, breaks)
 
@@ -162,7 +138,7 @@ class Trainer:
         stage: str,
         emit: Emit,
         should_stop: Callable[[], bool],
-        breaks: Sequence[_Break],
+        breaks: Sequence[Break],
     ) -> bool:
         started = reported = time.perf_counter()
         before, first = self.seconds, self.step

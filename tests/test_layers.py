@@ -34,7 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         ),
         *("inspect", "export", "selection", "split", "config"),
         *("cuda", "rasterize", "losses", "optimizer", "metrics", "render"),
-        *("averaging", "densify", "floaters", "capacity", "spacing", "region"),
+        *("averaging", "breaks", "densify", "floaters", "capacity", "spacing", "region"),
         *("checkpoint", "health", "memory"),
         *("compose", "report"),
     ),

@@ -154,7 +154,7 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     os.environ["SOME_TOKEN"] = SECRET
     config.PRESETS["tiny"] = tiny
     clock = _Clock(at)
-    trainer._Break = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
+    trainer.Break = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))
     _before(trainer.Trainer, "_apply", lambda *_: clock.tick("edit"))
     _before(Console, "check", lambda *_: clock.tick("check"))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.breaks import Break
 from roigs_engine.capacity import box_capacities
 from roigs_engine.colmap import load_colmap
 from roigs_engine.config import preset
@@ -18,7 +19,6 @@ from roigs_engine.events import Check
 from roigs_engine.gaussians import Gaussians
 from roigs_engine.scene import SfmScene
 from roigs_engine.split import choose_test_views
-from roigs_engine.trainer import _Break
 from tests.engine.synthetic_colmap import camera, write_project
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -38,11 +38,11 @@ class Asked:
 
 
 def asks_often(work: Callable[[Check], object], least: int) -> None:
-    """`work` asks at least so many times, and stops wherever it asks."""
+    """`work` asks at least so many times (more while it waits for others), and stops when told."""
     counted = Asked()
     work(counted)
     assert counted.calls >= least
-    for stop_at in (1, counted.calls // 2, counted.calls):
+    for stop_at in (1, least // 2, least):
         stopping = Asked(stop_at)
         with pytest.raises(Stopped):
             work(stopping)
@@ -102,7 +102,7 @@ def test_breaks_come_in_time_and_take_a_tenth_at_most(monkeypatch: pytest.Monkey
         now += 2.0
 
     monkeypatch.setattr("time.perf_counter", lambda: now)
-    rest, never = _Break(5.0, slow), _Break(0.0, slow)
+    rest, never = Break(5.0, slow), Break(0.0, slow)
     for trained in range(50):
         spent = rest.take_if_due(float(trained)) + never.take_if_due(float(trained))
         assert spent == (2.0 if trained in taken else 0.0)

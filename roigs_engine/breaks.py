@@ -1,0 +1,31 @@
+"""Work that interrupts training now and then."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+
+class Break:
+    """Something done every so many seconds of training, for at most a tenth of the time.
+
+    Args: `every`: seconds, 0: never; `do`: what.
+    """
+
+    def __init__(self, every: float, do: Callable[[], None]) -> None:
+        self._every, self._do = every, do
+        self._due: float | None = None
+
+    def take_if_due(self, seconds: float) -> float:
+        """Do it if it is due after `seconds` of training; the seconds that it took."""
+        if self._every <= 0:
+            return 0.0
+        if self._due is None:
+            self._due = seconds + self._every
+        if seconds < self._due:
+            return 0.0
+        began = time.perf_counter()
+        self._do()
+        spent = time.perf_counter() - began
+        self._due = seconds + max(self._every, 9 * spent)
+        return spent
