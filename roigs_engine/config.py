@@ -311,7 +311,7 @@ def _short(
         ),
         roi=TrainConfig(
             steps=roi_steps,
-            sh_start=2,
+            sh_start=3,
             # 3DGS's rates suit six times as many steps; view dependence is last to come.
             lr_shN=1.5e-3,
             lr_shN_spacing=25.0,
