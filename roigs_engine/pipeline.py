@@ -45,7 +45,7 @@ from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
 from .selection import CameraSelection, select_cameras, visible_images
 from .selection.given import check_given, given_selection
-from .spacing import photo_spacing, rates_for_spacing
+from .spacing import detail_spacing, photo_spacing, rates_for_spacing
 from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
 from .trainer import StageData
@@ -258,7 +258,8 @@ class Run:
         """
         margins = [roi.scaled(config.box_margin) for roi in rois]
         if config.lr_shN_spacing:
-            config = rates_for_spacing(config, max(map(self._spacing, rois)))
+            spacing, detail = (max(one) for one in zip(*map(self._spacing, rois), strict=True))
+            config = rates_for_spacing(config, spacing, detail)
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo].scaled(scale) for photo in photos]
         if selected is not None:
@@ -313,10 +314,11 @@ class Run:
         )
         return photo_at, ["mixed", share, chosen, drawn, seed]
 
-    def _spacing(self, roi: OrientedBox) -> float:
-        """Degrees between the training photos that see the box."""
+    def _spacing(self, roi: OrientedBox) -> tuple[float, float]:
+        """Degrees between the training photos that see the box, and between the closest."""
         seen = set(self._seen(roi))
-        return photo_spacing([i for i in self.train_scene.images if i.name in seen], roi)
+        images = [i for i in self.train_scene.images if i.name in seen]
+        return photo_spacing(images, roi), detail_spacing(images, roi)
 
     def _seen(self, roi: OrientedBox) -> tuple[str, ...]:
         """Training photos that see the box; looked for once."""
