@@ -18,7 +18,7 @@ from torch import Tensor
 from .densify import VISIBLE_WEIGHT, box_owner
 from .events import Check, go_on
 from .gaussians import Gaussians
-from .rasterize import rasterize
+from .render import rasterize_view
 from .roi import OrientedBox
 from .scene import Float64, PosedImage
 
@@ -47,35 +47,22 @@ def vouched_for(
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
     for image in images:
         check()
-        shown = _largest_weight(gaussians, image) >= VISIBLE_WEIGHT
         pose = torch.from_numpy(image.world_to_camera).to(gaussians.means)
+        output = rasterize_view(
+            gaussians,
+            image.camera,
+            image.world_to_camera,
+            sh_degree=0,  # colours do not matter
+            with_max_weight=True,
+        )
+        assert output.max_weight is not None
+        shown = output.max_weight >= VISIBLE_WEIGHT
         depth = gaussians.means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
         in_front &= ~shown | (depth < _nearest(rois, image.world_to_camera))
     floating = (shown_by > 0) & (shown_by < photos) & in_front
     buried = (shown_by == 0) & (box_owner(gaussians, rois) >= 0)
     return ~(floating | buried)
-
-
-def _largest_weight(gaussians: Gaussians, image: PosedImage) -> Tensor:
-    """(N,) largest alpha x T on any pixel of the photo."""
-    camera, place = image.camera, gaussians.means
-    output = rasterize(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.log_scales,
-        gaussians.logit_opacities,
-        gaussians.sh,
-        torch.from_numpy(image.world_to_camera[None]).to(place),
-        torch.from_numpy(camera.matrix()[None]).to(place),
-        camera.width,
-        camera.height,
-        sh_degree=0,  # colours do not matter
-        raw=True,
-        with_max_weight=True,
-    )
-    assert output.max_weight is not None
-    return output.max_weight
 
 
 def _nearest(rois: Sequence[OrientedBox], world_to_camera: Float64) -> float:

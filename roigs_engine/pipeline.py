@@ -20,6 +20,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -258,8 +259,9 @@ class Run:
         """
         margins = [roi.scaled(config.box_margin) for roi in rois]
         if config.lr_shN_spacing:
-            spacing, detail = (max(one) for one in zip(*map(self._spacing, rois), strict=True))
-            config = rates_for_spacing(config, spacing, detail)
+            around = [(self._images_of(roi), roi) for roi in rois]
+            spacing = max(starmap(photo_spacing, around))
+            config = rates_for_spacing(config, spacing, max(starmap(detail_spacing, around)))
         by_name = {image.name: image for image in self.train_scene.images}
         images = [by_name[photo].scaled(scale) for photo in photos]
         if selected is not None:
@@ -314,14 +316,13 @@ class Run:
         )
         return photo_at, ["mixed", share, chosen, drawn, seed]
 
-    def _spacing(self, roi: OrientedBox) -> tuple[float, float]:
-        """Degrees between the training photos that see the box, and between the closest."""
+    def _images_of(self, roi: OrientedBox) -> list[PosedImage]:
+        """The training photos that see the box."""
         seen = set(self._seen(roi))
-        images = [i for i in self.train_scene.images if i.name in seen]
-        return photo_spacing(images, roi), detail_spacing(images, roi)
+        return [image for image in self.train_scene.images if image.name in seen]
 
     def _seen(self, roi: OrientedBox) -> tuple[str, ...]:
-        """Training photos that see the box; looked for once."""
+        """Their names; looked for once."""
         if roi.name not in self._visible:
             self._visible[roi.name] = visible_images(self.train_scene, roi, self._check)
         return self._visible[roi.name]

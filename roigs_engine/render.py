@@ -30,7 +30,7 @@ from .errors import ConfigError
 from .events import Check, Emit, Preview, StageStarted, go_on, ignore, step_done
 from .files import atomic_write
 from .gaussians import Gaussians
-from .rasterize import rasterize
+from .rasterize import RenderOutput, rasterize
 from .scene import Camera, Float64
 
 CameraPath = Sequence[tuple[str, Camera, Float64]]
@@ -61,9 +61,6 @@ def render_view(
     background: Tensor | None = None,  # (3,)
 ) -> RenderedView:
     """Render the model from one camera, on the model's device, without gradients."""
-    device = gaussians.means.device
-    viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)
-    matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32, device=device)
     size = camera.width, camera.height
 
     def doing() -> str:
@@ -73,22 +70,36 @@ def render_view(
         return f"Draw smaller pictures (--max-side {smaller(*size)}), or use --device cpu."
 
     with memory_explained(doing, advice):
-        output = rasterize(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.log_scales,
-            gaussians.logit_opacities,
-            gaussians.sh,
-            viewmat[None],
-            matrix[None],
-            camera.width,
-            camera.height,
-            raw=True,
-            background=background,
-            with_depth=with_depth,
+        output = rasterize_view(
+            gaussians, camera, world_to_camera, background=background, with_depth=with_depth
         )
     depth = output.depth[0] if with_depth and output.depth is not None else None
     return RenderedView(image=output.image[0].clamp(0, 1), depth=depth)
+
+
+def rasterize_view(
+    gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
+) -> RenderOutput:
+    """`rasterize` of a model from one camera, (4, 4) world_to_camera, on the model's device.
+
+    Args: `options`: of `rasterize`.
+    """
+    device = gaussians.means.device
+    viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)
+    matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32, device=device)
+    return rasterize(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.log_scales,
+        gaussians.logit_opacities,
+        gaussians.sh,
+        viewmat[None],
+        matrix[None],
+        camera.width,
+        camera.height,
+        raw=True,
+        **options,
+    )
 
 
 def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from .config import TrainConfig
 from .roi import OrientedBox
-from .scene import PosedImage
+from .scene import Float64, PosedImage
 
 NEIGHBOUR = 3  # two photos side by side do not make a surrounding
 EXPONENT = 3.0
@@ -31,10 +31,9 @@ def photo_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
 
     With fewer neighbours the last counts; 180 for less than two photos.
     """
-    rays = np.array([image.centre for image in images]).reshape(-1, 3) - roi.centre
-    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
-    if len(rays) < 2:
+    if len(images) < 2:
         return 180.0
+    rays, _ = _rays(images, roi)
     count = min(NEIGHBOUR, len(rays) - 1)
     chords, _ = cKDTree(rays).query(rays, k=[count + 1])  # the first is the photo itself
     return float(np.median(np.degrees(2 * np.arcsin(np.clip(chords / 2, 0, 1)))))
@@ -47,9 +46,7 @@ def detail_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     """
     if len(images) < 2:
         return 180.0
-    rays = np.array([image.centre for image in images]) - roi.centre
-    distances = np.maximum(np.linalg.norm(rays, axis=1), 1e-12)
-    rays /= distances[:, None]
+    rays, distances = _rays(images, roi)
     scales = np.array([image.camera.fx for image in images]) / distances
     angles = np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1)))
     angles[scales[None] < AS_CLOSE * scales[:, None]] = 180.0
@@ -59,6 +56,13 @@ def detail_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     order = np.argsort(thirds, kind="stable")
     share = np.cumsum(scales[order] ** 2)
     return float(thirds[order][np.searchsorted(share, share[-1] / 2)])
+
+
+def _rays(images: Sequence[PosedImage], roi: OrientedBox) -> tuple[Float64, Float64]:
+    """(N, 3) unit vectors from the box's centre to the photos, and (N,) their distances."""
+    rays = np.array([image.centre for image in images]) - roi.centre
+    distances = np.maximum(np.linalg.norm(rays, axis=1), 1e-12)
+    return rays / distances[:, None], distances
 
 
 def rates_for_spacing(config: TrainConfig, spacing: float, detail: float) -> TrainConfig:

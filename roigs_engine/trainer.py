@@ -255,8 +255,7 @@ class Trainer:
             self._apply(self._densified())
         if config.contribution_every and step - self._window >= self._window_steps():
             contributing = self._stats.weight >= densify.VISIBLE_WEIGHT
-            if not bool(contributing.all()):
-                self._apply(densify.keep_rows(densify.unchanged(self._parameters), contributing))
+            self._keep(contributing)
             self._stats.new_window()
             self._window = step
         if densifying and config.reset_every and step % config.reset_every == 0:
@@ -280,7 +279,7 @@ class Trainer:
             keep = vouched_for(self._parameters, data.images, data.rois, photos, check)
         except Stopped:
             return False
-        self._apply(densify.keep_rows(densify.unchanged(self._parameters), keep))
+        self._keep(keep)
         self.seconds += time.perf_counter() - began
         self.cpu_seconds += time.process_time() - cpu_began
         return True
@@ -328,6 +327,11 @@ class Trainer:
         self._optimizer.replace(self._parameters.tensors(), edit.rows)
         self._stats = self._stats.after(edit.rows)
         give_back_freed()
+
+    def _keep(self, rows: Tensor) -> None:
+        """Go on with the Gaussians whose place in `rows`, (N,) bool, is true."""
+        if not bool(rows.all()):
+            self._apply(densify.keep_rows(densify.unchanged(self._parameters), rows))
 
     def _reset_opacities(self) -> None:
         logit = float(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
