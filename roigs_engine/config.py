@@ -161,6 +161,11 @@ class RunConfig:
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        if self.scene.front_photos:
+            raise ConfigError(
+                f"scene.front_photos is {self.scene.front_photos}; the Scene-GS knows no boxes.",
+                "Set roi.front_photos instead.",
+            )
         if not 0 < self.scene_scale <= 1:
             raise ConfigError(
                 f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, 1 at most."

@@ -19,21 +19,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import starmap
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from . import sampling
+from . import sampling, strategies
 from .capacity import box_capacities, capacities_to
 from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
 from .cuda.device import CPU
 from .errors import SceneError
-from .evaluate import EvaluatedModel
 from .events import Emit, check_of, ignore
 from .files import write_json
 from .gaussians import Gaussians
@@ -49,22 +47,8 @@ from .selection.given import check_given, given_selection
 from .spacing import detail_spacing, photo_spacing, rates_for_spacing
 from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
+from .strategies import TrainedModel
 from .trainer import StageData
-
-BASELINE = "Full Scene"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainedModels:
-    """What the strategies of a run made.
-
-    Attributes:
-        models: rows for the evaluation, in the order of the table.
-        result: the configured strategy's whole model.
-    """
-
-    models: list[EvaluatedModel]
-    result: Gaussians
 
 
 class Run:
@@ -354,47 +338,21 @@ class Run:
 
     # --- results ---
 
-    def train(self, compare: Sequence[str] = ()) -> TrainedModels:
-        """Train the strategy and what it is compared with; write the result's PLYs.
+    def train(self, compare: Sequence[str] = ()) -> list[TrainedModel]:
+        """Train the strategy, its result last, and what it is compared with; write the PLYs.
 
         Args:
             compare: of `config.COMPARISONS`: baselines, and the other strategy in a run of its own
                 in a folder inside this one.
         """
-        models: list[EvaluatedModel] = []
-        if "full-scene" in compare:
-            models.append(_row(BASELINE, self.full_scene()))
-        if "full-object" in compare:
-            for roi in self.rois:
-                models.append(_row(f"Full Object {roi.name}", self.full_object(roi), (roi.name,)))
+        models = [strategies.full_scene(self)] if "full-scene" in compare else []
+        models += strategies.full_objects(self) if "full-object" in compare else []
         for strategy in STRATEGIES:
             if strategy in compare and strategy != self.config.strategy:
-                models += self._other(strategy).train().models
-        models += self._joint() if self.config.strategy == "joint" else self._independent()
+                models += self._other(strategy).train()
+        models += strategies.own_models(self)
         self._write_result(models[-1].gaussians)
-        return TrainedModels(models=models, result=models[-1].gaussians)
-
-    def _joint(self) -> list[EvaluatedModel]:
-        """Rows of the joint strategy, its result last."""
-        scene, joint = self.scene_stage(), self.joint_stage()
-        return [
-            _row("Scene-GS (joint)", scene),
-            _sum("Joint", joint.gaussians, [scene, joint]),
-        ]
-
-    def _independent(self) -> list[EvaluatedModel]:
-        """Rows of the paper's strategy, its composition last."""
-        scene = self.scene_stage()
-        objects = [self.object_stage(roi) for roi in self.rois]
-        rows = [_row("Scene-GS", scene)]
-        for roi, stage in zip(self.rois, objects, strict=True):
-            rows.append(_row(f"Object-GS {roi.name}", stage, (roi.name,)))
-        stages = [scene, *objects]
-        rows.append(_sum("Composition", self.composed(scene, objects), stages))
-        if self.config.seam_steps:
-            seam = self.seam_stage(scene, objects)
-            rows.append(_sum("Composition, refined", seam.gaussians, [*stages, seam]))
-        return rows
+        return models
 
     def _other(self, strategy: str) -> Run:
         """The same steps in the other strategy, as its preset has it, in a folder of its own."""
@@ -420,24 +378,3 @@ class Run:
         for roi in self.rois:
             for model, home in ((result, "rois"), (coarse, "coarse")):
                 cut(model, roi, self.rois).save_ply(self.folder / home / f"{roi.name}.ply")
-
-
-def _row(name: str, stage: StageResult, rois: tuple[str, ...] | None = None) -> EvaluatedModel:
-    return EvaluatedModel(
-        name=name,
-        gaussians=stage.gaussians,
-        seconds=stage.seconds,
-        rois=rois,
-        stages={stage.name: stage.seconds},
-    )
-
-
-def _sum(name: str, gaussians: Gaussians, stages: Sequence[StageResult]) -> EvaluatedModel:
-    """A row whose training time is that of several stages."""
-    return EvaluatedModel(
-        name=name,
-        gaussians=gaussians,
-        seconds=sum(stage.seconds for stage in stages),
-        rois=None,
-        stages={stage.name: stage.seconds for stage in stages},
-    )

@@ -16,17 +16,18 @@ import torch
 
 from benchmarks.study.rows import BASELINES, FULL_OBJECT, FULL_SCENE, MATCHED, VARIANT, Row
 from benchmarks.study.scenes import StudyScene
+from roigs_engine import strategies
 from roigs_engine.commands.console import Console
 from roigs_engine.compose import cut
 from roigs_engine.config import RunConfig
 from roigs_engine.crops import choose_views, write_crops
 from roigs_engine.evaluate import EvaluatedModel, Evaluation, evaluate
-from roigs_engine.gaussians import Gaussians
 from roigs_engine.kernels import library
-from roigs_engine.pipeline import BASELINE, Run
+from roigs_engine.pipeline import Run
 from roigs_engine.render import safe_name
 from roigs_engine.scene import SfmScene
 from roigs_engine.stages import StageResult
+from roigs_engine.strategies import BASELINE, TrainedModel
 
 
 class OnScene(Run):
@@ -37,15 +38,6 @@ class OnScene(Run):
     def scene_stage(self) -> StageResult:
         """The given one."""
         return super().scene_stage() if self.given_scene is None else self.given_scene
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Made:
-    """A trained model, and for each of its boxes the stages whose time it took."""
-
-    name: str
-    gaussians: Gaussians
-    stages: dict[str, list[StageResult]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,14 +83,9 @@ class Bench:
             keep_models: otherwise what only this row needs is deleted, once it is measured.
         """
         own = self._run(self._own_config())
-        full = own.full_scene()
-        baseline = Made(name=BASELINE, gaussians=full.gaussians, stages=self._for_all([full]))
         run = own if row.kind in BASELINES else self._run_of(row)
-        made = [baseline, *self._made(row, run)]
-        models = [
-            EvaluatedModel(name=m.name, gaussians=m.gaussians, seconds=0.0, rois=tuple(m.stages))
-            for m in made
-        ]
+        made = [strategies.full_scene(own), *self._made(row, run)]
+        models = [model.evaluated() for model in made]
         evaluation = evaluate(
             models,
             self.sfm,
@@ -114,64 +101,22 @@ class Bench:
             "evaluation": evaluation.to_dict(),
         }
         if not keep_models and (row.is_ablation or row.kind == VARIANT):
-            names = {s.name for m in made[1:] for stages in m.stages.values() for s in stages}
-            for name in names - {full.name, "scene"}:
+            for name in _stages(made[1:]).keys() - {*_stages(made[:1]), "scene"}:
                 shutil.rmtree(self.folder / name, ignore_errors=True)
         return record
 
-    def _made(self, row: Row, run: Run) -> list[Made]:
+    def _made(self, row: Row, run: Run) -> list[TrainedModel]:
         """The row's models, its result last."""
         if row.kind == FULL_SCENE:
             return []
         if row.kind == FULL_OBJECT:
-            stages = [(roi.name, run.full_object(roi)) for roi in run.rois]
-            return [
-                Made(name="Full Object", gaussians=stage.gaussians, stages={roi: [stage]})
-                for roi, stage in stages
-            ]
+            return strategies.full_objects(run)
+        made = strategies.own_models(run)
         if row.kind == MATCHED:
-            ours = self._trained(run)[-1].gaussians
+            ours = made[-1].gaussians
             counts = {roi.name: len(cut(ours, roi, run.rois)) for roi in run.rois}
-            stage = run.matched_scene(counts)
-            made = self._for_all([stage])
-            return [Made(name="Matched", gaussians=stage.gaussians, stages=made)]
-        return self._trained(run)
-
-    def _trained(self, run: Run) -> list[Made]:
-        """The models of the run's strategy, its result last."""
-        scene = run.scene_stage()
-        if run.config.strategy == "joint":
-            joint = run.joint_stage()
-            return [
-                Made(
-                    name="Scene-GS (joint)",
-                    gaussians=scene.gaussians,
-                    stages=self._for_all([scene]),
-                ),
-                Made(name="Joint", gaussians=joint.gaussians, stages=self._for_all([scene, joint])),
-            ]
-        objects = [run.object_stage(roi) for roi in run.rois]
-        by_roi = [(roi.name, stage) for roi, stage in zip(run.rois, objects, strict=True)]
-        made = [
-            Made(name="Scene-GS", gaussians=scene.gaussians, stages=self._for_all([scene])),
-            *(
-                Made(name="Object-GS", gaussians=stage.gaussians, stages={roi: [stage]})
-                for roi, stage in by_roi
-            ),
-            Made(
-                name="Composition",
-                gaussians=run.composed(scene, objects),
-                stages={roi: [scene, stage] for roi, stage in by_roi},
-            ),
-        ]
-        if run.config.seam_steps:
-            seam = run.seam_stage(scene, objects)
-            stages = {roi: [scene, stage, seam] for roi, stage in by_roi}
-            made.append(Made(name="Refined", gaussians=seam.gaussians, stages=stages))
+            return [TrainedModel.of_stage("Matched", run.matched_scene(counts))]
         return made
-
-    def _for_all(self, stages: list[StageResult]) -> dict[str, list[StageResult]]:
-        return {roi.name: stages for roi in self.scene.rois}
 
     def _own_config(self) -> RunConfig:
         row = Row(name="", kind=FULL_SCENE, tables=(), rank=0)
@@ -198,10 +143,9 @@ class Bench:
             should_stop=self.console.should_stop,
         )
 
-    def _facts(self, row: Row, run: Run, made: Sequence[Made]) -> dict[str, Any]:
+    def _facts(self, row: Row, run: Run, made: Sequence[TrainedModel]) -> dict[str, Any]:
         """Everything of the record but the evaluation."""
         rois = self.scene.rois
-        all_stages = {s.name: s for m in made for stages in m.stages.values() for s in stages}
         selections = [] if row.kind in BASELINES else [run.selection(roi) for roi in rois]
         return {
             "row": row.name,
@@ -213,13 +157,13 @@ class Bench:
             "steps": run.config.total_steps,
             "stages": {
                 name: {"seconds": s.seconds, "cpu_seconds": s.cpu_seconds}
-                for name, s in all_stages.items()
+                for name, s in _stages(made).items()
             },
             "models": {
                 roi.name: {
-                    m.name: [stage.name for stage in m.stages[roi.name]]
+                    m.name: [stage.name for stage in m.stages_for(roi.name)]
                     for m in made
-                    if roi.name in m.stages
+                    if m.rois is None or roi.name in m.rois
                 }
                 for roi in rois
             },
@@ -239,7 +183,7 @@ class Bench:
     def _write_pictures(
         self,
         row: Row,
-        made: Sequence[Made],
+        made: Sequence[TrainedModel],
         models: Sequence[EvaluatedModel],
         evaluation: Evaluation,
     ) -> dict[str, dict[str, str]]:
@@ -267,6 +211,11 @@ class Bench:
                 for view, label in choose_views(scores[result], scores[BASELINE]).items()
             }
         return pictures
+
+
+def _stages(models: Sequence[TrainedModel]) -> dict[str, StageResult]:
+    """Every stage behind the models, by name."""
+    return {s.name: s for model in models for s in (*model.stages, *model.by_roi.values())}
 
 
 def machine() -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.study.results import METRICS, NONE, Results, Stat, mean_of
 from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, REFINED, Row
-from roigs_engine.pipeline import BASELINE
+from roigs_engine.strategies import BASELINE
 
 # A line of a table: what it is called, the row it comes from, the model of that row.
 Line = tuple[str, str, str]
@@ -22,7 +22,7 @@ LINES: tuple[Line, ...] = (
     ("Object-GS", INDEPENDENT, "Object-GS"),
     ("Composition", INDEPENDENT, "Composition"),
     ("Object-GS (refined)", REFINED, "Object-GS"),
-    ("Composition, refined", REFINED, "Refined"),
+    ("Composition, refined", REFINED, "Composition, refined"),
     ("Scene-GS (joint)", JOINT, "Scene-GS (joint)"),
     ("Joint", JOINT, "Joint"),
 )
@@ -163,7 +163,7 @@ class Study:
         shown = [
             (label, row, model)
             for label, row, model in self._lines()
-            if model in (BASELINE, "Matched", "Composition", "Refined", "Joint")
+            if model in (BASELINE, "Matched", "Composition", "Composition, refined", "Joint")
         ]
         head = [*("scene", "box"), *(label for label, _, _ in shown)]
         head += ["gain", "over matched", "object gain", "peak gain", "image over Scene-GS"]

@@ -39,8 +39,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     compare = COMPARISONS if "all" in args.compare else args.compare
     check = console.check
     with train.open_run(args, console) as work:
-        models, scene, rois = work.train(compare).models, work.scene, work.rois
-        models = [model.to(work.device) for model in models]
+        scene, rois = work.scene, work.rois
+        models = [model.evaluated().to(work.device) for model in work.train(compare)]
         evaluation = evaluate(models, scene, work.test, rois, emit=console.emit, check=check)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, check=check)
