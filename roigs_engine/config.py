@@ -47,6 +47,8 @@ class TrainConfig:
         full_every: in a ROI stage one step of so many looks at a whole photo, drawn from all; the
             others look at the boxes' silhouettes and a rim, in photos that see a box (`region.py`).
             1: all look at whole photos (paper).
+        photo_balance: in those steps, 0: a pixel pulls as hard as in a whole photo; 1: a photo as
+            hard as another, on however many pixels it shows the boxes; between them, in between.
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
@@ -82,6 +84,7 @@ class TrainConfig:
     box_capacity: float = 0.0
     box_grad_threshold: float = 0.0
     full_every: int = 1
+    photo_balance: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
@@ -96,6 +99,10 @@ class TrainConfig:
             raise ConfigError(
                 "contribution_every needs steps that look at whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
+            )
+        if not 0 <= self.photo_balance <= 2:
+            raise ConfigError(
+                f"photo_balance is {self.photo_balance:g}.", "Use a number from 0 to 2."
             )
 
     def position_rate(self, step: int) -> float:
@@ -327,6 +334,7 @@ def _short(
             grad_threshold=8e-5,
             box_capacity=2.2,
             full_every=4,
+            photo_balance=1.0,
             reset_every=0,
             front_photos=4,
             average_steps=roi_steps // 10,

@@ -267,7 +267,7 @@ class Run:
             extent=self.extent,
             rois=margins,
             capacities=capacities,
-            regions=Regions(images, margins, self.device) if config.full_every > 1 else None,
+            regions=self._regions(images, margins, config),
             seed=self.config.seed,
             device=self.device,
         )
@@ -282,6 +282,14 @@ class Run:
             preview_seconds=self._preview_seconds,
         )
         return stage.run(self._emit, self._should_stop)
+
+    def _regions(
+        self, images: Sequence[PosedImage], rois: Sequence[OrientedBox], config: TrainConfig
+    ) -> Regions | None:
+        """What the steps of a stage look at that do not look at whole photos."""
+        if config.full_every == 1:
+            return None
+        return Regions(images, rois, self.device, balance=config.photo_balance)
 
     def _mixed(
         self, images: Sequence[PosedImage], stage: TrainConfig, selected: set[str]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -30,12 +31,14 @@ class Region:
         window: x0, y0, x1, y1 in pixels, the smallest rectangle around them.
         weights: (h, w) of the window, 1 in the mask and 0 outside, on the photos' device.
         share: of the photo's pixels that the mask holds.
+        pull: weight of the region's mean loss beside that of a whole photo.
     """
 
     mask: Tensor
     window: tuple[int, int, int, int]
     weights: Tensor
     share: float
+    pull: float
 
     def crop(self, image: Tensor) -> Tensor:
         """(H, W, ...) -> its pixels in the window."""
@@ -46,7 +49,12 @@ class Region:
 class Regions:
     """The region of each photo; found when first asked for, and kept as a small grid of tiles.
 
-    Args: `images`, `rois`: of the stage; `device`: of the weights.
+    Args:
+        images, rois: of the stage.
+        device: of the weights.
+        balance: 0: a pixel pulls as hard as in a whole photo, so close-ups, which show a box on
+            many, outweigh the rest; 1: regions pull alike, however large they are, and a pixel as
+            hard as in a whole photo only where the region has the (geometric) mean share.
     """
 
     def __init__(
@@ -54,29 +62,47 @@ class Regions:
         images: Sequence[PosedImage],
         rois: Sequence[OrientedBox],
         device: torch.device | None = None,
+        *,
+        balance: float = 0.0,
     ) -> None:
         self._images, self._rois, self._device = images, rois, device
+        self._balance = balance
         self._tiles: dict[int, NDArray[np.bool_]] = {}
 
     def __getitem__(self, index: int) -> Region | None:
         """The region of photo `index`, None where no box is in sight."""
-        if index not in self._tiles:
-            self._tiles[index] = _tiles(self._images[index], self._rois)
-        tiles = self._tiles[index]
+        tiles, camera = self._tiles_of(index), self._images[index].camera
         if not tiles.any():
             return None
-        camera = self._images[index].camera
-        mask = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
+        mask = self._mask(index)
         rows, columns = np.flatnonzero(tiles.any(axis=1)), np.flatnonzero(tiles.any(axis=0))
         x0, x1 = int(columns[0]) * TILE, min(int(columns[-1] + 1) * TILE, camera.width)
         y0, y1 = int(rows[0]) * TILE, min(int(rows[-1] + 1) * TILE, camera.height)
         weights = mask[y0:y1, x0:x1].astype(np.float32)
+        share = float(mask.mean())
         return Region(
             mask=torch.from_numpy(np.ascontiguousarray(mask)),
             window=(x0, y0, x1, y1),
             weights=torch.from_numpy(weights).to(self._device),
-            share=float(mask.mean()),
+            share=share,
+            pull=share * (self._mean_share / share) ** self._balance if self._balance else share,
         )
+
+    @cached_property
+    def _mean_share(self) -> float:
+        """Geometric mean over the photos that show a box."""
+        shares = [self._mask(index).mean() for index in range(len(self._images))]
+        return float(np.exp(np.mean(np.log([share for share in shares if share > 0]))))
+
+    def _mask(self, index: int) -> NDArray[np.bool_]:
+        """(H, W): the pixels of the photo's tiles."""
+        tiles, camera = self._tiles_of(index), self._images[index].camera
+        return tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
+
+    def _tiles_of(self, index: int) -> NDArray[np.bool_]:
+        if index not in self._tiles:
+            self._tiles[index] = _tiles(self._images[index], self._rois)
+        return self._tiles[index]
 
 
 def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:

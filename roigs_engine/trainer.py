@@ -175,11 +175,11 @@ class Trainer:
         image, weights = output.image.squeeze(0), None
         if region is not None:
             image, target = region.crop(image), region.crop(target)
-            # A pixel pulls as hard as it does in a whole photo: thresholds keep their meaning.
             weights = region.weights
         loss = photo_loss(image, target, ssim_weight=config.ssim_weight, weights=weights)
-        share = None if region is None else loss.loss.new_tensor(region.share)
-        loss.loss.backward(share)  # type: ignore[no-untyped-call]
+        # A pixel pulls about as hard as in a whole photo: thresholds keep their meaning.
+        pull = None if region is None else loss.loss.new_tensor(region.pull)
+        loss.loss.backward(pull)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         if not self._optimizer.fused:
             self._optimizer.step(visible)

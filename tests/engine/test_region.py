@@ -13,7 +13,7 @@ from roigs_engine import sampling
 from roigs_engine.config import TrainConfig
 from roigs_engine.errors import ConfigError
 from roigs_engine.losses import photo_loss
-from roigs_engine.region import Regions
+from roigs_engine.region import Region, Regions
 from roigs_engine.roi import OrientedBox
 from roigs_engine.scene import Camera, PosedImage
 
@@ -66,9 +66,27 @@ def test_a_pixel_pulls_as_hard_as_in_the_whole_photo() -> None:
     part = photo_loss(
         region.crop(image), region.crop(target), ssim_weight=0, weights=region.weights
     )
-    (gradient,) = torch.autograd.grad(part.loss * region.share, image)
+    (gradient,) = torch.autograd.grad(part.loss * region.pull, image)
     assert torch.allclose(gradient[region.mask], whole[region.mask], rtol=1e-4)
     assert not gradient[~region.mask].any()
+
+
+def test_balanced_photos_pull_alike_from_near_and_far() -> None:
+    poses = [np.eye(4) for _ in range(4)]
+    for pose, back in zip(poses, (-3.0, 0.0, 6.0, -20.0), strict=True):  # the last sees no box
+        pose[2, 3] = back
+    photos = [photo(pose) for pose in poses]
+
+    def regions(balance: float) -> list[Region]:
+        several = Regions(photos, [BOX], balance=balance)
+        return [region for k in range(4) if (region := several[k]) is not None]
+
+    shares = np.array([region.share for region in regions(0)])
+    assert len(shares) == 3 and shares[0] > 2 * shares[2]
+    for balance in (0.0, 0.5, 1.0, 1.5):
+        pulls = np.array([region.pull for region in regions(balance)])
+        assert np.log(pulls / shares).mean() == pytest.approx(0, abs=1e-6)
+        assert pulls[0] / pulls[2] == pytest.approx((shares[0] / shares[2]) ** (1 - balance))
 
 
 @pytest.mark.parametrize("every", [2, 3, 7])
@@ -84,5 +102,7 @@ def test_settings_that_do_not_go_together_are_refused() -> None:
     config = TrainConfig(steps=10, full_every=4)
     with pytest.raises(ConfigError, match="contribution_every"):
         dataclasses.replace(config, contribution_every=100)
+    with pytest.raises(ConfigError, match="photo_balance is -1"):
+        dataclasses.replace(config, photo_balance=-1.0)
     with pytest.raises(ConfigError, match="full_every is 0"):
         dataclasses.replace(config, full_every=0)
