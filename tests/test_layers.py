@@ -39,7 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),
-    "run": ("request", "pipeline", "sessions"),
+    "run": ("request", "pipeline", "strategies", "sessions"),
     "command line": ("commands", "cli", "__main__"),
 }
 # Entries that must work, up to their first use of anything else, without torch.
