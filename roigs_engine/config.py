@@ -48,7 +48,8 @@ class TrainConfig:
             others look at the boxes' silhouettes and a rim, in photos that see a box (`region.py`).
             1: all look at whole photos (paper).
         photo_balance: in those steps, 0: a pixel pulls as hard as in a whole photo; 1: a photo as
-            hard as another, on however many pixels it shows the boxes; between them, in between.
+            hard as another, on however many pixels it shows the boxes; above, up to 2: one that
+            shows them small pulls harder (`Regions`).
         prune_opacity: Gaussians below it are removed at densification steps.
         prune_size: larger ones (share of the scene extent) are removed after the first reset.
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.

@@ -25,21 +25,29 @@ class TrainedModel:
         gaussians: the model.
         stages: that serve all boxes alike.
         by_roi: box -> the stage that serves it alone.
-        rois: the boxes that get a row for it; None: all.
     """
 
     name: str
     gaussians: Gaussians
     stages: Sequence[StageResult] = ()
     by_roi: dict[str, StageResult] = field(default_factory=dict)
-    rois: tuple[str, ...] | None = None
 
     @classmethod
     def of_stage(cls, name: str, stage: StageResult, roi: str = "") -> TrainedModel:
         """What a stage ended with, for one box or for all."""
         if roi:
-            return cls(name=name, gaussians=stage.gaussians, by_roi={roi: stage}, rois=(roi,))
+            return cls(name=name, gaussians=stage.gaussians, by_roi={roi: stage})
         return cls(name=name, gaussians=stage.gaussians, stages=[stage])
+
+    @property
+    def rois(self) -> tuple[str, ...] | None:
+        """The boxes that get a row for it; None: all, as some stage serves all."""
+        return None if self.stages else tuple(self.by_roi)
+
+    @property
+    def all_stages(self) -> list[StageResult]:
+        """Every stage behind it."""
+        return [*self.stages, *self.by_roi.values()]
 
     def stages_for(self, roi: str) -> list[StageResult]:
         """The stages that this model needs if the box is the only one."""
@@ -47,13 +55,12 @@ class TrainedModel:
 
     def evaluated(self) -> EvaluatedModel:
         """Its row, which took the time of all its stages."""
-        stages = [*self.stages, *self.by_roi.values()]
         return EvaluatedModel(
             name=self.name,
             gaussians=self.gaussians,
-            seconds=sum(stage.seconds for stage in stages),
+            seconds=sum(stage.seconds for stage in self.all_stages),
             rois=self.rois,
-            stages={stage.name: stage.seconds for stage in stages},
+            stages={stage.name: stage.seconds for stage in self.all_stages},
         )
 
 
@@ -85,14 +92,15 @@ def _joint(run: Run) -> list[TrainedModel]:
 def _independent(run: Run) -> list[TrainedModel]:
     scene = run.scene_stage()
     objects = {roi.name: run.object_stage(roi) for roi in run.rois}
-    composed = run.composed(scene, list(objects.values()))
+    in_order = list(objects.values())
+    composed = run.composed(scene, in_order)
     models = [
         TrainedModel.of_stage("Scene-GS", scene),
         *(TrainedModel.of_stage("Object-GS", stage, roi) for roi, stage in objects.items()),
         TrainedModel(name="Composition", gaussians=composed, stages=[scene], by_roi=objects),
     ]
     if run.config.seam_steps:
-        seam = run.seam_stage(scene, list(objects.values()))
+        seam = run.seam_stage(scene, in_order)
         models.append(
             TrainedModel(
                 name="Composition, refined",

@@ -215,7 +215,7 @@ class Bench:
 
 def _stages(models: Sequence[TrainedModel]) -> dict[str, StageResult]:
     """Every stage behind the models, by name."""
-    return {s.name: s for model in models for s in (*model.stages, *model.by_roi.values())}
+    return {stage.name: stage for model in models for stage in model.all_stages}
 
 
 def machine() -> dict[str, Any]:
