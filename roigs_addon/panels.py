@@ -225,6 +225,10 @@ class CamerasPanel(_Panel, bpy.types.Panel):
             _say(layout, f"{roi.name}: {len(chosen)} photos, best first", DONE)
         if len(chosen):
             _list(layout, roi)
+        else:
+            layout.operator(
+                EditSelection.bl_idname, text="Add Selected Cameras", icon="ADD"
+            ).action = "ADD"
 
 
 def _list(layout: bpy.types.UILayout, roi: bpy.types.Object) -> None:

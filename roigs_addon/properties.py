@@ -33,12 +33,14 @@ METHODS = (
 PRESETS = (
     ("draft", "Draft", "5,000 steps: minutes on a CPU"),
     ("standard", "Standard", "15,000 steps"),
-    ("paper", "Paper", "50,000 steps, as the paper has it"),
+    ("paper", "Paper", "50,000 steps, boxes one by one, photos by the paper's Gaussian process"),
 )
 STRATEGIES = (
     ("joint", "All boxes together", "One stage for all boxes that goes on with the whole scene"),
     ("independent", "One by one (paper)", "A model per box, which then replaces the coarse one"),
 )
+PAPERS_WAY = {"strategy": "independent", "method": "gp9"}
+OUR_WAY = {"strategy": "joint", "method": "coverage"}
 LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
     ("SCENE", "Coarse", "Scene-GS, before the boxes were refined"),
@@ -67,6 +69,16 @@ class RoigsObject(bpy.types.PropertyGroup):
     roi: StringProperty(description="Gaussians: name of the box they are in")
 
 
+def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
+    """The paper's way comes and goes with its preset; what was chosen by hand stays."""
+    left, taken = OUR_WAY, PAPERS_WAY
+    if settings.preset != "paper":
+        left, taken = PAPERS_WAY, OUR_WAY
+    for name, value in taken.items():
+        if getattr(settings, name) == left[name]:
+            setattr(settings, name, value)
+
+
 class RoigsScene(bpy.types.PropertyGroup):
     """The job that this scene describes."""
 
@@ -93,20 +105,23 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="How many photos each box gets; 0: as many as the method finds useful",
     )
     seed: IntProperty(name="Seed", default=0, min=0, description="Of everything random")
-    preset: EnumProperty(items=PRESETS, name="Preset", default="draft")
+    preset: EnumProperty(items=PRESETS, name="Preset", default="draft", update=_follow_preset)
     strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
     steps_factor: FloatProperty(
         name="Steps",
         default=1.0,
         min=0.001,
-        max=10.0,
+        max=1000.0,
+        soft_max=10.0,
         description="Times the preset's steps: less is faster, more is finer",
     )
     max_side: IntProperty(
         name="Photo Size",
         default=640,
-        min=64,
-        max=16384,
+        min=1,
+        soft_min=64,
+        max=1 << 20,
+        soft_max=16384,
         subtype="PIXEL",
         description="Longest side of the photos in training; larger shows more and takes longer",
     )

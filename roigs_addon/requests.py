@@ -60,7 +60,6 @@ def request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> dict[str, A
         raise AddonError(f"The COLMAP folder {settings.colmap} is gone. Set its new place.")
     if not rois:
         raise AddonError("There is no ROI. Add one around the object.")
-    threads = getattr(preferences.get(), "threads", 0)
     values: dict[str, Any] = {
         "scene": settings.colmap,
         "images": bpy.path.abspath(settings.images) or None,
@@ -68,10 +67,24 @@ def request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> dict[str, A
         "method": settings.method,
         "count": settings.count or None,
         "seed": settings.seed,
-        "threads": threads or None,
+        "threads": _threads(),
         "test_every": settings.test_every,
     }
     return {key: value for key, value in values.items() if value is not None}
+
+
+def machine_options() -> list[str]:
+    """What the preferences say of the machine, for a command that takes no request file."""
+    threads = _threads()
+    return ["--device", _device(), *([] if threads is None else ["--threads", str(threads)])]
+
+
+def _threads() -> int | None:
+    return getattr(preferences.get(), "threads", 0) or None
+
+
+def _device() -> str:
+    return str(getattr(preferences.get(), "device", "auto"))
 
 
 def write_selection_request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> Path:
@@ -91,7 +104,7 @@ def write_training_request(
         "steps_factor": float(f"{scene.roigs.steps_factor:.5g}"),  # Blender's is a 32-bit number
         "strategy": scene.roigs.strategy,
         "preview_seconds": preview_seconds,
-        "device": getattr(preferences.get(), "device", "auto"),
+        "device": _device(),
         "update": True,
     }
     if any(len(roi.roigs.selection) for roi in rois):

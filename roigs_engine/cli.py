@@ -1,7 +1,7 @@
 """The command line: which command, what becomes of errors, and the exit status.
 
-Exit status: 0 done, 2 an `EngineError` (one line on standard error), 3 stopped on request with a
-checkpoint written, 130 interrupted at once.
+Exit status: 0 done, 2 an `EngineError`, options that do not fit among them (one line on standard
+error), 3 stopped on request with a checkpoint written, 130 interrupted at once.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import ModuleType
+from typing import Any, NoReturn
 
 from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
 from .commands.request_file import with_request_file
-from .errors import EngineError, Stopped
+from .errors import ConfigError, EngineError, Stopped
 from .events import Done, Failed
 
 COMMANDS: dict[str, ModuleType] = {
@@ -34,9 +35,23 @@ COMMANDS: dict[str, ModuleType] = {
 STOPPED = 3
 
 
-def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+class Parser(argparse.ArgumentParser):
+    """Options that do not fit are an error as any other; argparse would print all of the usage.
+
+    Options are written in full: a new one must not change what an abbreviation meant.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ConfigError."""
+        raise ConfigError(f"{message[:1].upper()}{message[1:]}.", f"See {self.prog} --help.")
+
+
+def build_parser() -> tuple[Parser, dict[str, Parser]]:
     """The parser, and that of each command."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m roigs_engine",
         description="Sharp boxed objects in 3D Gaussian Splatting scenes (ROI-GS).",
     )
@@ -60,19 +75,20 @@ def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.Argument
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    argv = sys.argv[1:] if argv is None else list(argv)
     parser, commands = build_parser()
-    args = parser.parse_args(argv)
-    console = Console(json_lines=args.events)
+    console = Console(json_lines="--events" in argv)
 
     def work() -> int:
-        nonlocal args
+        args = parser.parse_args(argv)
         args = with_request_file(parser, commands[args.command], args, argv)
         console.watch()
         outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
         return 0
 
-    return answered(work, console, args.command)
+    name = next((word for word in argv if word in COMMANDS), parser.prog)
+    return answered(work, console, name)
 
 
 def answered(work: Callable[[], int], console: Console, name: str) -> int:

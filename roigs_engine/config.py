@@ -132,8 +132,8 @@ class RunConfig:
         roi_init: what the ROI stage starts from: the whole Scene-GS, the sparse points, or the
             Scene-GS's Gaussians in the box (the paper's ablations).
         roi_order: `ordered` follows the selection and cycles (paper); `shuffled` draws epochs.
-        selected_share: share of the joint stage's steps (and of the seam stage's) that draw a
-            selected photo, the rest draws from all training photos.
+        selected_share: in the joint stage (and the seam stage) share of the steps that look at
+            boxes which draw a selected photo; the others draw any training photo that sees a box.
         seam_share: independent only; share of the ROI stage's steps that the composed model gets
             instead of the objects. 0: composition is the end (paper).
         test_every: every n-th ROI-visible photo, by distance, is kept for the tests.

@@ -15,6 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .cuda.device import CPU
+from .cuda.library import can_weigh
 from .densify import VISIBLE_WEIGHT, box_owner
 from .events import Check, go_on
 from .gaussians import Gaussians
@@ -43,13 +45,15 @@ def vouched_for(
             photo must be shown by so many.
         check: called between photos; may raise to stop.
     """
-    shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=gaussians.means.device)
+    device = gaussians.means.device
+    model = gaussians if can_weigh(device) else gaussians.to(CPU)
+    shown_by = torch.zeros(len(model), dtype=torch.int32, device=model.means.device)
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
     for image in images:
         check()
-        pose = torch.from_numpy(image.world_to_camera).to(gaussians.means)
+        pose = torch.from_numpy(image.world_to_camera).to(model.means)
         output = rasterize_view(
-            gaussians,
+            model,
             image.camera,
             image.world_to_camera,
             sh_degree=0,  # colours do not matter
@@ -57,12 +61,12 @@ def vouched_for(
         )
         assert output.max_weight is not None
         shown = output.max_weight >= VISIBLE_WEIGHT
-        depth = gaussians.means @ pose[2, :3] + pose[2, 3]
+        depth = model.means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
         in_front &= ~shown | (depth < _nearest(rois, image.world_to_camera))
     floating = (shown_by > 0) & (shown_by < photos) & in_front
-    buried = (shown_by == 0) & (box_owner(gaussians, rois) >= 0)
-    return ~(floating | buried)
+    buried = (shown_by == 0) & (box_owner(model, rois) >= 0)
+    return ~(floating | buried).to(device)
 
 
 def _nearest(rois: Sequence[OrientedBox], world_to_camera: Float64) -> float:

@@ -37,7 +37,9 @@ def parse(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--rois", type=Path, help="rois.json with boxes")
     parser.add_argument("--out", type=Path, required=True, help="folder of all that is made")
     parser.add_argument("--preset", choices=("draft", "standard", "paper"), default="draft")
-    parser.add_argument("--strategy", choices=("joint", "independent"), default="joint")
+    parser.add_argument(
+        "--strategy", choices=("joint", "independent"), help="default: the preset's own"
+    )
     parser.add_argument("--max-side", type=int, default=640, help="longest side of photos (640)")
     parser.add_argument("--steps-factor", type=float, default=1.0, help="times the preset's steps")
     parser.add_argument(
@@ -79,7 +81,9 @@ def make(options: argparse.Namespace) -> None:
     scene = bpy.context.scene
     settings = scene.roigs
     settings.run_dir = str(out)
-    settings.preset, settings.strategy = options.preset, options.strategy
+    settings.preset = options.preset  # sets strategy and selection, too
+    if options.strategy:
+        settings.strategy = options.strategy
     settings.max_side, settings.steps_factor = options.max_side, options.steps_factor
     settings.test_every = options.test_every
 

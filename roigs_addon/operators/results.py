@@ -117,6 +117,7 @@ class RenderSplats(EngineJob, bpy.types.Operator):
                 str(path),
                 "--out",
                 str(out),
+                *requests.machine_options(),
             ],
             log=folder / "blender" / "engine.log",
             on_done=take,

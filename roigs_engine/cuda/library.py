@@ -97,6 +97,11 @@ def has_triton() -> bool:
     return importlib.util.find_spec("triton") is not None
 
 
+def can_weigh(device: torch.device) -> bool:
+    """Whether Gaussians there can be drawn with their blending weights (`with_max_weight`)."""
+    return device.type != "cuda" or has_triton()
+
+
 @functools.cache
 def fused_ssim() -> Callable[[Tensor, Tensor], Tensor] | None:
     """Mean SSIM of (1, 3, H, W) values, differentiable in the first; None: not installed."""

@@ -228,8 +228,8 @@ def _weigh(
     if not library.has_triton():
         raise KernelError(
             "Blending weights on the card need Triton, which is not installed.",
-            "pip install triton (on Windows triton-windows), or use a preset without"
-            " contribution_every, or --device cpu.",
+            "pip install triton (on Windows triton-windows), or a strategy without"
+            " contribution_every (joint), or --device cpu.",
         )
     from ..cuda.weights import blending_weights
 

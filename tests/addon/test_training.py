@@ -121,6 +121,43 @@ def test_the_list_can_be_edited(
     assert "selection" not in json.loads(path.read_text("utf-8"))
 
 
+def test_the_papers_preset_is_the_papers_way(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon import lookup, requests
+
+    scene = ready(blender, project, tmp_path / "run")
+    settings, rois = scene.roigs, lookup.rois(scene)
+
+    def asked() -> tuple[str, str]:
+        requests.write_training_request(scene, rois, 0.0)
+        values = request(tmp_path / "run", "train")
+        return values["strategy"], values["method"]
+
+    settings.preset = "paper"
+    assert asked() == ("independent", "gp9")
+    settings.preset = "standard"
+    assert asked() == ("joint", "coverage")
+    settings.method = "greedy"  # by hand: stays
+    settings.preset = "paper"
+    assert asked() == ("independent", "greedy")
+    settings.strategy = "joint"
+    settings.preset = "draft"
+    assert asked() == ("joint", "greedy")
+
+
+def test_numbers_reach_the_engine_as_given(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon import lookup, requests
+
+    scene = ready(blender, project, tmp_path / "run")
+    scene.roigs.steps_factor, scene.roigs.max_side = 20.0, 32
+    requests.write_training_request(scene, lookup.rois(scene), 0.0)
+    values = request(tmp_path / "run", "train")
+    assert (values["steps_factor"], values["max_side"]) == (20.0, 32)
+
+
 def test_a_boxs_name_leads_nowhere_else(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

@@ -208,11 +208,26 @@ def test_files_that_are_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "no.ply" in line
 
 
-def test_unknown_options_show_the_usage() -> None:
-    result = python("select", "scene", "--colour", "blue")
-    assert result.returncode == 2
-    assert "usage:" in result.stderr and "--colour" in result.stderr
-    assert "Traceback" not in result.stderr
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        (("select", "scene", "--out", "out", "--colour", "blue"), "--colour"),
+        (("inspect", "scene", "--max-side", "large"), "--max-side"),
+        (("train", "scene"), "--run-dir"),
+        (("paint", "scene"), "paint"),
+    ],
+)
+def test_options_that_do_not_fit(
+    given: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, *given)
+    assert named in line and "--help" in line
+
+
+def test_options_that_do_not_fit_are_an_event(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "scene", "--run-dir", "run", "--preset", "best", "--events"]) == 2
+    event = json.loads(capsys.readouterr().out)
+    assert event["event"] == "failed" and "best" in event["message"]
 
 
 # --- what works ---

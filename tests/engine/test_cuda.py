@@ -16,6 +16,7 @@ from roigs_engine.config import TrainConfig
 from roigs_engine.cuda import library
 from roigs_engine.cuda.device import CPU, check_cuda
 from roigs_engine.errors import KernelError
+from roigs_engine.floaters import vouched_for
 from roigs_engine.gaussians import Gaussians
 from roigs_engine.images import PhotoCache
 from roigs_engine.losses import photo_loss
@@ -24,7 +25,7 @@ from roigs_engine.optimizer import VisibleAdam
 from roigs_engine.rasterize import rasterize
 from roigs_engine.render import render_view
 from roigs_engine.trainer import StageData, Trainer
-from tests.engine.synthetic_scene import make_scene
+from tests.engine.synthetic_scene import BOX, make_scene
 
 from .rasterize_cases import cameras, differentiate, gaussians, gradient_errors, relative_error
 from .test_rasterize_cuda import CASES, SIZE, ring
@@ -108,6 +109,17 @@ def test_adam_and_loss_are_those_of_the_reference() -> None:
     photo = torch.randint(0, 256, (70, 90, 3), dtype=torch.uint8, generator=generator)
     ours, truth = photo_loss(image.to(CARD), photo.to(CARD)), photo_loss(image, photo)
     assert float(ours.loss) == pytest.approx(float(truth.loss), abs=1e-5)
+
+
+def test_floaters_are_found_without_triton(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_scene(tmp_path_factory.mktemp("photos"), views=6)
+    model = Gaussians.from_points(scene.points[::3], scene.colors[::3])
+    truth = vouched_for(model, scene.images, [BOX], 3)
+    monkeypatch.setattr(library, "has_triton", lambda: False)
+    found = vouched_for(model.to(CARD), scene.images, [BOX], 3)
+    assert found.device.type == "cuda" and torch.equal(found.cpu(), truth)
 
 
 def test_trainings_end_alike(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from roigs_engine.cuda import library
 from roigs_engine.errors import Stopped
 from roigs_engine.floaters import vouched_for
 from roigs_engine.gaussians import Gaussians
@@ -101,6 +103,15 @@ def test_every_box_counts() -> None:
     one_sees_it = SIDE[:1]
     assert vouched_for(model, one_sees_it, [BOX], 3).tolist() == [False]
     assert vouched_for(model, one_sees_it, [BOX, near], 3).tolist() == [True]
+
+
+def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The card itself is in test_cuda.py."""
+    card = torch.device("cuda")
+    monkeypatch.setattr(library, "has_triton", lambda: True)
+    assert library.can_weigh(card)
+    monkeypatch.setattr(library, "has_triton", lambda: False)
+    assert not library.can_weigh(card) and library.can_weigh(torch.device("cpu"))
 
 
 def test_it_can_be_stopped() -> None:
