@@ -16,10 +16,9 @@ from .densify import box_owner
 from .events import Check, go_on
 from .gaussians import Gaussians
 from .roi import OrientedBox
-from .scene import Camera, PosedImage
+from .scene import PosedImage
 
 EXPONENT = 0.7
-THUMBNAIL = 256  # pixels; silhouettes are measured at this size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,11 +75,6 @@ def _pixels(roi: OrientedBox, images: Sequence[PosedImage], check: Check) -> flo
     pixels = 0.0
     for image in images:
         check()
-        share = roi.projected_area(_thumbnail(image.camera), image.world_to_camera)
+        share = roi.projected_area(image.camera, image.world_to_camera)
         pixels += share * image.camera.width * image.camera.height
     return pixels
-
-
-def _thumbnail(camera: Camera) -> Camera:
-    scale = min(1.0, THUMBNAIL / max(camera.width, camera.height))
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))

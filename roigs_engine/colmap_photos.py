@@ -16,7 +16,7 @@ from .colmap_files import NO_IDS, Model, ModelCamera, ModelImage
 from .errors import RunFolderError, SceneError
 from .events import Check, Emit, StageStarted, go_on, ignore, step_done
 from .photo_files import PhotoFolder
-from .photo_headers import PhotoError, photo_size
+from .photo_headers import PhotoError, check_whole, photo_size
 from .scene import FAR, Camera, Float64, PosedImage
 from .undistort import (
     Plan,
@@ -113,6 +113,7 @@ class PhotoLoader:
             return MISSING
         try:
             size = photo_size(path) or (camera.width, camera.height)
+            check_whole(path)
         except SceneError:
             return UNREADABLE
         if not _same_shape(camera, size):

@@ -239,6 +239,7 @@ class RunConfig:
         return replace(
             _short("", self.scene.steps, self.roi.steps).roi,
             steps=self.seam_steps,
+            sh_degree=self.roi.sh_degree,
             sh_start=self.roi.sh_degree,
             densify_until=0,
             box_capacity=0.0,
@@ -246,21 +247,33 @@ class RunConfig:
         )
 
     def in_strategy(self, strategy: str) -> RunConfig:
-        """The same steps, tests and seed in another strategy: the paper's own or `standard`'s."""
+        """The same steps, degree, tests, seed and number of photos in another strategy.
+
+        That is the paper's own, or the preset's recipe for all boxes together.
+        """
         label = f"{self.preset}, {strategy}"
         if strategy == "joint":
-            other = _short(label, self.scene.steps, self.roi.steps)
+            named = PRESETS.get(self.preset.partition(",")[0])
+            threshold = named().scene.grad_threshold if named else TrainConfig.grad_threshold
+            other = _short(label, self.scene.steps, self.roi.steps, threshold)
         else:
             other = _paper()
             other = replace(
                 other,
                 preset=label,
                 seam_share=SEAM_SHARE,
-                selection=replace(other.selection, seed=self.seed),
                 scene=with_steps(other.scene, self.scene.steps),
                 roi=with_steps(other.roi, self.roi.steps),
             )
-        return replace(other, test_every=self.test_every, seed=self.seed)
+        chosen = replace(other.selection, seed=self.seed, count=self.selection.count)
+        return replace(
+            other,
+            scene=replace(other.scene, sh_degree=self.scene.sh_degree),
+            roi=replace(other.roi, sh_degree=self.roi.sh_degree),
+            selection=chosen,
+            test_every=self.test_every,
+            seed=self.seed,
+        )
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:

@@ -37,6 +37,8 @@ from .scores import (
     ViewScore,
 )
 
+PIXELS_AT_ONCE = 1 << 18  # whose points in the world are held
+
 __all__ = ["EvaluatedModel", "Evaluation", "evaluate"]
 
 
@@ -165,12 +167,15 @@ def points_in_box(
 
     A pixel without depth (0: nothing rendered there) is not.
     """
-    rows, columns = torch.nonzero(mask, as_tuple=True)
-    z = depth[rows, columns].double().cpu().numpy()
-    x = (columns.cpu().numpy() + 0.5 - camera.cx) / camera.fx * z
-    y = (rows.cpu().numpy() + 0.5 - camera.cy) / camera.fy * z
-    points = np.stack([x, y, z], axis=1) - world_to_camera[:3, 3]
-    inside = roi.contains(points @ world_to_camera[:3, :3]) & (z > 0)
+    rows, columns = (index.cpu().numpy() for index in torch.nonzero(mask, as_tuple=True))
+    z = depth[mask].cpu().numpy()
+    inside = np.zeros(len(z), dtype=bool)
+    for part in (slice(k, k + PIXELS_AT_ONCE) for k in range(0, len(z), PIXELS_AT_ONCE)):
+        deep = z[part].astype(np.float64)
+        x = (columns[part] + 0.5 - camera.cx) / camera.fx * deep
+        y = (rows[part] + 0.5 - camera.cy) / camera.fy * deep
+        points = np.stack([x, y, deep], axis=1) - world_to_camera[:3, 3]
+        inside[part] = roi.contains(points @ world_to_camera[:3, :3]) & (deep > 0)
     return torch.from_numpy(inside).to(mask.device)
 
 
@@ -240,7 +245,8 @@ def _measure_view(
 ) -> tuple[dict[EvaluatedModel, float], list[_Sample | None]]:
     """Every model on one photo: whole-image PSNR by model, one sample for each box that counts."""
     device = models[0].gaussians.means.device
-    target = torch.as_tensor(load_photo(image), device=device).float() / 255
+    photo = torch.as_tensor(load_photo(image), device=device)
+    target = photo.float() / 255
     masks = {
         index: torch.from_numpy(plan.roi.silhouette(image.camera, image.world_to_camera)).to(device)
         for index, plan in enumerate(plans)
@@ -264,7 +270,7 @@ def _measure_view(
             assert view.depth is not None
             depth = view.depth.to(device)
             errors[index].append(error[mask])
-            ssim[index].append(metrics.ssim(picture, target, mask))
+            ssim[index].append(metrics.ssim(picture, photo, mask))
             inside = points_in_box(depth, roi, image.camera, image.world_to_camera, mask)
             objects[index].append(inside)
     return whole, [

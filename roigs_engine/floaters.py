@@ -22,7 +22,7 @@ from .events import Check, go_on
 from .gaussians import Gaussians
 from .render import rasterize_view
 from .roi import OrientedBox
-from .scene import Float64, PosedImage
+from .scene import PosedImage
 
 
 @torch.no_grad()
@@ -42,13 +42,15 @@ def vouched_for(
         images: the training photos; their pixels are not looked at.
         rois: the boxes.
         photos: of those that a photo shows, what stands nearer than the nearest box in each such
-            photo must be shown by so many.
+            photo must be shown by so many, or by all where there are fewer. Only photos with a box
+            in sight say what is nearer than a box.
         check: called between photos; may raise to stop.
     """
     device = gaussians.means.device
     model = gaussians if can_weigh(device) else gaussians.to(CPU)
     shown_by = torch.zeros(len(model), dtype=torch.int32, device=model.means.device)
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
+    photos = min(photos, len(images))
     for image in images:
         check()
         pose = torch.from_numpy(image.world_to_camera).to(model.means)
@@ -63,13 +65,19 @@ def vouched_for(
         shown = output.max_weight >= VISIBLE_WEIGHT
         depth = model.means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
-        in_front &= ~shown | (depth < _nearest(rois, image.world_to_camera))
+        in_front &= ~shown | (depth < _nearest(rois, image))
     floating = (shown_by > 0) & (shown_by < photos) & in_front
     buried = (shown_by == 0) & (box_owner(model, rois) >= 0)
     return ~(floating | buried).to(device)
 
 
-def _nearest(rois: Sequence[OrientedBox], world_to_camera: Float64) -> float:
-    """Depth of the nearest corner of all boxes; negative where one lies partly behind."""
+def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:
+    """Depth of the nearest corner of all boxes; negative where one lies partly behind.
+
+    Below all depths where the photo has no box in sight, and thus nothing before one.
+    """
+    pose = image.world_to_camera
+    if not any(roi.projected_area(image.camera, pose) for roi in rois):
+        return -np.inf
     corners = np.concatenate([roi.corners() for roi in rois])
-    return float((corners @ world_to_camera[2, :3] + world_to_camera[2, 3]).min())
+    return float((corners @ pose[2, :3] + pose[2, 3]).min())

@@ -1,4 +1,4 @@
-"""How close a render is to its photo, over all pixels or those of a mask; pure torch.
+"""How close a render is to its photo, over all pixels or those of a mask.
 
 Images are (H, W, 3) sRGB values in [0, 1]; masks (H, W) bool. A higher number is better.
 """
@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from .losses import ssim_map
+from .losses import photo_loss
 
 # What is reported for equal images: the PSNR of a mean squared error of 1e-10, in dB. It keeps
 # means and JSON finite, and lies far above what 8-bit photos can reach.
@@ -43,7 +43,11 @@ def psnr(image: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
     return mse if math.isnan(mse) else psnr_from_mse(mse)
 
 
-def ssim(image: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
+def ssim(
+    image: Tensor,
+    photo: Tensor,  # (H, W, 3) uint8
+    mask: Tensor | None = None,
+) -> float:
     """Structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
 
     The map is the one of the full images, averaged over the channels; the mean is over the mask.
@@ -51,12 +55,11 @@ def ssim(image: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
     mask.
     """
     if mask is None:
-        return mean_in(ssim_map(image, target).mean(dim=-1))
+        return float(photo_loss(image, photo).ssim)
     box = bounding_box(mask, margin=SSIM_RADIUS)
     if box is None:
         return math.nan
-    part = ssim_map(image[box], target[box]).mean(dim=-1)
-    return mean_in(part, mask[box])
+    return float(photo_loss(image[box], photo[box], weights=mask[box].to(image)).ssim)
 
 
 def bounding_box(mask: Tensor, margin: int = 0) -> tuple[slice, slice] | None:

@@ -1,4 +1,4 @@
-"""The size of a photo from the first bytes of its file, without decoding it.
+"""The size of a photo from the first bytes of its file, and its wholeness, without decoding it.
 
 JPEG and PNG, which nearly all photos are, are read here: looking at a scene needs no Pillow.
 Where Pillow opens a photo, it is told which kinds there may be: left to itself it looks at the
@@ -7,6 +7,7 @@ content alone, and would start Ghostscript for an EPS file that is called «phot
 
 from __future__ import annotations
 
+import os
 import struct
 import warnings
 from pathlib import Path
@@ -22,6 +23,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 BARE = {0x01, *range(0xD0, 0xD8)}
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
+PNG_END, JPEG_END = b"IEND", b"\xff\xd9"
+TAIL = 1 << 16  # bytes in which they are looked for
 # A larger photo is a damaged header or a trap: the largest cameras of today have 150 megapixels,
 # and Pillow refuses what has more than 179.
 MAX_PIXELS = 178_000_000
@@ -53,6 +56,34 @@ def photo_size(path: Path) -> tuple[int, int] | None:
     except (OSError, ValueError, struct.error) as error:
         raise unreadable(path, error) from error
     return _usable(path, (width, height))
+
+
+def check_whole(path: Path) -> None:
+    """Nothing, where the file ends as a JPEG or PNG does or is of another kind.
+
+    Where a JPEG's end mark is far from the file's end, as before a film that a telephone has put
+    there, Pillow decides, if it is installed.
+
+    Raises:
+        PhotoError: the file was cut off.
+    """
+    try:
+        with open(path, "rb") as file:
+            start = file.read(len(PNG))
+            file.seek(max(0, file.seek(0, os.SEEK_END) - TAIL))
+            tail = file.read()
+    except OSError as error:
+        raise unreadable(path, error) from error
+    mark = PNG_END if start == PNG else JPEG_END if start.startswith(b"\xff\xd8") else b""
+    if mark in tail:
+        return
+    try:
+        with open_photo(path) as photo:
+            photo.load()
+    except (ImportError, MemoryError):
+        return
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
+        raise unreadable(path, error) from error
 
 
 def open_photo(path: Path) -> Image:

@@ -23,6 +23,7 @@ from itertools import starmap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from . import sampling, strategies
@@ -32,14 +33,14 @@ from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
 from .cuda.device import CPU
 from .errors import SceneError
-from .events import Emit, check_of, ignore
+from .events import Emit, Message, check_of, ignore
 from .files import write_json
 from .gaussians import Gaussians
 from .images import PhotoCache
 from .memory import plan_memory
 from .region import Regions
 from .request import claim
-from .roi import OrientedBox
+from .roi import OrientedBox, nearest_owner
 from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
 from .selection import CameraSelection, select_cameras, visible_images
@@ -49,6 +50,8 @@ from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
 from .strategies import TrainedModel
 from .trainer import StageData
+
+MAX_REACH = 1e4  # sizes of the scene from its origin; farther off float32 blurs what is in it
 
 
 class Run:
@@ -105,6 +108,7 @@ class Run:
         write_json(folder / "split.json", {"test": list(self.test)})
         self.train_scene = scene.without(set(self.test))
         self.extent = self.train_scene.extent()
+        self._warn()
         self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
         self._selections: dict[str, CameraSelection] = {}
         self._visible: dict[str, tuple[str, ...]] = {}
@@ -117,8 +121,31 @@ class Run:
             "rois": [roi.to_dict() for roi in self.rois],
             "photos": len(images),
             "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
+            "model": self.scene.digest()[:16],
         }
         return request | ({"given": self.given} if self.given else {})
+
+    def _warn(self) -> None:
+        """Of what will train badly, though it can be trained."""
+        reach = float(np.abs(self.train_scene.centres()).max(initial=0.0))
+        if reach > MAX_REACH * self.extent:
+            self._say(
+                f"The model lies {reach:.3g} units from its origin, which is"
+                f" {reach / self.extent:.3g} times its size: 32-bit positions are too coarse there."
+                " Move it to its origin first (COLMAP's model_transformer)."
+            )
+        owner = nearest_owner(self.scene.points, self.rois)
+        for index, roi in enumerate(self.rois):
+            inside = int(roi.contains(self.scene.points).sum())
+            if inside and not (owner == index).any():
+                self._say(
+                    f"ROI «{roi.name}» owns none of the {inside:,} points in it: they are nearer to"
+                    " the centre of another ROI. Move them apart, or train it alone"
+                    f" (--only {roi.name})."
+                )
+
+    def _say(self, warning: str) -> None:
+        self._emit(Message(text=warning, level="warning"))
 
     # --- selection ---
 
@@ -148,7 +175,7 @@ class Run:
         if not names:
             raise SceneError(
                 "Every photo is reserved for a box: none is left to train the scene on.",
-                "Set --kept-share above 0, or select fewer photos (--count).",
+                "Raise --kept-share (1 keeps all), or select fewer photos (--count).",
             )
         return self._train("scene", names, self.config.scene, scale=self.config.scene_scale)
 
@@ -289,24 +316,25 @@ class Run:
         """What the steps of a stage look at that do not look at whole photos."""
         if config.full_every == 1:
             return None
-        return Regions(images, rois, self.device, balance=config.photo_balance)
+        balance, drawn = config.photo_balance, self._seeing(images)
+        return Regions(images, rois, drawn, self.device, balance=balance, check=self._check)
 
     def _mixed(
         self, images: Sequence[PosedImage], stage: TrainConfig, selected: set[str]
     ) -> tuple[PhotoAt, list[Any]]:
         """The photo of each step of a stage on selected and other photos; what decides it."""
-        seen = {name for roi in self.rois for name in self._seen(roi)}
-        chosen, drawn = (
-            [k for k, image in enumerate(images) if image.name in names]
-            for names in (selected, seen)
-        )
-        if stage.full_every == 1:
-            drawn = list(range(len(images)))
+        chosen = [k for k, image in enumerate(images) if image.name in selected]
+        drawn = list(range(len(images))) if stage.full_every == 1 else self._seeing(images)
         share, seed = self.config.selected_share, self.config.seed
         photo_at = sampling.of_boxes(
             len(images), drawn, chosen, share=share, full_every=stage.full_every, seed=seed
         )
         return photo_at, ["mixed", share, chosen, drawn, seed]
+
+    def _seeing(self, images: Sequence[PosedImage]) -> list[int]:
+        """Rows of the photos that see a box of the run."""
+        seen = {name for roi in self.rois for name in self._seen(roi)}
+        return [k for k, image in enumerate(images) if image.name in seen]
 
     def _images_of(self, roi: OrientedBox) -> list[PosedImage]:
         """The training photos that see the box."""
@@ -339,10 +367,14 @@ class Run:
         """One cache for each list of photos, the last only: stages do not run side by side."""
         key = tuple((image.name, image.camera.width) for image in images)
         if key not in self._photos:
-            for cache in self._photos.values():
-                cache.close()
+            self._give_photos_back()
             self._photos = {key: PhotoCache(images, self.memory.cache)}
         return self._photos[key]
+
+    def _give_photos_back(self) -> None:
+        for cache in self._photos.values():
+            cache.close()
+        self._photos = {}
 
     # --- results ---
 
@@ -357,7 +389,10 @@ class Run:
         models += strategies.full_objects(self) if "full-object" in compare else []
         for strategy in STRATEGIES:
             if strategy in compare and strategy != self.config.strategy:
-                models += self._other(strategy).train()
+                self._give_photos_back()  # the memory is for one run's
+                other = self._other(strategy)
+                models += other.train()
+                other._give_photos_back()
         models += strategies.own_models(self)
         self._write_result(models[-1].gaussians)
         return models

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .events import Check, go_on
 from .rasterize.common import TILE
 from .roi import OrientedBox
 from .scene import PosedImage
@@ -51,23 +51,28 @@ class Regions:
 
     Args:
         images, rois: of the stage.
+        drawn: rows of the photos whose regions are asked for.
         device: of the weights.
         balance: 0: a pixel pulls as hard as in a whole photo, so close-ups, which show a box on
             many, outweigh the rest; 1: regions pull alike, however large they are, and a pixel as
             hard as in a whole photo only where the region has the (geometric) mean share.
+        check: called between photos where these are needed from the start; may raise to stop.
     """
 
     def __init__(
         self,
         images: Sequence[PosedImage],
         rois: Sequence[OrientedBox],
+        drawn: Sequence[int],
         device: torch.device | None = None,
         *,
         balance: float = 0.0,
+        check: Check = go_on,
     ) -> None:
         self._images, self._rois, self._device = images, rois, device
         self._balance = balance
         self._tiles: dict[int, NDArray[np.bool_]] = {}
+        self._mean_share = self._geometric_mean(drawn, check) if balance else 0.0
 
     def __getitem__(self, index: int) -> Region | None:
         """The region of photo `index`, None where no box is in sight."""
@@ -88,10 +93,12 @@ class Regions:
             pull=share * (self._mean_share / share) ** self._balance if self._balance else share,
         )
 
-    @cached_property
-    def _mean_share(self) -> float:
-        """Geometric mean over the photos that show a box."""
-        shares = [self._mask(index).mean() for index in range(len(self._images))]
+    def _geometric_mean(self, drawn: Sequence[int], check: Check) -> float:
+        """Of the shares that the regions have of their photos."""
+        shares = []
+        for index in drawn:
+            check()
+            shares.append(self._mask(index).mean())
         return float(np.exp(np.mean(np.log([share for share in shares if share > 0]))))
 
     def _mask(self, index: int) -> NDArray[np.bool_]:

@@ -20,6 +20,7 @@ NEAR_SHARE = 1e-3
 # The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
 EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
 PIXELS_AT_ONCE = 1 << 20  # of a silhouette: its half planes are worked out in numbers of 8 bytes
+AREA_SIDE = 256  # pixels of the thumbnail that a silhouette's area is measured on
 MAX_NAME = 100  # letters: with what is added to it, a name for a file on every system
 # Windows opens a device under these names, whatever follows behind a dot.
 DEVICES = {
@@ -141,8 +142,8 @@ class OrientedBox:
         return _fill_convex(polygon, *shape)
 
     def projected_area(self, camera: Camera, world_to_camera: Float64) -> float:
-        """Share of the image that the silhouette covers, 0 to 1."""
-        return float(self.silhouette(camera, world_to_camera).mean())
+        """Share of the image that the silhouette covers, 0 to 1; measured on a thumbnail."""
+        return float(self.silhouette(camera.thumbnail(AREA_SIDE), world_to_camera).mean())
 
     def to_dict(self) -> dict[str, Any]:
         """The form that `roi_from_dict` reads."""

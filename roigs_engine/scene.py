@@ -6,6 +6,7 @@ Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forwar
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -50,6 +51,11 @@ class Camera:
             cx=self.cx * sx,
             cy=self.cy * sy,
         )
+
+    def thumbnail(self, side: int) -> Camera:
+        """The same camera with its longer side `side` pixels at most."""
+        scale = min(1.0, side / max(self.width, self.height))
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,8 +140,24 @@ class SfmScene:
         return np.array([image.centre for image in self.images]).reshape(-1, 3)
 
     def extent(self) -> float:
-        """1.1 x the largest distance of a camera from the cameras' mean (3DGS's scene extent)."""
+        """1.1 x the largest distance of a camera from the cameras' mean (3DGS's scene extent).
+
+        Of a single place, which would let nothing move, it is the median distance of the points.
+        """
         centres = self.centres()
         if len(centres) == 0:
             return 0.0
-        return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+        middle = centres.mean(axis=0)
+        reach = float(1.1 * np.linalg.norm(centres - middle, axis=1).max())
+        if reach > 0 or len(self.points) == 0:
+            return reach
+        return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
+
+    def digest(self) -> str:
+        """Hash of all that COLMAP says: photos' names, cameras, poses, points, tracks."""
+        digest = hashlib.sha256()
+        for image in self.images:
+            digest.update(f"{image.name} {image.camera}".encode())
+            digest.update(image.world_to_camera.tobytes() + image.point_indices.tobytes())
+        digest.update(self.points.tobytes() + self.colors.tobytes())
+        return digest.hexdigest()

@@ -54,8 +54,14 @@ def detail_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     angles.sort(axis=1)
     thirds = angles[:, min(NEIGHBOUR, len(images) - 1)]
     order = np.argsort(thirds, kind="stable")
-    share = np.cumsum(scales[order] ** 2)
+    share = np.cumsum(_pixels(images, roi)[order])
     return float(thirds[order][np.searchsorted(share, share[-1] / 2)])
+
+
+def _pixels(images: Sequence[PosedImage], roi: OrientedBox) -> Float64:
+    """(N,) pixels of each photo in the box's silhouette."""
+    areas = [roi.projected_area(image.camera, image.world_to_camera) for image in images]
+    return np.array(areas) * [image.camera.width * image.camera.height for image in images]
 
 
 def _rays(images: Sequence[PosedImage], roi: OrientedBox) -> tuple[Float64, Float64]:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import RoiError
 from .console import Console
 from .options import add_roi_options, boxes
+
+if TYPE_CHECKING:
+    from ..gaussians import Gaussians
+    from ..roi import OrientedBox
 
 HELP = "replace a scene's Gaussians in the boxes by objects'"
 EXAMPLES = """\
@@ -34,13 +39,15 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..gaussians import Gaussians
 
     by_name = {roi.name: roi for roi in boxes(args)}
-    objects = []
+    objects: list[tuple[OrientedBox, Gaussians]] = []
     for text in args.object:
         name, _, path = text.partition("=")
         if name not in by_name:
             raise RoiError(
                 f"--object {text} names no ROI.", f"Write ROI=FILE; ROIs: {', '.join(by_name)}."
             )
+        if any(roi.name == name for roi, _ in objects):
+            raise RoiError(f"--object names «{name}» twice.", "Give one file for each ROI.")
         objects.append((by_name[name], Gaussians.load_ply(Path(path))))
     composed = replace(Gaussians.load_ply(args.scene_ply), objects)
     composed.save_ply(args.out)

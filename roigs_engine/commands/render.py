@@ -45,9 +45,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     else:
         scene = load_scene(args, console)
         cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
-        unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
-        if unknown:
-            raise ConfigError(f"The model has no photo «{unknown[0]}».")
+    unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
+    if unknown:
+        raise ConfigError(f"There is no camera «{unknown[0]}» in {args.path or args.scene}.")
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
     render_sequence(gaussians, cameras, args.out, console.emit, console.check)

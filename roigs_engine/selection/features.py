@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..events import Check, go_on
-from ..scene import Camera, Float64
+from ..scene import Float64
 from .records import Candidates
 
-# The silhouette's area is measured on an image of at most this many pixels a side.
-AREA_SIDE = 256
 # Photos named in the flag about cameras inside the box.
 INSIDE_NAMED = 3
 
@@ -60,18 +58,10 @@ def static_features(candidates: Candidates, check: Check = go_on) -> StaticFeatu
     area = []
     for image in images:
         check()
-        area.append(roi.projected_area(_reduced(image.camera), image.world_to_camera))
+        area.append(roi.projected_area(image.camera, image.world_to_camera))
     return StaticFeatures(
         distance=np.linalg.norm(candidates.centres() - roi.centre, axis=1),
         area=np.array(area),
         keypoints=np.bincount(candidates.obs_view, minlength=len(images)).astype(float),
         inside=np.array([roi.camera_inside(image.world_to_camera) for image in images]),
     )
-
-
-def _reduced(camera: Camera) -> Camera:
-    """The camera with its longer side at most `AREA_SIDE` pixels."""
-    scale = AREA_SIDE / max(camera.width, camera.height)
-    if scale >= 1:
-        return camera
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))

@@ -1,7 +1,8 @@
 """The nearest neighbours of every point of a set, exactly, with numpy alone.
 
-The points are cut at medians into leaves of a few dozen. A leaf's own points bound how far its
-neighbours can be, and only leaves within that bound are looked at.
+The points are cut at medians into leaves of a few dozen. A leaf's own points bound how far the
+neighbours of each can be, and only leaves within the largest bound are looked at; where these are
+many, as around stray points, those with small bounds are looked for apart.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from ..events import Check, go_on
 from ..scene import Float64, Int64
 
 LEAF = 64  # points; a leaf holds more than half of it, which is how many neighbours there can be
+
+MANY = 100  # leaves to look at
 
 
 def nearest_neighbours(points: Float64, count: int, check: Check = go_on) -> Int64:
@@ -24,20 +27,26 @@ def nearest_neighbours(points: Float64, count: int, check: Check = go_on) -> Int
     low = np.array([points[leaf].min(axis=0) for leaf in leaves])
     high = np.array([points[leaf].max(axis=0) for leaf in leaves])
     found = np.empty((len(points), count), dtype=np.int64)
-    for index, leaf in enumerate(leaves):
+    for leaf in leaves:
         check()
         centre = points[leaf].mean(axis=0)  # distances by scalar products are exact near zero
         own = points[leaf] - centre
-        bound = max(0.0, float(_kth(_squared(own, own), count).max()))
-        gap = np.maximum(np.maximum(low - high[index], low[index] - high), 0.0)
-        # Rounding may not lose a neighbour that is as far as the bound.
-        near = np.flatnonzero((gap**2).sum(axis=1) <= bound * (1 + 1e-9))
-        rows = np.concatenate([leaves[other] for other in near])
-        distance = _squared(own, points[rows] - centre)
-        if len(rows) > count:
-            found[leaf] = rows[np.argpartition(distance, count - 1, axis=1)[:, :count]]
-        else:
-            found[leaf] = rows
+        bounds = np.maximum(_kth(_squared(own, own), count), 0.0)
+        groups = [np.argsort(bounds)]
+        while groups:
+            group = groups.pop()
+            rows = points[leaf[group]]
+            gap = np.maximum(np.maximum(low - rows.max(axis=0), rows.min(axis=0) - high), 0.0)
+            # Rounding may not lose a neighbour that is as far as the bound.
+            near = np.flatnonzero((gap**2).sum(axis=1) <= bounds[group[-1]] * (1 + 1e-9))
+            if len(near) > MANY and len(group) > 1:
+                groups += [group[: len(group) // 2], group[len(group) // 2 :]]
+                continue
+            others = np.concatenate([leaves[other] for other in near])
+            distance = _squared(own[group], points[others] - centre)
+            if len(others) > count:
+                others = others[np.argpartition(distance, count - 1, axis=1)[:, :count]]
+            found[leaf[group]] = others
     return found
 
 

@@ -14,12 +14,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import roigs_engine
 from roigs_engine.checkpoint import checkpoint_fingerprint, load_checkpoint
 from roigs_engine.cli import COMMANDS, build_parser, main
 from roigs_engine.events import Message, Progress, to_json
+from roigs_engine.gaussians import Gaussians
 from roigs_engine.selection import METHODS, CameraSelection
 from tests.engine.synthetic_colmap import Project, write_project
 
@@ -55,6 +57,12 @@ def python(*arguments: object) -> subprocess.CompletedProcess[str]:
         assert process.stdout is not None and process.stderr is not None
         out, err = process.stdout.read(), process.stderr.read()
         return subprocess.CompletedProcess(process.args, process.wait(120), out, err)
+
+
+def write_one_gaussian(folder: Path) -> Path:
+    path = folder / "one.ply"
+    Gaussians.from_points(np.array([[0.0, 0, 3]]), np.zeros((1, 3), np.uint8)).save_ply(path)
+    return path
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -204,6 +212,9 @@ def test_files_that_are_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "a.ply" in line
     assert not out.exists()
     cameras = tmp_path / "cameras.json"
+    model = f"thing={write_one_gaussian(tmp_path)}"
+    command = ["compose", tmp_path / "one.ply", "--roi", BOX, "--object", model]
+    assert "twice" in refused(capsys, *command, "--object", model, "--out", out)
     line = refused(capsys, "render", tmp_path / "no.ply", "--path", cameras, "--out", tmp_path)
     assert "no.ply" in line
 
@@ -502,6 +513,8 @@ def test_a_request_file_stands_for_options(
         ({"rois": 5}, "«rois»"),
         ({"threads": float("nan")}, "«threads»"),
         ({"seed": 1 << 40, "method": "random"}, "seed"),
+        ({"events": True}, "«events»"),
+        ({"max_side": 40, "downscale": 2.0}, "«downscale»"),
     ],
 )
 def test_a_request_with_a_wrong_key_or_value_is_refused(
@@ -513,6 +526,19 @@ def test_a_request_with_a_wrong_key_or_value_is_refused(
 ) -> None:
     request = request_file(tmp_path, scene=str(project.folder), roi=[BOX], **values)
     assert named in refused(capsys, "select", request)
+
+
+def test_an_option_beside_the_file_wins_over_what_excludes_it(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    request = request_file(tmp_path, scene=str(project.folder), max_side=20)
+
+    def width(*options: object) -> int:
+        assert main(["export", str(request), "--out", str(tmp_path), *map(str, options)]) == 0
+        return int(json.loads((tmp_path / "scene.json").read_text("utf-8"))["largest"][0])
+
+    assert width() == 20
+    assert width("--downscale", 1) == 2 * width("--downscale", 2) > 40
 
 
 def test_a_request_that_is_none_is_refused(

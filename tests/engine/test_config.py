@@ -69,11 +69,23 @@ def test_short_presets_break_the_decay_off_and_begin_anew(name: str) -> None:
 @pytest.mark.parametrize("strategy", ["joint", "independent"])
 def test_the_other_strategy_keeps_steps_tests_and_seed(name: str, strategy: str) -> None:
     config = replace(preset(name), test_every=5, seed=7)
+    config = replace(config, selection=replace(config.selection, count=9))
+    config = replace(config, scene=replace(config.scene, sh_degree=1))
+    config = replace(config, roi=replace(config.roi, sh_degree=1))
     other = config.in_strategy(strategy)
+    assert other.selection.count == 9
+    assert other.scene.sh_degree == other.roi.sh_degree == other.seam_stage().sh_degree == 1
     assert other.strategy == strategy
     assert (other.scene.steps, other.roi.steps) == (config.scene.steps, config.roi.steps)
     assert (other.test_every, other.seed) == (5, 7)
     assert other.roi.densify_in_boxes
+
+
+@pytest.mark.parametrize("name", ["standard", "draft"])
+def test_there_and_back_is_the_preset(name: str) -> None:
+    config = preset(name)
+    back = config.in_strategy("independent").in_strategy("joint")
+    assert replace(back, preset=name) == config
 
 
 def test_settings_are_frozen_and_plain_json() -> None:

@@ -75,8 +75,9 @@ def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
 def test_what_enough_photos_show_before_the_box_stays() -> None:
     shown_by_three = ring(48)[:3]  # 7.5 degrees apart
     model = balls(eye(1, 48) * 0.6 * DISTANCE)
-    assert kept(model, 3, shown_by_three) == [True]
-    assert kept(model, 4, shown_by_three) == [False]
+    elsewhere = ring(48)[10:12]  # do not see it
+    assert kept(model, 3, shown_by_three + elsewhere) == [True]
+    assert kept(model, 4, shown_by_three + elsewhere) == [False]
 
 
 def test_what_is_buried_in_the_box_goes_and_what_is_out_of_sight_stays() -> None:
@@ -97,10 +98,23 @@ def test_a_box_behind_the_camera_has_nothing_before_it() -> None:
     assert kept(balls(eye(0) * 1.5 * DISTANCE), 3, away) == [True]
 
 
+def test_a_photo_without_a_box_in_sight_says_nothing_of_what_is_before_one() -> None:
+    looking_past = replace(
+        SIDE[0], world_to_camera=look_at(eye(0) * DISTANCE, np.array([DISTANCE, 9.0, 0.0]))
+    )
+    wall = balls(eye(0) * DISTANCE + np.array([0.0, 1.0, 0.0]))
+    assert kept(wall, 3, [looking_past, *SIDE[3:]]) == [True]
+
+
+def test_of_fewer_photos_all_must_show_it() -> None:
+    model = balls(eye(1, 48) * 0.6 * DISTANCE)
+    assert kept(model, 4, ring(48)[:3]) == [True]
+
+
 def test_every_box_counts() -> None:
     near = OrientedBox.axis_aligned("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
     model = balls(eye(0) * 2.8)
-    one_sees_it = SIDE[:1]
+    one_sees_it = [SIDE[0], *ring(20)[4:6]]
     assert vouched_for(model, one_sees_it, [BOX], 3).tolist() == [False]
     assert vouched_for(model, one_sees_it, [BOX, near], 3).tolist() == [True]
 

@@ -12,10 +12,15 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
 from roigs_engine import metrics
+from roigs_engine.losses import ssim_map
 
 
 def picture(seed: int = 0, height: int = 40, width: int = 50) -> torch.Tensor:
     return torch.rand(height, width, 3, generator=torch.Generator().manual_seed(seed))
+
+
+def photo(seed: int = 0) -> torch.Tensor:
+    return (picture(seed) * 255).round().to(torch.uint8)
 
 
 def block(height: int = 40, width: int = 50) -> torch.Tensor:
@@ -49,14 +54,14 @@ def test_only_the_mask_counts() -> None:
 def test_equal_images() -> None:
     image = picture()
     assert metrics.psnr(image, image) == metrics.MAX_PSNR
-    assert metrics.ssim(image, image) == pytest.approx(1.0, abs=1e-6)
-    assert metrics.ssim(image, image, block()) == pytest.approx(1.0, abs=1e-6)
+    assert metrics.ssim(photo() / 255, photo()) == pytest.approx(1.0, abs=1e-6)
+    assert metrics.ssim(photo() / 255, photo(), block()) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_empty_mask_has_no_value() -> None:
     empty = torch.zeros(40, 50, dtype=torch.bool)
     assert math.isnan(metrics.psnr(picture(), picture(1), empty))
-    assert math.isnan(metrics.ssim(picture(), picture(1), empty))
+    assert math.isnan(metrics.ssim(picture(), photo(1), empty))
     assert metrics.bounding_box(empty) is None
 
 
@@ -68,8 +73,8 @@ def test_masked_ssim_is_that_of_wang_away_from_the_border() -> None:
             values = gaussian_filter1d(values, 1.5, axis=axis, mode="constant", truncate=5 / 1.5)
         return values
 
-    image, target, mask = picture(2), picture(3), block()
-    a, b = image.double().numpy(), target.double().numpy()
+    image, target, mask = picture(2), photo(3), block()
+    a, b = image.double().numpy(), target.double().numpy() / 255
     mean_a, mean_b = blur(a), blur(b)
     var_a, var_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
     cov = blur(a * b) - mean_a * mean_b
@@ -81,13 +86,13 @@ def test_masked_ssim_is_that_of_wang_away_from_the_border() -> None:
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.001, 0.999))
 def test_masked_ssim_is_the_mean_of_the_full_map(seed: int, share: float) -> None:
-    image, target = picture(seed), picture(seed + 1)
+    image, target = picture(seed), photo(seed + 1)
     mask = torch.zeros(40, 50, dtype=torch.bool)
     rows = torch.arange(40)[:, None] < share * 40
     columns = torch.arange(50) > (1 - share) * 50
     mask |= rows & columns
     mask[0, 0] = True
-    full = metrics.ssim_map(image, target).mean(dim=-1)
+    full = ssim_map(image, target).mean(dim=-1)
     assert metrics.ssim(image, target, mask) == pytest.approx(float(full[mask].mean()), abs=1e-5)
 
 

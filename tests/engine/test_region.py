@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def photo(pose: np.ndarray | None = None) -> PosedImage:
 
 
 def test_a_region_is_the_silhouettes_tiles_and_a_rim() -> None:
-    region = Regions([photo()], [BOX])[0]
+    region = Regions([photo()], [BOX], [0])[0]
     assert region is not None
     silhouette = BOX.silhouette(CAMERA, np.eye(4))
     mask = region.mask.numpy()
@@ -52,12 +53,12 @@ def test_a_region_is_the_silhouettes_tiles_and_a_rim() -> None:
 
 def test_a_photo_without_a_box_has_no_region() -> None:
     behind = np.diag([-1.0, 1.0, -1.0, 1.0])
-    assert Regions([photo(behind)], [BOX])[0] is None
+    assert Regions([photo(behind)], [BOX], [0])[0] is None
 
 
 def test_a_pixel_pulls_as_hard_as_in_the_whole_photo() -> None:
     """The L1 term's gradient in the region is that of the whole photo."""
-    region = Regions([photo()], [BOX])[0]
+    region = Regions([photo()], [BOX], [0])[0]
     assert region is not None
     rng = torch.Generator().manual_seed(1)
     image = torch.rand(CAMERA.height, CAMERA.width, 3, generator=rng, requires_grad=True)
@@ -77,8 +78,8 @@ def test_balanced_photos_pull_alike_from_near_and_far() -> None:
         pose[2, 3] = back
     photos = [photo(pose) for pose in poses]
 
-    def regions(balance: float) -> list[Region]:
-        several = Regions(photos, [BOX], balance=balance)
+    def regions(balance: float, drawn: Sequence[int] = range(4)) -> list[Region]:
+        several = Regions(photos, [BOX], drawn, balance=balance)
         return [region for k in range(4) if (region := several[k]) is not None]
 
     shares = np.array([region.share for region in regions(0)])
@@ -87,6 +88,9 @@ def test_balanced_photos_pull_alike_from_near_and_far() -> None:
         pulls = np.array([region.pull for region in regions(balance)])
         assert np.log(pulls / shares).mean() == pytest.approx(0, abs=1e-6)
         assert pulls[0] / pulls[2] == pytest.approx((shares[0] / shares[2]) ** (1 - balance))
+    # Photos that no such step draws have no say.
+    first_two = np.array([region.pull for region in regions(1.0, drawn=[0, 1])])[:2]
+    assert np.log(first_two / shares[:2]).mean() == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize("every", [2, 3, 7])

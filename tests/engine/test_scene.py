@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,4 +72,7 @@ def test_extent_is_that_of_3dgs() -> None:
     scene = scene_of(posed("a", [0, 0, 0]), posed("b", [4, 0, 0]))
     assert scene.extent() == pytest.approx(2.2)
     assert scene_of().extent() == 0.0
+    points = np.array([[1.0, 0, 3], [1.0, 4, 0], [6.0, 0, 0]])
+    one_place = replace(scene_of(posed("a", [1, 0, 0])), points=points)
+    assert one_place.extent() == pytest.approx(4)  # else nothing could move, and all be pruned
     assert scene_of().centres().shape == (0, 3)

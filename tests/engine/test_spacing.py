@@ -12,23 +12,24 @@ from roigs_engine.config import TrainConfig, preset
 from roigs_engine.roi import OrientedBox
 from roigs_engine.scene import Camera, PosedImage
 from roigs_engine.spacing import STEPS, detail_spacing, photo_spacing, rates_for_spacing
+from tests.engine.synthetic_scene import look_at
 
 BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
 
 
 def ring(degrees: float, count: int, radius: float = 5.0) -> list[PosedImage]:
-    """Photos on an arc around the box's centre, so far apart; where they look does not matter."""
-    images = []
+    """Photos on an arc around the box's centre, so far apart, which look at it."""
+    images, at_centre = [], np.eye(4)
+    at_centre[:3, 3] = -BOX.centre
     for k in range(count):
         angle = np.radians(k * degrees)
-        pose = np.eye(4)
-        pose[:3, 3] = -(BOX.centre + radius * np.array([np.cos(angle), np.sin(angle), 0.0]))
+        eye = BOX.centre + radius * np.array([np.cos(angle), np.sin(angle), 0.0])
         images.append(
             PosedImage(
                 name=f"{k}.jpg",
                 path=Path(),
-                camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0),
-                world_to_camera=pose,
+                camera=Camera(width=200, height=200, fx=200.0, fy=200.0, cx=100.0, cy=100.0),
+                world_to_camera=look_at(eye, BOX.centre) if radius else at_centre,
                 point_indices=np.zeros(0, dtype=np.int64),
             )
         )
@@ -55,6 +56,8 @@ def test_the_spacing_of_the_detail_is_that_of_the_close_ups() -> None:
     one = close[:1]
     assert detail_spacing(far + one, BOX) == pytest.approx(180)  # it holds most of the pixels
     assert detail_spacing(one, BOX) == detail_spacing([], BOX) == 180
+    inside = ring(10, 1, radius=0.05)  # shows no more pixels than it has
+    assert detail_spacing(ring(10, 36) + inside, BOX) == pytest.approx(20)
 
 
 def test_the_rate_falls_where_photos_stand_far_apart() -> None:

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roigs_engine.checkpoint import checkpoint_fingerprint, load_checkpoint
@@ -179,6 +180,24 @@ def test_other_points_are_another_start(scene: SfmScene, tmp_path: Path) -> None
         Run(tmp_path, other, [BOX], production()).train()
     Run(tmp_path, other, [BOX], production(), update=True).train()
     assert stage(tmp_path, "scene") != before
+
+
+def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    Run(tmp_path, scene, [BOX], production()).train()
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    moved = [
+        replace(image, world_to_camera=image.world_to_camera + np.eye(4)[3][:, None] * 0.01)
+        for image in scene.images
+    ]
+    other = replace(scene, images=tuple(moved))
+    with pytest.raises(RunFolderError, match=r"model was .* --update"):
+        Run(tmp_path, other, [BOX], production())
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    Run(tmp_path, other, [BOX], production(), update=True)
+    assert not (tmp_path / "result.ply").exists()
+    assert [path.name for path in (tmp_path / "older").rglob("result.ply")] == ["result.ply"]
 
 
 def test_updating_what_fits_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
