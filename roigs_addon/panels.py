@@ -351,10 +351,12 @@ class ResultPanel(_Panel, bpy.types.Panel):
         if _job(layout, "Rendering"):
             return
         row = layout.row(align=True)
-        row.operator(results.RenderSplats.bl_idname, text="Render", icon="RENDER_STILL")
-        row.operator(
-            results.RenderSplats.bl_idname, text="Animation", icon="RENDER_ANIMATION"
-        ).animation = True
+        for text, icon, value in (
+            ("Render", "RENDER_STILL", False),
+            ("Animation", "RENDER_ANIMATION", True),
+        ):
+            button = row.operator(results.RenderSplats.bl_idname, text=text, icon=icon)
+            button.animation = value
 
     def _box(self, row, splats, roi, levels) -> None:
         row.label(text=roi)

@@ -12,6 +12,9 @@ from ..errors import AddonError
 
 OperatorResult = set[str]
 
+FRESH = {"SKIP_SAVE"}
+"""For every property: Blender would fill it from the operator's last call, whoever that was of."""
+
 
 def failed(operator: bpy.types.Operator, error: AddonError) -> OperatorResult:
     """Report an error: a line in the window, RuntimeError in a script."""

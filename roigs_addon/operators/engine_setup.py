@@ -12,7 +12,7 @@ from bpy.props import BoolProperty, StringProperty
 from .. import jobs, preferences, terminal
 from ..engine import check, install
 from ..errors import AddonError
-from .base import OperatorResult, available, failed
+from .base import FRESH, OperatorResult, available, failed
 
 POLL_SECONDS = 0.3
 OFFLINE = (
@@ -30,11 +30,13 @@ class SetUpEngine(bpy.types.Operator):
     cuda: BoolProperty(
         name="For NVIDIA Cards",
         description="The build of torch for CUDA: a download of several gigabytes",
+        options=FRESH,
     )
     wheels: StringProperty(
         name="Folder of Wheels",
         subtype="DIR_PATH",
         description="Install from this folder, without a network (empty: from PyPI)",
+        options=FRESH,
     )
 
     @classmethod

@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from .. import lookup, regions
 from ..errors import AddonError
-from .base import OperatorResult, available, failed
+from .base import FRESH, OperatorResult, available, failed
 from .select import mark_chosen
 
 
@@ -57,9 +57,9 @@ class AddBox(bpy.types.Operator):
     bl_label = "Add ROI by Corners"
     bl_options = {"REGISTER", "UNDO"}
 
-    name: StringProperty(name="Name", default="ROI")
-    low: FloatVectorProperty(name="From", default=(-1, -1, -1), precision=4)
-    high: FloatVectorProperty(name="To", default=(1, 1, 1), precision=4)
+    name: StringProperty(name="Name", default="ROI", options=FRESH)
+    low: FloatVectorProperty(name="From", default=(-1, -1, -1), precision=4, options=FRESH)
+    high: FloatVectorProperty(name="To", default=(1, 1, 1), precision=4, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Where the root is moved, the box goes with it."""
@@ -81,7 +81,8 @@ class LoadRois(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     filename_ext = ".json"
-    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+    filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN", *FRESH})
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Boxes of the COLMAP frame, below the root."""
@@ -123,7 +124,7 @@ class SelectRoi(bpy.types.Operator):
     bl_label = "Select ROI"
     bl_options = {"REGISTER", "UNDO"}
 
-    name: StringProperty(description="Name of the box")
+    name: StringProperty(description="Name of the box", options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Select it, and nothing else."""

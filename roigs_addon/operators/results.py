@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from .. import cameras, facts, jobs, lookup, requests, splats
 from ..engine.client import Outcome
 from ..errors import AddonError
-from .base import EngineJob, OperatorResult, available, failed
+from .base import FRESH, EngineJob, OperatorResult, available, failed
 
 NO_RESULT = "Train first: the run folder holds no result"
 
@@ -45,8 +45,8 @@ class SetDetail(bpy.types.Operator):
     bl_label = "Coarse or Fine"
     bl_options = {"REGISTER", "UNDO"}
 
-    roi: StringProperty(description="Name of the box")
-    fine: BoolProperty(default=True)
+    roi: StringProperty(description="Name of the box", options=FRESH)
+    fine: BoolProperty(default=True, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide one, show the other."""
@@ -60,7 +60,7 @@ class ShowPoints(bpy.types.Operator):
     bl_idname = "roigs.show_points"
     bl_label = "Points or Gaussians"
 
-    points: BoolProperty(default=True)
+    points: BoolProperty(default=True, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """For all of the scene's."""
@@ -75,9 +75,14 @@ class RenderSplats(EngineJob, bpy.types.Operator):
     bl_idname = "roigs.render"
     bl_label = "Render Gaussians"
 
-    animation: BoolProperty(name="Animation", description="All frames of the scene's range")
+    animation: BoolProperty(
+        name="Animation", description="All frames of the scene's range", options=FRESH
+    )
     directory: StringProperty(
-        name="Folder", subtype="DIR_PATH", description="Where pictures go (empty: the run folder)"
+        name="Folder",
+        subtype="DIR_PATH",
+        description="Where pictures go (empty: the run folder)",
+        options=FRESH,
     )
 
     @classmethod

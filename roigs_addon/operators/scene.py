@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 import bpy
-from bpy.props import IntProperty, StringProperty
+from bpy.props import BoolProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from .. import cameras, importing, jobs, lookup, preferences, requests
@@ -14,7 +14,7 @@ from ..engine.client import Outcome
 from ..engine.python import FOR_READING
 from ..errors import AddonError
 from ..photo import Photo
-from .base import EngineJob, OperatorResult, failed
+from .base import FRESH, EngineJob, OperatorResult, failed
 from .select import mark_chosen
 
 
@@ -26,12 +26,15 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO"}
     packages = FOR_READING
 
-    directory: StringProperty(subtype="DIR_PATH")
-    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options=FRESH)
+    filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
     images: StringProperty(
-        name="Photos", subtype="DIR_PATH", description="Folder of the photos (empty: found)"
+        name="Photos",
+        subtype="DIR_PATH",
+        description="Folder of the photos (empty: found)",
+        options=FRESH,
     )
-    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", *FRESH})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -115,8 +118,12 @@ class LookThrough(bpy.types.Operator):
     bl_label = "Look Through"
     bl_options = {"REGISTER", "UNDO"}
 
-    photo: StringProperty(description="Name of the photo; empty: the active object's")
-    step: IntProperty(description="Go so many photos on from the active camera", default=0)
+    photo: StringProperty(
+        description="Name of the photo; empty: the active object's", options=FRESH
+    )
+    step: IntProperty(
+        description="Go so many photos on from the active camera", default=0, options=FRESH
+    )
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Activate the camera and look through it."""

@@ -14,7 +14,7 @@ from ..engine.client import Outcome
 from ..engine.python import FOR_READING
 from ..errors import AddonError
 from ..photo import Photo
-from .base import EngineJob, OperatorResult, available
+from .base import FRESH, EngineJob, OperatorResult, available
 
 CHOSEN_COLOUR = (0.1, 0.8, 0.3, 1.0)
 CHOSEN_FOR = "roigs_chosen_for"
@@ -29,7 +29,7 @@ class SelectCameras(EngineJob, bpy.types.Operator):
     bl_label = "Select Cameras"
     bl_options = {"REGISTER", "UNDO"}
 
-    active_only: BoolProperty(name="Active Box Only", default=False)
+    active_only: BoolProperty(name="Active Box Only", default=False, options=FRESH)
 
     @property
     def packages(self) -> tuple[str, ...]:
@@ -152,9 +152,12 @@ class EditSelection(bpy.types.Operator):
             ("UP", "Up", "Move the photo up"),
             ("DOWN", "Down", "Move the photo down"),
             ("CLEAR", "Clear", "Empty the list: the engine will choose"),
-        )
+        ),
+        options=FRESH,
     )
-    photo: StringProperty(description="ADD: name of the photo; empty: the selected cameras")
+    photo: StringProperty(
+        description="ADD: name of the photo; empty: the selected cameras", options=FRESH
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

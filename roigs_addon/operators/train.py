@@ -10,7 +10,7 @@ from bpy.props import BoolProperty
 from .. import facts, jobs, lookup, preferences, requests, splats
 from ..engine import runs
 from ..engine.client import Outcome
-from .base import EngineJob, OperatorResult, available
+from .base import FRESH, EngineJob, OperatorResult, available
 from .select import blocked
 
 LOG = "ROI-GS log"
@@ -24,8 +24,8 @@ class TrainRoi(EngineJob, bpy.types.Operator):
     bl_idname = "roigs.train_roi"
     bl_label = "Train ROI"
 
-    active_only: BoolProperty(name="Active Box Only", default=False)
-    selected_only: BoolProperty(name="Selected Boxes Only", default=False)
+    active_only: BoolProperty(name="Active Box Only", default=False, options=FRESH)
+    selected_only: BoolProperty(name="Selected Boxes Only", default=False, options=FRESH)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

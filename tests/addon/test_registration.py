@@ -60,6 +60,20 @@ def test_nothing_stays(blender: ModuleType) -> None:
 
 
 @pytest.mark.blender
+def test_no_operator_remembers_its_last_call(addon: ModuleType, blender: ModuleType) -> None:
+    """Else a button that leaves a property out does what another one with it did: «Render» an
+    animation, «Import COLMAP» the folder of before."""
+    operators = [getattr(blender.ops.roigs, name) for name in dir(blender.ops.roigs)]
+    kept = {
+        f"{operator.idname_py()}.{item.identifier}"
+        for operator in operators
+        for item in operator.get_rna_type().properties
+        if item.identifier != "rna_type" and not item.is_skip_save
+    }
+    assert len(operators) > 10 and not kept
+
+
+@pytest.mark.blender
 def test_no_timer_stays(addon: ModuleType, blender: ModuleType) -> None:
     from roigs_addon import jobs
 
