@@ -17,7 +17,7 @@ from typing import Any
 
 import bpy
 
-from . import terminal
+from . import terminal, undo
 from .engine.client import Engine, Job, Outcome
 from .errors import AddonError
 
@@ -129,6 +129,8 @@ class Runner:
         elif not self.outcome.failed:
             state.message = ""
             self.outcome.message = _guarded(self.work.on_done, self.outcome)
+            if not self.outcome.message:
+                undo.push(self.work.title)
         state.error = self.outcome.message
         state.stage = ""
         for listener in on_end:

@@ -33,7 +33,8 @@ class EngineJob:
     """Mixin of operators that run the engine.
 
     `execute` waits for the end: scripts and `blender -b`. `invoke`, which buttons call, returns at
-    once; the operator then stays only to hear Esc, while `jobs` follows the engine.
+    once; the operator then stays only to hear Esc, while `jobs` follows the engine, takes in what
+    it has made and makes the undo step: these operators have no «UNDO» among their options.
     """
 
     packages: tuple[str, ...] = FOR_TRAINING

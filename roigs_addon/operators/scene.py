@@ -23,7 +23,6 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
 
     bl_idname = "roigs.import_colmap"
     bl_label = "Import COLMAP"
-    bl_options = {"REGISTER", "UNDO"}
     packages = FOR_READING
 
     directory: StringProperty(subtype="DIR_PATH", options=FRESH)

@@ -27,7 +27,6 @@ class SelectCameras(EngineJob, bpy.types.Operator):
 
     bl_idname = "roigs.select_cameras"
     bl_label = "Select Cameras"
-    bl_options = {"REGISTER", "UNDO"}
 
     active_only: BoolProperty(name="Active Box Only", default=False, options=FRESH)
 

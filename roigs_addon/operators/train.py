@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty
 
-from .. import facts, jobs, lookup, preferences, requests, splats
+from .. import facts, jobs, lookup, preferences, requests, splats, undo
 from ..engine import runs
 from ..engine.client import Outcome
 from .base import FRESH, EngineJob, OperatorResult, available
@@ -44,6 +44,7 @@ class TrainRoi(EngineJob, bpy.types.Operator):
         folder, find = requests.run_folder(scene), requests.finder(scene)
         if not bpy.data.filepath:  # else the run would be lost when the file gets its first name
             scene.roigs.run_dir = str(folder)
+            undo.push("Run Folder")
 
         def preview(path: Path) -> None:
             if now := find():

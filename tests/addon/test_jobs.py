@@ -352,6 +352,42 @@ def test_a_failed_result_is_an_error(blender: ModuleType, work, tmp_path: Path) 
 
 
 @pytest.mark.blender
+def test_what_is_taken_in_can_be_undone(
+    blender: ModuleType, work, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a step of its own, after the results are in."""
+    from roigs_addon import jobs, undo
+    from roigs_addon.errors import AddonError
+
+    steps: list[str] = []
+    monkeypatch.setattr(undo, "push", lambda title: steps.append(title))
+    engine = fake(tmp_path, 'say(event="done", outputs={})')
+
+    def take(_: object) -> None:
+        assert not steps
+
+    def refuse(_: object) -> None:
+        raise AddonError("It does not fit.")
+
+    assert not jobs.wait(jobs.start(engine, work(on_done=take))).message
+    assert steps == ["Testing"]
+    jobs.wait(jobs.start(engine, work(on_done=refuse)))
+    jobs.wait(jobs.start(fake(tmp_path / "2", 'say(event="done", stopped=True)'), work()))
+    assert steps == ["Testing"]
+
+
+@pytest.mark.blender
+def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
+    """Operators that run the engine end before it does when the file browser calls them."""
+    from roigs_addon.operators import results, scene, select, train
+
+    for module in (results, scene, select, train):
+        for cls in module.CLASSES:
+            if issubclass(cls, module.EngineJob):
+                assert "UNDO" not in getattr(cls, "bl_options", ())
+
+
+@pytest.mark.blender
 def test_a_python_that_does_not_start(blender: ModuleType, work, tmp_path: Path) -> None:
     from roigs_addon import jobs
     from roigs_addon.errors import AddonError
