@@ -257,10 +257,10 @@ class TrainPanel(_Panel, bpy.types.Panel):
         for name in ("preset", "max_side"):
             column.prop(scene.roigs, name)
         found = facts.run(scene)
-        begun = not jobs.busy() and bool(found.left or (found.done and not found.result))
+        go_on = not jobs.busy() and found.begun
         row = layout.row(align=True)
-        text = "Continue" if begun else "Train ROI"
-        row.operator(train.TrainRoi.bl_idname, text=text, icon="PLAY").active_only = False
+        text = "Continue" if go_on else "Train ROI"
+        row.operator(train.TrainRoi.bl_idname, text=text, icon="PLAY").go_on = go_on
         active = lookup.active_roi(context)
         if active is not None and len(lookup.rois(scene)) > 1:
             button = row.operator(train.TrainRoi.bl_idname, text=f"Only {active.name}")

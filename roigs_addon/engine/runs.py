@@ -30,6 +30,11 @@ class Run:
     boxes: dict[str, tuple[Any, Any]] | None = None
     holder: int = 0
 
+    @property
+    def begun(self) -> bool:
+        """Whether a training was begun and did not come to its end."""
+        return bool(self.left or (self.done and not self.result))
+
 
 def read(folder: Path) -> Run:
     """Look; a folder that is not there is an empty run."""

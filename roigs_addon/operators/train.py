@@ -26,6 +26,12 @@ class TrainRoi(EngineJob, bpy.types.Operator):
 
     active_only: BoolProperty(name="Active Box Only", default=False, options=FRESH)
     selected_only: BoolProperty(name="Selected Boxes Only", default=False, options=FRESH)
+    go_on: BoolProperty(
+        name="Continue",
+        description="Only the boxes of the training that was stopped, unless one of them is gone",
+        default=False,
+        options=FRESH,
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -69,6 +75,11 @@ class TrainRoi(EngineJob, bpy.types.Operator):
             return [active]
         if self.selected_only:
             return [roi for roi in every if roi.select_get()]
+        found = facts.run(context.scene)
+        if self.go_on and found.begun and found.boxes:
+            # With other boxes the engine would put away what it has of these.
+            theirs = [roi for roi in every if roi.name in found.boxes]
+            return theirs if len(theirs) == len(found.boxes) else every
         return every
 
 

@@ -416,7 +416,7 @@ def long_run(blender: ModuleType, engine, project: Path, tmp_path: Path):
     from tests.addon.scenes import ready
 
     class Asker:
-        active_only = selected_only = False
+        active_only = selected_only = go_on = False
         _rois = TrainRoi._rois
 
     scene = ready(blender, project, tmp_path / "run", factor=10.0)

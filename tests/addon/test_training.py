@@ -340,7 +340,7 @@ def test_a_stopped_training_goes_on_to_the_same_bytes(
     from roigs_addon.operators.train import TrainRoi, unfinished
 
     class Asker:
-        active_only = selected_only = False
+        active_only = selected_only = go_on = False
         _rois = TrainRoi._rois
 
     bpy, run = blender, tmp_path / "run"
@@ -358,6 +358,40 @@ def test_a_stopped_training_goes_on_to_the_same_bytes(
     assert plys(run) == by_hand(engine, request(run, "train"))
 
 
+def test_going_on_is_with_the_boxes_of_before(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    """To train others too would put away what a stopped «Only …» has."""
+    from roigs_addon import regions
+    from roigs_addon.operators.train import TrainRoi
+
+    class Asker:
+        active_only = selected_only = False
+        go_on = True
+        _rois = TrainRoi._rois
+
+    bpy, run = blender, tmp_path / "run"
+    scene = ready(bpy, project, run)
+    for name in ("jug", "vase"):
+        add_box(bpy, name, (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
+
+    def trained() -> list[str]:
+        return [roi.name for roi in Asker()._rois(bpy.context)]
+
+    assert trained() == ["jug", "thing", "vase"]
+    record = {"rois": [regions.to_dict(scene.objects["jug"], scene)]}
+    (run / "joint").mkdir(parents=True)
+    (run / "request.json").write_text(json.dumps(record), encoding="utf-8")
+    assert trained() == ["jug", "thing", "vase"], "nothing was begun"
+    (run / "joint" / "checkpoint.bin").touch()
+    assert trained() == ["jug"]
+    Asker.go_on = False
+    assert trained() == ["jug", "thing", "vase"]
+    Asker.go_on = True
+    bpy.data.objects.remove(scene.objects["jug"])
+    assert trained() == ["thing", "vase"]
+
+
 def test_a_run_is_found_again_in_a_reopened_file(
     blender: ModuleType, engine, project: Path, tmp_path: Path
 ) -> None:
@@ -365,7 +399,7 @@ def test_a_run_is_found_again_in_a_reopened_file(
     from roigs_addon.operators.train import TrainRoi
 
     class Asker:
-        active_only = selected_only = False
+        active_only = selected_only = go_on = False
         _rois = TrainRoi._rois
 
     bpy = blender
