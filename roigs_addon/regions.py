@@ -21,6 +21,7 @@ FORBIDDEN = '/\\:*?"<>|\0'  # ROI names become file names
 def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.types.Object:
     """A box in world space, its axes along the root's so that it stays a box when the root is
     scaled unevenly."""
+    _remove_deleted()
     root = scene.roigs.root
     item = _new_empty(scene, _free_name(scene))
     matrix = Matrix.LocRotScale(centre, None, half_sides)
@@ -32,18 +33,37 @@ def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.t
     return item
 
 
-def add_box(scene: bpy.types.Scene, name: str, box: Box) -> bpy.types.Object:
-    """A box given in the COLMAP frame, below the root, wherever the user has put that."""
-    item = _new_empty(scene, name)
-    if item.name != name:  # Blender numbers names that are taken
-        taken = item.name
-        bpy.data.objects.remove(item)
-        raise AddonError(f"The name «{name}» is taken (it would be {taken}). Rename one of them.")
-    placed = np.linalg.inv(box.world_to_box)
-    placed[:3, :3] *= box.half_extents
-    item.matrix_local = Matrix(placed.tolist())
+def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> None:
+    """Boxes given in the COLMAP frame, below the root, wherever the user has put that.
+
+    Raises:
+        AddonError: one of the names is taken; none is added then.
+    """
+    _remove_deleted()
+    _check_names(list(boxes))
+    for name, box in boxes.items():
+        placed = np.linalg.inv(box.world_to_box)
+        placed[:3, :3] *= box.half_extents
+        _new_empty(scene, name).matrix_local = Matrix(placed.tolist())
     bpy.context.view_layer.update()  # until then, `matrix_world` is that of a fresh object
-    return item
+
+
+def _remove_deleted() -> None:
+    """Boxes that the user deleted: `active_roi` keeps one in the file, and with it its name."""
+    items = (item for item in bpy.data.objects if item.roigs.kind == "ROI" and not item.library)
+    bpy.data.batch_remove([item for item in items if not item.users_collection])
+
+
+def _check_names(names: list[str]) -> None:
+    """Ask Blender, which numbers names that are taken and shortens long ones."""
+    items = [bpy.data.objects.new(name, None) for name in names]
+    given = [item.name for item in items]
+    bpy.data.batch_remove(items)
+    for name, other in zip(names, given, strict=True):
+        if name != other:
+            raise AddonError(
+                f"The name «{name}» is taken (it would be {other}). Rename one of them."
+            )
 
 
 def load(path: Path) -> dict[str, Box]:
@@ -108,13 +128,20 @@ def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     item.show_name = True
     item.color = COLOUR
     item.roigs.kind = "ROI"
-    home = root.users_collection[0] if root and root.users_collection else scene.collection
-    home.objects.link(item)
+    _home(scene).objects.link(item)
     if root is not None:
         item.parent = root
         item.matrix_parent_inverse = Matrix.Identity(4)
     scene.roigs.active_roi = item
     return item
+
+
+def _home(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The root's collection, unless that is excluded from the view layer."""
+    root, layer = scene.roigs.root, bpy.context.view_layer
+    layer.update()  # until then, it knows nothing of a fresh root
+    seen = root is not None and layer.objects.get(root.name) == root
+    return root.users_collection[0] if seen else scene.collection
 
 
 def _along(root: Matrix, centre: Vector, half_sides: Vector) -> Matrix:

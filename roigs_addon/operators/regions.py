@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -31,11 +32,7 @@ class AddRoi(bpy.types.Operator):
             place = scene.cursor.location.copy(), mathutils.Vector((half, half, half))
         if context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
-        roi = regions.new_roi(scene, *place)
-        for item in context.selected_objects:
-            item.select_set(False)
-        roi.select_set(True)
-        context.view_layer.objects.active = roi
+        _select(context, regions.new_roi(scene, *place))
         return {"FINISHED"}
 
     def _around_selection(self, context: bpy.types.Context):
@@ -65,7 +62,7 @@ class AddBox(bpy.types.Operator):
         """Where the root is moved, the box goes with it."""
         try:
             box = regions.from_corners(self.low, self.high)
-            regions.add_box(context.scene, self.name, box)
+            regions.add_boxes(context.scene, {self.name: box})
         except ValueError as error:
             return failed(self, AddonError(f"ROI «{self.name}» is no box: {error}."))
         except AddonError as error:
@@ -87,8 +84,8 @@ class LoadRois(bpy.types.Operator, ImportHelper):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Boxes of the COLMAP frame, below the root."""
         try:
-            for name, box in regions.load(Path(bpy.path.abspath(self.filepath))).items():
-                regions.add_box(context.scene, name, box)
+            boxes = regions.load(Path(bpy.path.abspath(self.filepath)))
+            regions.add_boxes(context.scene, boxes)
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}
@@ -132,12 +129,18 @@ class SelectRoi(bpy.types.Operator):
         if roi is None:
             self.report({"ERROR"}, f"There is no ROI «{self.name}».")
             return {"CANCELLED"}
-        for item in context.selected_objects:
-            item.select_set(False)
+        _select(context, roi)
+        return {"FINISHED"}
+
+
+def _select(context: bpy.types.Context, roi: bpy.types.Object) -> None:
+    """In the panel and, unless its collection is excluded there, in the view layer."""
+    context.scene.roigs.active_roi = roi
+    for item in context.selected_objects:
+        item.select_set(False)
+    with suppress(RuntimeError):
         roi.select_set(True)
         context.view_layer.objects.active = roi
-        context.scene.roigs.active_roi = roi
-        return {"FINISHED"}
 
 
 CLASSES = (AddRoi, AddBox, LoadRois, RemoveRoi, SelectRoi)

@@ -130,6 +130,62 @@ def test_the_active_box(blender: ModuleType, addon: ModuleType) -> None:
         bpy.ops.roigs.select_roi(name="vase")
 
 
+def test_a_deleted_box_leaves_its_name(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    """Blender's own delete takes a box out of the scene only: the panel's list points to it."""
+    from roigs_addon import lookup
+
+    bpy, scene = blender, blender.context.scene
+    corners = {"min": [0, 0, 0], "max": [1, 1, 1]}
+    path = tmp_path / "rois.json"
+    path.write_text(json.dumps({"rois": [{"name": name, **corners} for name in "ab"]}))
+    for _ in range(2):
+        bpy.ops.roigs.load_rois(filepath=str(path))
+        assert [roi.name for roi in lookup.rois(scene)] == ["a", "b"]
+        for name in "ab":
+            bpy.ops.roigs.select_roi(name=name)
+            bpy.ops.object.delete()
+        assert "b" in bpy.data.objects and not lookup.rois(scene)
+    roi = add_roi(bpy)
+    assert "b" not in bpy.data.objects and scene.roigs.active_roi == roi
+    bpy.ops.object.delete()
+    assert add_roi(bpy).name == "ROI 1"
+
+
+def test_boxes_come_in_all_or_none(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
+    from roigs_addon import lookup
+
+    bpy, scene = blender, blender.context.scene
+    roi = add_roi(bpy)
+    corners = {"min": [0, 0, 0], "max": [1, 1, 1]}
+    path = tmp_path / "rois.json"
+    path.write_text(json.dumps({"rois": [{"name": n, **corners} for n in ("a", "ROI 1", "b")]}))
+    with pytest.raises(RuntimeError, match="name «ROI 1» is taken"):
+        bpy.ops.roigs.load_rois(filepath=str(path))
+    assert lookup.rois(scene) == list(bpy.data.objects) == [roi]
+    assert scene.roigs.active_roi == roi
+
+
+def test_boxes_in_an_excluded_collection(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon import lookup
+
+    bpy, scene = blender, blender.context.scene
+    root = new_root(bpy, "plain")
+    home = bpy.data.collections.new("home")
+    scene.collection.children.link(home)
+    scene.collection.objects.unlink(root)
+    home.objects.link(root)
+    first = add_roi(bpy)
+    assert home.objects.get(first.name) == first
+    bpy.context.view_layer.layer_collection.children["home"].exclude = True
+    second = add_roi(bpy)
+    assert second.parent == root and second.select_get()
+    assert scene.collection.objects.get(second.name) == second
+    bpy.ops.roigs.select_roi(name=first.name)
+    assert lookup.active_roi(bpy.context) == first and not second.select_get()
+
+
 # --- what is written ---
 
 
