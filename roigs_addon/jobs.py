@@ -63,6 +63,8 @@ class Runner:
         self.work = work
         self.stopping = False
         self.finished = False
+        self.hears_esc = False
+        """Whether an operator is there that stops it at Esc; none is after the file browser."""
         self.news = True
         """Whether anything came since the panel was last drawn; whoever draws it clears this."""
         self._preview: Path | None = None

@@ -49,6 +49,12 @@ def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
     return found
 
 
+def camera_at_hand(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The camera of a photo that is the active object, else the scene's active camera."""
+    items = context.active_object, context.scene.camera
+    return next((i for i in items if i is not None and i.roigs.kind == "CAMERA"), None)
+
+
 def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Object]:
     """The camera objects of some photos, quickly: by the objects' names, which are the photos'
     unless these are long or not unique."""

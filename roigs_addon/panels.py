@@ -73,7 +73,7 @@ def _progress(layout: bpy.types.UILayout, state: bpy.types.PropertyGroup) -> Non
         column.label(text=f"PSNR {state.psnr:.1f} dB, loss {state.loss:.3f}")
     if state.message:
         _say(column, state.message, "INFO")
-    if not jobs.current.stopping:
+    if jobs.current.hears_esc and not jobs.current.stopping:
         column.label(text="Esc stops and keeps what is done", icon="BLANK1")
 
 
@@ -96,19 +96,21 @@ class ScenePanel(_Panel, bpy.types.Panel):
         photos = facts.photos(scene)
         cloud = lookup.points(scene)
         points = len(cloud.data.vertices) if cloud else 0
-        name = Path(settings.colmap).name
-        _say(layout, f"{name}: {photos:,} photos, {points:,} points", DONE)
+        project = Path(settings.colmap).name
+        _say(layout, f"{project}: {photos:,} photos, {points:,} points", DONE)
         if settings.skipped:
             _say(layout, f"Left out: {settings.skipped}", WRONG)
         row = layout.row(align=True)
+        name = _photo_at_hand(context)
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_LEFT").step = -1
-        row.operator(LookThrough.bl_idname, text=_active_photo(scene), icon="CAMERA_DATA").step = 0
+        row.operator(LookThrough.bl_idname, text=name, icon="CAMERA_DATA").step = 0
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
 
 
-def _active_photo(scene: bpy.types.Scene) -> str:
-    photo = Photo.from_json(scene.camera.roigs.photo) if scene.camera else None
-    return facts.short_name(scene, photo.name) if photo else "Look Through"
+def _photo_at_hand(context: bpy.types.Context) -> str:
+    item = lookup.camera_at_hand(context)
+    photo = Photo.from_json(item.roigs.photo) if item else None
+    return facts.short_name(context.scene, photo.name) if photo else "Look Through"
 
 
 class RegionsPanel(_Panel, bpy.types.Panel):

@@ -68,6 +68,7 @@ class EngineJob:
         # Events other than the timer's would come only when the mouse moves.
         self._timer = context.window_manager.event_timer_add(0.2, window=context.window)
         context.window_manager.modal_handler_add(self)
+        self._runner.hears_esc = True
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:

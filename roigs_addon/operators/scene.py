@@ -118,7 +118,8 @@ class LookThrough(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     photo: StringProperty(
-        description="Name of the photo; empty: the active object's", options=FRESH
+        description="Name of the photo; empty: the active object's, else the active camera's",
+        options=FRESH,
     )
     step: IntProperty(
         description="Go so many photos on from the active camera", default=0, options=FRESH
@@ -128,13 +129,19 @@ class LookThrough(bpy.types.Operator):
         """Activate the camera and look through it."""
         item = self._camera(context)
         if item is None:
-            self.report({"ERROR"}, "There is no such photo. Import a COLMAP model first.")
-            return {"CANCELLED"}
+            return failed(self, AddonError(self._missing(context)))
         cameras.activate(context.scene, item)
         space = context.space_data
         if space is not None and space.type == "VIEW_3D":
             space.region_3d.view_perspective = "CAMERA"
         return {"FINISHED"}
+
+    def _missing(self, context: bpy.types.Context) -> str:
+        if not lookup.cameras(context.scene):
+            return "There are no photos. Import a COLMAP model first."
+        if self.photo:
+            return "There is no such photo. Photos are named as in the COLMAP model."
+        return "Select the camera of a photo first."
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object | None:
         found = lookup.cameras(context.scene)
@@ -146,8 +153,7 @@ class LookThrough(bpy.types.Operator):
             photo = Photo.from_json(active.roigs.photo) if active else None
             at = names.index(photo.name) + self.step if photo and photo.name in names else 0
             return found[names[at % len(names)]]
-        item = context.active_object
-        return item if item is not None and item.roigs.kind == "CAMERA" else None
+        return lookup.camera_at_hand(context)
 
 
 def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

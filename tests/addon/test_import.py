@@ -98,6 +98,27 @@ def test_looking_through_a_photo(blender: ModuleType, addon: ModuleType, project
         bpy.ops.roigs.look_through(photo="photo 9.png")
 
 
+def test_the_photo_at_hand(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+    """What the button between the arrows names is what it looks through."""
+    from roigs_addon import lookup, panels
+
+    bpy = blender
+    with pytest.raises(RuntimeError, match="Import a COLMAP model"):
+        bpy.ops.roigs.look_through()
+    scene = imported(bpy, project)
+    assert panels._photo_at_hand(bpy.context) == "Look Through"
+    with pytest.raises(RuntimeError, match="Select the camera"):
+        bpy.ops.roigs.look_through()
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    found = lookup.cameras(scene)
+    for active, photo in ((scene.objects["thing"], "photo 3"), (found["photo 5.png"], "photo 5")):
+        bpy.context.view_layer.objects.active = active
+        assert panels._photo_at_hand(bpy.context) == photo
+        bpy.ops.roigs.look_through()
+        assert scene.camera == found[f"{photo}.png"]
+
+
 def test_any_way_of_making_a_camera_active(
     blender: ModuleType, addon: ModuleType, project: Path
 ) -> None:

@@ -388,6 +388,31 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
 
 
 @pytest.mark.blender
+def test_esc_is_offered_where_it_is_heard(
+    blender: ModuleType, work, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not in an import by the file browser, whose operator has ended."""
+    from unittest.mock import MagicMock
+
+    from roigs_addon import jobs, panels
+
+    monkeypatch.setattr(panels, "_say", lambda *_: None)
+    runner = jobs.start(fake(tmp_path, LISTEN), work())
+
+    def shown() -> str:
+        layout = MagicMock()
+        panels._progress(layout, blender.context.window_manager.roigs)
+        return str(layout.mock_calls)
+
+    assert "Esc" not in shown()
+    runner.hears_esc = True
+    assert "Esc" in shown()
+    runner.stop()
+    assert "Esc" not in shown()
+    jobs.wait(runner)
+
+
+@pytest.mark.blender
 def test_a_python_that_does_not_start(blender: ModuleType, work, tmp_path: Path) -> None:
     from roigs_addon import jobs
     from roigs_addon.errors import AddonError
