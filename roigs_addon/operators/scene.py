@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -121,9 +122,7 @@ class LookThrough(bpy.types.Operator):
         description="Name of the photo; empty: the active object's, else the active camera's",
         options=FRESH,
     )
-    step: IntProperty(
-        description="Go so many photos on from the active camera", default=0, options=FRESH
-    )
+    step: IntProperty(description="Go so many photos on from that one", default=0, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Activate the camera and look through it."""
@@ -131,6 +130,9 @@ class LookThrough(bpy.types.Operator):
         if item is None:
             return failed(self, AddonError(self._missing(context)))
         cameras.activate(context.scene, item)
+        if lookup.camera_at_hand(context) != item:  # another photo's camera is the active object
+            with suppress(RuntimeError):  # not an object of this view layer
+                context.view_layer.objects.active = item
         space = context.space_data
         if space is not None and space.type == "VIEW_3D":
             space.region_3d.view_perspective = "CAMERA"
@@ -149,7 +151,7 @@ class LookThrough(bpy.types.Operator):
             return found.get(self.photo)
         if self.step and found:
             names = sorted(found)
-            active = context.scene.camera
+            active = lookup.camera_at_hand(context)
             photo = Photo.from_json(active.roigs.photo) if active else None
             at = names.index(photo.name) + self.step if photo and photo.name in names else 0
             return found[names[at % len(names)]]

@@ -117,6 +117,12 @@ def test_the_photo_at_hand(blender: ModuleType, addon: ModuleType, project: Path
         assert panels._photo_at_hand(bpy.context) == photo
         bpy.ops.roigs.look_through()
         assert scene.camera == found[f"{photo}.png"]
+        bpy.ops.roigs.look_through(step=1)  # the name goes with it, and so does the next step
+        bpy.ops.roigs.look_through(step=-1)
+        bpy.ops.roigs.look_through(step=-1)
+        before = f"photo {int(photo[-1]) - 1}"
+        assert panels._photo_at_hand(bpy.context) == before
+        assert scene.camera == found[f"{before}.png"]
 
 
 def test_any_way_of_making_a_camera_active(
