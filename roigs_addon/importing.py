@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Quaternion, Vector
 from numpy.typing import NDArray
 
-from . import cameras, clouds, counts
+from . import cameras, clouds, counts, lookup
 from .errors import AddonError
 from .photo import Photo
 
@@ -25,8 +25,8 @@ SHELF = "roigs_photos"
 def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, int]:
     """Bring an exported model into the scene, in place of one that was imported before.
 
-    The root stays, and with it the boxes that hang on it; a model that is read again keeps the
-    root's place and size too.
+    The root stays, and with it the boxes that hang on it; a model that is read again, from
+    wherever, keeps the root's place and size too, and the photo that the scene looks through.
 
     Args:
         scene: gets a collection with root, cameras and points.
@@ -42,21 +42,25 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> dict[str, 
     record, points, colours = _read(folder)
     photos = [Photo.from_dict(image) for image in record["images"]]
     extent = float(record.get("extent") or 1.0)
+    before = [Photo.from_json(item.roigs.photo) for item in lookup.cameras(scene).values()]
+    active = Photo.from_json(scene.camera.roigs.photo) if scene.camera else None
     _remove_earlier(scene)
     root = scene.roigs.root
-    if root is None or root.name not in scene.objects:
+    fresh = root is None or root.name not in scene.objects
+    if fresh:
         root = _new_root(scene, name)
     root.empty_display_size = extent * 0.25
-    if scene.roigs.model_cache != str(folder):
+    if fresh or not _same_frame(before, photos):
         root.matrix_world = upright(photos).to_matrix().to_4x4()
     home = root.users_collection[0]
-    shelf = bpy.data.collections.new(f"{name} Photos")
-    shelf[SHELF] = True
-    home.children.link(shelf)
+    shelf = _shelf(home, name)
     for photo in photos:
         item = cameras.new_camera(photo, extent * CAMERA_SIZE)
         item.parent = root
         shelf.objects.link(item)
+        if scene.camera is None and active is not None and active.name == photo.name:
+            scene.camera = item
+            cameras.show_background(item.data, photo)
     if len(points):
         cloud = _new_cloud(f"{name} Points", points, colours, extent)
         cloud.parent = root
@@ -73,15 +77,41 @@ def skipped_in_words(skipped: dict[str, Any]) -> str:
 
 
 def _remove_earlier(scene: bpy.types.Scene) -> None:
-    """Take the cameras and points of an earlier import out, with their collection."""
-    old = [item for item in scene.objects if item.roigs.kind in ("CAMERA", "POINTS")]
+    """Take the cameras and points of an earlier import out, with their collection.
+
+    Cameras that the user copied or took out of the collection stay, as any other camera of theirs.
+    """
+    shelves = [shelf for shelf in scene.collection.children_recursive if SHELF in shelf]
+    shelved = {item for shelf in shelves for item in shelf.objects}
+    old = [item for item in lookup.cameras(scene).values() if item in shelved]
+    for item in set(lookup.of_kind(scene, "CAMERA")).difference(old):
+        item.roigs.kind = "NONE"
+    old += lookup.of_kind(scene, "POINTS")
     data = {item.data for item in old}
-    shelves = {
-        shelf for item in old if item.roigs.kind == "CAMERA" for shelf in item.users_collection
-    }
     bpy.data.batch_remove(old)
     bpy.data.batch_remove([block for block in data if not block.users])
-    bpy.data.batch_remove([s for s in shelves if SHELF in s and not s.all_objects])
+    bpy.data.batch_remove([shelf for shelf in shelves if not shelf.all_objects])
+
+
+def _same_frame(before: list[Photo | None], photos: list[Photo]) -> bool:
+    """Whether photos stand where they stood in the model of before, as far as there was one.
+
+    Only then has the place that the user gave the root a meaning for the new one. Folders do not
+    tell: projects are moved, and one folder may hold another reconstruction later.
+    """
+    poses = {photo.name: photo.pose for photo in before if photo}
+    stand = [np.allclose(poses[p.name], p.pose, atol=1e-4) for p in photos if p.name in poses]
+    return not poses or 2 * sum(stand) > len(stand)
+
+
+def _shelf(home: bpy.types.Collection, name: str) -> bpy.types.Collection:
+    """The collection for the cameras; that of an earlier import when the user has some in it."""
+    shelf = next((child for child in home.children if SHELF in child), None)
+    if shelf is None:
+        shelf = bpy.data.collections.new(f"{name} Photos")
+        shelf[SHELF] = True
+        home.children.link(shelf)
+    return shelf
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.uint8]]:

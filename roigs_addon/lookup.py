@@ -40,12 +40,12 @@ def active_roi(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def cameras(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
-    """Photo name -> camera object."""
-    found = {}
+    """Photo name -> camera object: the first by name, before its copies."""
+    found: dict[str, bpy.types.Object] = {}
     for camera in of_kind(scene, "CAMERA"):
         photo = Photo.from_json(camera.roigs.photo)
         if photo is not None:
-            found[photo.name] = camera
+            found.setdefault(photo.name, camera)
     return found
 
 

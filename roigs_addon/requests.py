@@ -57,7 +57,9 @@ def request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> dict[str, A
     if not settings.colmap:
         raise AddonError("No COLMAP model is imported. Import one first.")
     if not Path(settings.colmap).is_dir():
-        raise AddonError(f"The COLMAP folder {settings.colmap} is gone. Set its new place.")
+        raise AddonError(
+            f"The COLMAP folder {settings.colmap} is gone. Import it again from its new place."
+        )
     if not rois:
         raise AddonError("There is no ROI. Add one around the object.")
     values: dict[str, Any] = {

@@ -194,6 +194,60 @@ def test_importing_again_replaces(
     assert len(bpy.data.cameras) == 5
 
 
+def test_a_moved_project_keeps_the_roots_place(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    bpy, scene = blender, imported(blender, write_project(tmp_path / "a"))
+    root = scene.roigs.root
+    root.location = 1, 2, 3
+    bpy.context.view_layer.update()
+    matrix, cache = root.matrix_world.copy(), scene.roigs.model_cache
+    (tmp_path / "a").rename(tmp_path / "b")
+    add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    with pytest.raises(RuntimeError, match="Import it again from its new place"):
+        bpy.ops.roigs.select_cameras()
+    imported(bpy, tmp_path / "b")
+    assert scene.roigs.model_cache != cache
+    assert scene.roigs.root == root and root.matrix_world == matrix
+    # Other poses in the same folder: another frame.
+    shutil.rmtree(tmp_path / "b")
+    imported(bpy, write_project(tmp_path / "b", photos=5))
+    assert root.matrix_world != matrix
+    # A root that was never placed.
+    bpy.data.objects.remove(root)
+    imported(bpy, tmp_path / "b")
+    assert scene.roigs.root.matrix_world.to_quaternion().angle > 1
+
+
+def test_importing_again_spares_the_users_cameras(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon import lookup
+
+    bpy, scene = blender, imported(blender, project)
+    photo = lookup.cameras(scene)["photo 3.png"]
+    photo.select_set(True)
+    bpy.context.view_layer.objects.active = photo
+    bpy.ops.object.duplicate()
+    copy = bpy.context.active_object
+    assert copy != photo and lookup.cameras(scene)["photo 3.png"] == photo
+    own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    photo.users_collection[0].objects.link(own)
+    bpy.ops.roigs.look_through(photo="photo 4.png")
+    scene.render.resolution_x = 500
+    for folder in (project, write_project(tmp_path / "other", photos=5)):
+        imported(bpy, folder)
+        assert {copy, own} < set(scene.objects)
+        names = {item.name for item in scene.objects if item.type == "CAMERA"}
+        assert names == {*lookup.cameras(scene), copy.name, "own"}
+        assert scene.camera == lookup.cameras(scene)["photo 4.png"]
+        assert len(scene.camera.data.background_images) == 1
+        assert scene.render.resolution_x == 500
+    scene.camera = copy
+    imported(bpy, project)
+    assert scene.camera == copy and len(bpy.data.collections) == 2
+
+
 def test_errors_are_the_engines_own_words(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:
