@@ -13,7 +13,7 @@ from ..errors import AddonError
 OperatorResult = set[str]
 
 FRESH = {"SKIP_SAVE"}
-"""For every property: Blender would fill it from the operator's last call, whoever that was of."""
+"""For every property: else Blender takes over what the call before had, be it another button's."""
 
 
 def failed(operator: bpy.types.Operator, error: AddonError) -> OperatorResult:
