@@ -111,25 +111,40 @@ def get() -> RoigsPreferences | None:
     return addon.preferences if addon else None
 
 
-def user_folder() -> Path:
-    """A folder of this user's that outlives updates of the extension."""
+# None of these folders need be there: whoever writes into one makes it.
+
+
+def extension_folder() -> Path:
+    """A folder that outlives updates of the extension; Blender removes it with the extension."""
     if ADDON.startswith("bl_ext."):
-        return Path(bpy.utils.extension_path_user(ADDON, create=True))
-    base = bpy.utils.user_resource("DATAFILES", path="roigs", create=True)
+        return Path(bpy.utils.extension_path_user(ADDON))
+    return data_folder()
+
+
+def data_folder() -> Path:
+    """A folder of this user's that outlives the extension: for what cannot be made again."""
+    base = bpy.utils.user_resource("DATAFILES", path="roigs")
     return Path(base) if base else Path(tempfile.gettempdir()) / "roigs"
 
 
-def cache_folder() -> Path:
-    """Where imported models, and runs of files that were never saved, are kept."""
+def models_folder() -> Path:
+    """Where imported models are kept."""
+    return (_chosen_cache() or extension_folder() / "cache") / "models"
+
+
+def unsaved_folder() -> Path:
+    """Where runs of files that were never saved are kept."""
+    return (_chosen_cache() or data_folder()) / "unsaved"
+
+
+def _chosen_cache() -> Path | None:
     chosen = getattr(get(), "cache", "")
-    folder = Path(bpy.path.abspath(chosen)) if chosen else user_folder() / "cache"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return Path(bpy.path.abspath(chosen)) if chosen else None
 
 
 def environments() -> Path:
     """Folder of the virtual environments that «Set up the engine» makes."""
-    return user_folder() / "engine"
+    return extension_folder() / "engine"
 
 
 def chosen_python() -> str:

@@ -24,7 +24,7 @@ def run_folder(scene: bpy.types.Scene) -> Path:
         return blend.with_name(f"{blend.stem}_roigs")
     name = scene.roigs.colmap or scene.name
     mark = hashlib.sha256(name.encode()).hexdigest()[:8]  # many projects' folders are called alike
-    return preferences.cache_folder() / "unsaved" / f"{_plain(name)}-{mark}"
+    return preferences.unsaved_folder() / f"{_plain(name)}-{mark}"
 
 
 def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:

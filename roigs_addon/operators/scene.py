@@ -108,7 +108,7 @@ def project_name(folder: Path) -> str:
 def export_folder(colmap: Path) -> Path:
     """Where a model's exported files lie: a folder of the cache for each path."""
     key = hashlib.sha256(str(colmap.resolve()).encode()).hexdigest()[:16]
-    return preferences.cache_folder() / "models" / key
+    return preferences.models_folder() / key
 
 
 class LookThrough(bpy.types.Operator):
