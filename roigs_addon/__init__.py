@@ -14,6 +14,7 @@ from types import ModuleType
 MODULES = (
     "preferences",
     "properties",
+    "run_folders",
     "active_camera",
     "jobs",
     "operators.engine_setup",

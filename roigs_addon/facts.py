@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections import Counter
@@ -11,7 +12,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import counts, jobs, lookup, preferences, requests
+from . import counts, jobs, lookup, preferences, run_folders
 from .engine import python, runs
 from .errors import AddonError
 
@@ -28,7 +29,7 @@ _names: dict[tuple[str, str, int], dict[str, str]] = {}
 
 def run(scene: bpy.types.Scene) -> runs.Run:
     """The scene's run folder."""
-    folder = requests.run_folder(scene)
+    folder = run_folders.run_folder(scene)
     if _is_old(_runs.get(folder)):
         _runs.clear()
         _runs[folder] = time.monotonic(), runs.read(folder)
@@ -39,7 +40,7 @@ def is_file(path: Path) -> bool:
     """Whether a file is there."""
     if _is_old(_files.get(path)):
         _files.clear()
-        _files[path] = time.monotonic(), path.is_file()
+        _files[path] = time.monotonic(), os.path.isfile(path)  # False where it may not look
     return _files[path][1]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from . import counts, facts, jobs, lookup, preferences, requests, viewport
+from . import counts, facts, jobs, lookup, preferences, requests, run_folders, viewport
 from .engine.runs import stage_in_words
 from .operators import results, train
 from .operators.regions import AddRoi, LoadRois, RemoveRoi, SelectRoi
@@ -314,7 +314,7 @@ class TrainSettingsPanel(_Panel, bpy.types.Panel):
         for name in ("steps_factor", "strategy", "test_every", "seed", "run_dir"):
             column.prop(scene.roigs, name)
         if not scene.roigs.run_dir:
-            _say(layout, f"{requests.run_folder(scene)}", "FILE_FOLDER")
+            _say(layout, f"{run_folders.run_folder(scene)}", "FILE_FOLDER")
 
 
 class ResultPanel(_Panel, bpy.types.Panel):

@@ -39,6 +39,9 @@ STRATEGIES = (
     ("joint", "All boxes together", "One stage for all boxes that goes on with the whole scene"),
     ("independent", "One by one (paper)", "A model per box, which then replaces the coarse one"),
 )
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+"""Of a path that may begin with «//»; earlier Blenders do not ask for it."""
+
 PAPERS_WAY = {"strategy": "independent", "method": "gp9"}
 OUR_WAY = {"strategy": "joint", "method": "coverage"}
 LEVELS = (
@@ -94,7 +97,8 @@ class RoigsScene(bpy.types.PropertyGroup):
     run_dir: StringProperty(
         name="Run Folder",
         subtype="DIR_PATH",
-        description="Where training keeps its work (empty: beside the .blend or in the cache)",
+        options=RELATIVE,
+        description="Where training keeps its work (empty: chosen at the first job)",
     )
     active_roi: PointerProperty(type=bpy.types.Object, name="Active ROI")
     method: EnumProperty(items=METHODS, name="Method", default="coverage")

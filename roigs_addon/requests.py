@@ -2,49 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from . import preferences, regions
-from .errors import AddonError
-
-
-def run_folder(scene: bpy.types.Scene) -> Path:
-    """Where this scene's training lives: chosen, or beside the .blend, or in the cache."""
-    chosen = scene.roigs.run_dir
-    if chosen:
-        return Path(bpy.path.abspath(chosen))
-    if bpy.data.filepath:
-        blend = Path(bpy.data.filepath)
-        return blend.with_name(f"{blend.stem}_roigs")
-    name = scene.roigs.colmap or scene.name
-    mark = hashlib.sha256(name.encode()).hexdigest()[:8]  # many projects' folders are called alike
-    return preferences.unsaved_folder() / f"{_plain(name)}-{mark}"
-
-
-def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
-    """Finds the scene when a job ends: undo and loading a file make Python's reference invalid.
-
-    A file that was loaded meanwhile has it when it trains in the same folder.
-    """
-    name, colmap, folder = scene.name, scene.roigs.colmap, run_folder(scene)
-
-    def find() -> bpy.types.Scene | None:
-        same = [s for s in bpy.data.scenes if s.roigs.colmap == colmap]
-        by_name = [s for s in same if s.name == name]
-        by_folder = [s for s in same if run_folder(s) == folder]
-        return next(iter(by_name + by_folder), None)
-
-    return find
-
-
-def _plain(text: str) -> str:
-    return "".join(c if c.isalnum() else "-" for c in Path(text).name) or "scene"
+from . import preferences, regions, run_folders
+from .errors import AddonError, writing
 
 
 def request(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> dict[str, Any]:
@@ -117,38 +82,40 @@ def write_training_request(
 def _write(
     scene: bpy.types.Scene, name: str, rois: list[bpy.types.Object], values: dict[str, Any]
 ) -> Path:
-    folder = _folder(scene)
-    values["rois"] = str(regions.write(folder, rois, scene))
+    folder = own_folder(scene)
     path = folder / name
-    path.write_text(json.dumps(values, indent=1, ensure_ascii=False), encoding="utf-8")
+    with writing(folder, "Run Folder"):
+        values["rois"] = str(regions.write(folder, rois, scene))
+        path.write_text(json.dumps(values, indent=1, ensure_ascii=False), encoding="utf-8")
     return path
 
 
-def _folder(scene: bpy.types.Scene) -> Path:
-    """Files that the add-on gives to the engine, inside the run folder."""
-    folder = run_folder(scene) / "blender"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AddonError(
-            f"The run folder {folder.parent} cannot be made ({error.strerror}). Choose another."
-        ) from error
+def own_folder(scene: bpy.types.Scene) -> Path:
+    """Files that the add-on gives to the engine, inside the run folder, which is made.
+
+    Raises:
+        AddonError: it cannot be.
+    """
+    folder = run_folders.settle(scene) / "blender"
+    with writing(folder, "Run Folder"):
+        folder.mkdir(exist_ok=True)
     return folder
 
 
 def _write_selections(scene: bpy.types.Scene, rois: list[bpy.types.Object]) -> Path:
     """The photos of each box that has a list of its own; the engine selects for the others."""
-    folder = _folder(scene) / "selection"
-    folder.mkdir(exist_ok=True)
-    for old in folder.glob("*.json"):
-        old.unlink()
-    for roi in rois:
-        if len(roi.roigs.selection):
-            names = [item.name for item in roi.roigs.selection]
-            (folder / f"{regions.file_name(roi)}.json").write_text(
-                json.dumps({"roi": roi.name, "names": names}, ensure_ascii=False),
-                encoding="utf-8",
-            )
+    folder = own_folder(scene) / "selection"
+    with writing(folder, "Run Folder"):
+        folder.mkdir(exist_ok=True)
+        for old in folder.glob("*.json"):
+            old.unlink()
+        for roi in rois:
+            if len(roi.roigs.selection):
+                names = [item.name for item in roi.roigs.selection]
+                (folder / f"{regions.file_name(roi)}.json").write_text(
+                    json.dumps({"roi": roi.name, "names": names}, ensure_ascii=False),
+                    encoding="utf-8",
+                )
     return folder
 
 

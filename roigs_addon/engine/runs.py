@@ -37,7 +37,14 @@ class Run:
 
 
 def read(folder: Path) -> Run:
-    """Look; a folder that is not there is an empty run."""
+    """Look; a folder that is not there, or cannot be looked into, is an empty run."""
+    try:
+        return _read(folder)
+    except OSError:
+        return Run()
+
+
+def _read(folder: Path) -> Run:
     stages = sorted(folder.glob("*/stage.json"), key=_age)
     left = [path.parent.name for path in folder.glob("*/checkpoint*.bin")]
     return Run(

@@ -8,9 +8,9 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from .. import cameras, facts, jobs, lookup, requests, splats
+from .. import cameras, facts, jobs, lookup, requests, run_folders, splats
 from ..engine.client import Outcome
-from ..errors import AddonError
+from ..errors import AddonError, writing
 from .base import FRESH, EngineJob, OperatorResult, available, failed
 
 NO_RESULT = "Train first: the run folder holds no result"
@@ -32,7 +32,7 @@ class LoadResults(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """One object for the surroundings, two for each box."""
         try:
-            splats.show_results(context.scene, requests.run_folder(context.scene))
+            splats.show_results(context.scene, run_folders.run_folder(context.scene))
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}
@@ -100,12 +100,13 @@ class RenderSplats(EngineJob, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> jobs.Work:
         """A camera path for the engine; the pictures come back as images."""
         scene = context.scene
-        folder = requests.run_folder(scene)
+        folder = run_folders.run_folder(scene)
         out = Path(bpy.path.abspath(self.directory)) if self.directory else folder / "renders"
         path = folder / "blender" / "path.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
         frames = self._frames(scene)
-        path.write_text(json.dumps({"cameras": frames}), encoding="utf-8")
+        with writing(folder, "Run Folder"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps({"cameras": frames}), encoding="utf-8")
 
         def take(_: Outcome) -> None:
             picture = out / f"{frames[0]['name']}.png"

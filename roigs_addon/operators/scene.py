@@ -10,10 +10,10 @@ import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from .. import cameras, importing, jobs, lookup, preferences, requests
+from .. import cameras, importing, jobs, lookup, preferences, run_folders
 from ..engine.client import Outcome
 from ..engine.python import FOR_READING
-from ..errors import AddonError
+from ..errors import AddonError, writing
 from ..photo import Photo
 from .base import FRESH, EngineJob, OperatorResult, failed
 from .select import mark_chosen
@@ -68,7 +68,9 @@ class ImportColmap(EngineJob, bpy.types.Operator, ImportHelper):
         if not folder.is_dir():
             raise AddonError(f"There is no folder {folder}. Choose the folder of a COLMAP project.")
         out = export_folder(folder)
-        find, images = requests.finder(context.scene), self.images
+        with writing(out, "Cache Folder in the add-on's preferences"):
+            out.mkdir(parents=True, exist_ok=True)
+        find, images = run_folders.finder(context.scene), self.images
         arguments = ["export", str(folder), "--out", str(out)]
         if images:
             arguments += ["--images", bpy.path.abspath(images)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from .. import jobs, lookup, regions, requests
+from .. import jobs, lookup, regions, requests, run_folders
 from ..engine.client import Outcome
 from ..engine.python import FOR_READING
 from ..errors import AddonError
@@ -48,7 +48,7 @@ class SelectCameras(EngineJob, bpy.types.Operator):
         request = requests.write_selection_request(scene, rois)
         out = request.parent / "selected"
 
-        names, find = {roi.name for roi in rois}, requests.finder(scene)
+        names, find = {roi.name for roi in rois}, run_folders.finder(scene)
 
         def take(_: Outcome) -> None:
             if now := find():

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty
 
-from .. import facts, jobs, lookup, preferences, requests, splats, undo
+from .. import facts, jobs, lookup, preferences, requests, run_folders, splats
 from ..engine import runs
 from ..engine.client import Outcome
 from .base import FRESH, EngineJob, OperatorResult, available
@@ -47,10 +47,7 @@ class TrainRoi(EngineJob, bpy.types.Operator):
         request = requests.write_training_request(
             scene, rois, 0.0 if bpy.app.background else seconds
         )
-        folder, find = requests.run_folder(scene), requests.finder(scene)
-        if not bpy.data.filepath:  # else the run would be lost when the file gets its first name
-            scene.roigs.run_dir = str(folder)
-            undo.push("Run Folder")
+        folder, find = run_folders.run_folder(scene), run_folders.finder(scene)
 
         def preview(path: Path) -> None:
             if now := find():
@@ -136,18 +133,20 @@ class ShowLog(bpy.types.Operator):
 def log_path(context: bpy.types.Context) -> Path | None:
     """The log of the last job, or of the run folder's."""
     named = context.window_manager.roigs.log
-    path = Path(named) if named else requests.run_folder(context.scene) / "blender" / "engine.log"
+    path = (
+        Path(named) if named else run_folders.run_folder(context.scene) / "blender" / "engine.log"
+    )
     return path if facts.is_file(path) else None
 
 
 def unfinished(scene: bpy.types.Scene) -> str:
     """The stage at which the run folder's training was left, or nothing."""
-    return runs.read(requests.run_folder(scene)).left
+    return runs.read(run_folders.run_folder(scene)).left
 
 
 def finished(scene: bpy.types.Scene) -> list[str]:
     """The stages that are done in the run folder."""
-    return list(runs.read(requests.run_folder(scene)).done)
+    return list(runs.read(run_folders.run_folder(scene)).done)
 
 
 CLASSES = (TrainRoi, StopJob, ShowLog)

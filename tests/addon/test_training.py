@@ -395,7 +395,7 @@ def test_going_on_is_with_the_boxes_of_before(
 def test_a_run_is_found_again_in_a_reopened_file(
     blender: ModuleType, engine, project: Path, tmp_path: Path
 ) -> None:
-    from roigs_addon import jobs, lookup, requests
+    from roigs_addon import jobs, lookup, run_folders
     from roigs_addon.operators.train import TrainRoi
 
     class Asker:
@@ -408,7 +408,7 @@ def test_a_run_is_found_again_in_a_reopened_file(
     scene.roigs.steps_factor = 0.004
     path = tmp_path / "für Anna.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    assert requests.run_folder(scene) == tmp_path / "für Anna_roigs"
+    assert run_folders.run_folder(scene) == tmp_path / "für Anna_roigs"
     runner = jobs.start(engine, TrainRoi.work(Asker(), bpy.context))
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(path))
