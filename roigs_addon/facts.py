@@ -24,6 +24,7 @@ ENGINE_SECONDS = 5.0
 
 _runs: dict[Path, tuple[float, runs.Run]] = {}
 _files: dict[Path, tuple[float, bool]] = {}
+_gone: dict[str, tuple[float, list[str]]] = {}
 _names: dict[tuple[str, str, int], dict[str, str]] = {}
 
 
@@ -42,6 +43,15 @@ def is_file(path: Path) -> bool:
         _files.clear()
         _files[path] = time.monotonic(), os.path.isfile(path)  # False where it may not look
     return _files[path][1]
+
+
+def gone(scene: bpy.types.Scene) -> list[str]:
+    """Names of the Gaussians whose file is not where it was: nothing of them can be drawn."""
+    if _is_old(_gone.get(scene.name)):
+        files = {item.name: item.roigs.ply for item in lookup.splats(scene)}
+        _gone.clear()
+        _gone[scene.name] = time.monotonic(), [n for n in files if not os.path.isfile(files[n])]
+    return _gone[scene.name][1]
 
 
 def _is_old(fact: tuple[float, object] | None) -> bool:
@@ -121,6 +131,8 @@ class _EngineCheck:
         return self.problem
 
     def _look(self, chosen: str, home: Path) -> None:
+        if self.problem:  # what was lacking may have been installed since
+            python.ability.cache_clear()
         _, self.problem = python.find(chosen, home, python.FOR_TRAINING)
         self.at = time.monotonic()
 
@@ -145,6 +157,7 @@ def forget(*_: object) -> None:
     """Look again at the next drawing; also called when a file was loaded."""
     _runs.clear()
     _files.clear()
+    _gone.clear()
     _names.clear()
 
 

@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.handlers import persistent
 
 from . import terminal, undo
 from .engine.client import Engine, Job, Outcome
 from .errors import AddonError
 
 POLL_SECONDS = 0.15
+STOPPING = "Stopping …"
 STOP_SECONDS = 10.0
 """How long a stopping engine may take before it is ended by force, when Blender cannot wait."""
 
@@ -64,16 +66,14 @@ class Runner:
         self.stopping = False
         self.finished = False
         self.hears_esc = False
-        """Whether an operator is there that stops it at Esc; none is after the file browser."""
+        """Whether an operator is there that stops it at Esc: none is after the file browser, nor after
+        a file was loaded, which ends it and not the job."""
         self.news = True
         """Whether anything came since the panel was last drawn; whoever draws it clears this."""
         self._preview: Path | None = None
         self.messages: deque[str] = deque(maxlen=100)
-        state = bpy.context.window_manager.roigs
-        state.title, state.stage, state.message, state.error = work.title, "", "", ""
-        state.step = state.total = state.gaussians = 0
-        state.seconds_left = state.loss = state.psnr = 0.0
-        state.log = str(work.log)
+        self._latest: dict[str, dict[str, Any]] = {}
+        self.show()
         try:
             self.job = Job(engine, work.arguments, log=work.log)
         except OSError as error:
@@ -100,10 +100,34 @@ class Runner:
     def stop(self) -> None:
         """Ask the engine to stop."""
         self.stopping = self.news = True
-        bpy.context.window_manager.roigs.message = "Stopping …"
+        bpy.context.window_manager.roigs.message = STOPPING
         self.job.stop()
 
+    def show(self) -> None:
+        """Set the properties afresh, from the latest event of each kind."""
+        state = bpy.context.window_manager.roigs
+        state.title, state.stage, state.message, state.error = self.work.title, "", "", ""
+        state.step = state.total = state.gaussians = 0
+        state.seconds_left = state.loss = state.psnr = 0.0
+        state.log = str(self.work.log)
+        for event in self._latest.values():
+            self._show(event)
+        if self.stopping:
+            state.message = STOPPING
+
     def _take(self, event: dict[str, Any]) -> None:
+        kind = event["event"]
+        self._latest.pop(kind, None)  # the newest last
+        self._latest[kind] = event
+        self._show(event)
+        if kind == "message":
+            self.messages.append(event.get("text", ""))
+        elif kind == "preview":
+            path = Path(event.get("path", ""))
+            if _is_file_in(self.work.folder, path):
+                self._preview = path
+
+    def _show(self, event: dict[str, Any]) -> None:
         state = bpy.context.window_manager.roigs
         match event["event"]:
             case "stagestarted":
@@ -117,11 +141,6 @@ class Runner:
                 state.seconds_left = event.get("seconds_left", 0.0)
             case "message":
                 state.message = event.get("text", "")
-                self.messages.append(state.message)
-            case "preview":
-                path = Path(event.get("path", ""))
-                if _is_file_in(self.work.folder, path):
-                    self._preview = path
 
     def _finish(self) -> None:
         state = bpy.context.window_manager.roigs
@@ -268,13 +287,24 @@ def redraw_sidebars() -> None:
                         region.tag_redraw()
 
 
+@persistent
+def _after_load(*_: object) -> None:
+    """A new window manager knows nothing of the job, and nobody listens to its keys."""
+    if current is not None and not current.finished:
+        current.hears_esc = False
+        current.show()
+
+
 def register() -> None:
-    """Nothing to register: the timer lives as long as a job."""
+    """Follow the file; the timer lives as long as a job."""
+    bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister() -> None:
     """End a running job; its checkpoint stays."""
     global current
+    if _after_load in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(_after_load)
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     if current is not None and not current.finished:

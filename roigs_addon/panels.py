@@ -350,6 +350,11 @@ class ResultPanel(_Panel, bpy.types.Panel):
                 button.points = value
         for path, problem in viewport.problems().items():
             _say(layout, f"{Path(path).name}: {problem}" if path else problem, WRONG)
+        if not jobs.busy() and (gone := facts.gone(scene)):  # a training puts files away
+            text = (
+                f"Files not found: {', '.join(gone)}. Train, or set the Run Folder and load results"
+            )
+            _say(layout, text, WRONG)
         if _job(layout, "Rendering"):
             return
         row = layout.row(align=True)

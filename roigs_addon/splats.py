@@ -7,6 +7,7 @@ off in renders.
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,7 +27,8 @@ MATERIAL = "ROI-GS Gaussians"
 def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
     """Bring a run's Gaussians in: the surroundings, and each box refined and coarse.
 
-    Objects of an earlier result are replaced; boxes that were not trained this time keep theirs.
+    Objects of an earlier result are replaced; those whose file is gone, since the engine has put it
+    away, are taken out, for these surroundings hold what they show.
 
     Raises:
         AddonError: a file is missing or damaged.
@@ -42,6 +44,9 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
             _hide(scene, item, True)
             item.hide_render = True
             shown.append(item)
+    for item in lookup.splats(scene):
+        if item.roigs.level in ("ROI", "SCENE") and not os.path.isfile(item.roigs.ply):
+            _delete(item)
     return shown
 
 
@@ -81,15 +86,19 @@ def remove(scene: bpy.types.Scene, level: str) -> None:
     """Take the Gaussians of one level out of the scene; what was hidden for them comes back."""
     for item in lookup.splats(scene):
         if item.roigs.level == level:
-            data = item.data
-            bpy.data.objects.remove(item)
-            if not data.users:
-                bpy.data.batch_remove([data])
+            _delete(item)
     if level == "PREVIEW":
         for item in lookup.splats(scene):
             coarse = item.roigs.level == "SCENE"
             _hide(scene, item, coarse)
             item.hide_render = coarse
+
+
+def _delete(item: bpy.types.Object) -> None:
+    data = item.data
+    bpy.data.objects.remove(item)
+    if not data.users:
+        bpy.data.batch_remove([data])
 
 
 def _hide_sparse(scene: bpy.types.Scene) -> None:

@@ -18,14 +18,21 @@ import subprocess
 import sys
 import threading
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from ..errors import AddonError
 from .client import without_blender
-from .python import FOR_TRAINING, MARKER, SOURCE, environment_python, own_python
+from .python import (
+    FOR_TRAINING,
+    MARKER,
+    SOURCE,
+    environment_python,
+    own_python,
+    whole_environments,
+)
 
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
 PYTHONS = ((3, 13), (3, 12), (3, 11), (3, 14))
@@ -48,11 +55,13 @@ class Plan:
         home: folder of the environments.
         cuda: torch for NVIDIA's graphics cards in place of the one for the CPU, and gsplat.
         wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
+        in_use: whether an engine runs, maybe in the environment before; called at the end.
     """
 
     home: Path
     cuda: bool = False
     wheels: Path | None = None
+    in_use: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,12 +238,9 @@ class Installation:
         home.mkdir(parents=True, exist_ok=True)
         base = choose_python(self.plan.wheels)
         self.title = "Making room"
-        before = [path for path in home.iterdir() if path.is_dir()]
-        for path in before:
-            if not (path / MARKER).is_file():  # left by a set-up that did not end
-                shutil.rmtree(path, ignore_errors=True)
-        numbers = [int(path.name) for path in before if path.name.isdecimal()]
-        environment = home / str(max(numbers, default=0) + 1)
+        before = [int(p.name) for p in home.iterdir() if p.is_dir() and p.name.isdecimal()]
+        remove_replaced(home)
+        environment = home / str(max(before, default=0) + 1)
         with self.log.open("w", encoding="utf-8") as log:
             planned = steps(self.plan, base, environment)
             for number, step in enumerate(planned):
@@ -247,8 +253,8 @@ class Installation:
         (environment / MARKER).write_text(json.dumps(record, indent=1), encoding="utf-8")
         self.python, self.fraction = environment_python(environment), 1.0
         self.title = "The engine is set up"
-        for path in before:
-            shutil.rmtree(path, ignore_errors=True)
+        if not self.plan.in_use():  # else the next set-up does it
+            remove_replaced(home)
 
     def _run_step(self, step: Step, log: IO[str], begin: float, share: float) -> None:
         """One program to its end, its lines to the log.
@@ -292,6 +298,14 @@ class Installation:
         if self.plan.wheels is not None:  # this pip may be too old for it
             raw = {}
         return {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"} | raw
+
+
+def remove_replaced(home: Path) -> None:
+    """Remove what set-ups have left that did not end, and every environment but the newest."""
+    newest = whole_environments(home)[:1]
+    for path in home.iterdir():
+        if path.is_dir() and path not in newest:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -80,7 +80,9 @@ class SetUpEngine(bpy.types.Operator):
             raise AddonError(OFFLINE)
         if wheels is not None and not wheels.is_dir():
             raise AddonError(f"There is no folder {wheels}. Choose the folder of the wheels.")
-        return install.Plan(home=preferences.environments(), cuda=self.cuda, wheels=wheels)
+        return install.Plan(
+            home=preferences.environments(), cuda=self.cuda, wheels=wheels, in_use=jobs.busy
+        )
 
 
 def _tick() -> float | None:

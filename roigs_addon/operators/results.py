@@ -35,6 +35,7 @@ class LoadResults(bpy.types.Operator):
             splats.show_results(context.scene, run_folders.run_folder(context.scene))
         except AddonError as error:
             return failed(self, error)
+        facts.forget()
         return {"FINISHED"}
 
 

@@ -66,6 +66,17 @@ def test_success_leaves_one_whole_environment(
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["2"]
 
 
+def test_an_environment_in_use_stays_until_the_next_set_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch)
+    for made in (["1"], ["1", "2"]):
+        run(Installation(Plan(home=tmp_path, in_use=lambda: True)))
+        assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == made
+    run(Installation(Plan(home=tmp_path, in_use=lambda: True)))
+    assert [path.name for path in python.whole_environments(tmp_path)] == ["3", "2"]
+
+
 def test_failure_says_pips_last_error_and_keeps_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -228,6 +228,37 @@ def test_progress_becomes_properties(blender: ModuleType, work, tmp_path: Path) 
 
 
 @pytest.mark.blender
+def test_a_job_is_seen_and_stopped_after_a_file_was_loaded(
+    blender: ModuleType, work, tmp_path: Path
+) -> None:
+    from roigs_addon import jobs
+
+    engine = fake(
+        tmp_path,
+        """
+        say(event="stagestarted", stage="scene", total=30)
+        say(event="progress", stage="joint", step=12, total=30, gaussians=1234)
+        say(event="message", text="Something", level="info")
+        sys.stdin.read()
+        say(event="done", outputs={}, stopped=True)
+        """,
+    )
+    runner = jobs.start(engine, work())
+    runner.hears_esc = True
+    window_manager = blender.context.window_manager
+    assert until(lambda: runner.poll() and window_manager.roigs.message == "Something")
+    blender.ops.wm.read_homefile(use_empty=True)
+    state = blender.context.window_manager.roigs
+    assert (state.title, state.stage, state.message) == ("Testing", "joint", "Something")
+    assert (state.step, state.total, state.gaussians) == (12, 30, 1234)
+    assert state.log.endswith("log.txt") and not runner.hears_esc
+    assert blender.ops.roigs.stop() == {"FINISHED"}
+    blender.ops.wm.read_homefile(use_empty=True)
+    assert blender.context.window_manager.roigs.message == jobs.STOPPING
+    assert jobs.wait(runner).stopped
+
+
+@pytest.mark.blender
 def test_no_preview_is_drawn_while_the_engine_stops(
     blender: ModuleType, work, tmp_path: Path
 ) -> None:

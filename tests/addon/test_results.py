@@ -134,6 +134,39 @@ def test_new_results_replace_old_ones(blender: ModuleType, run) -> None:
         bpy.ops.roigs.load_results()
 
 
+def test_results_that_were_put_away_are_taken_out(blender: ModuleType, run) -> None:
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    others = [item for item in levels(scene).values() if item.roigs.level != "RESULT"]
+    data = [item.data for item in others]
+    assert len(data) == 2
+    random_ply(folder / "rois" / "other.ply", 7, seed=1)
+    older = folder / "older"
+    older.mkdir()
+    for name in ("rois", "coarse"):
+        (folder / name / "thing.ply").rename(older / f"{name}.ply")
+    names = [mesh.name for mesh in data]
+    blender.ops.roigs.load_results()
+    assert {item.roigs.roi for item in levels(scene).values()} == {"", "other"}
+    assert not any(name in blender.data.meshes for name in names)
+
+
+def test_files_that_are_gone_are_said(blender: ModuleType, run) -> None:
+    from roigs_addon import facts, panels
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    assert facts.gone(scene) == []
+    moved = folder.rename(folder.with_name("moved"))
+    assert facts.gone(scene) == ["Surroundings", "thing Gaussians", "thing coarse"]
+    assert any(
+        "Files not found: Surroundings" in text for text in said(blender, panels.ResultPanel)
+    )
+    scene.roigs.run_dir = str(moved)
+    blender.ops.roigs.load_results()
+    assert facts.gone(scene) == []
+
+
 def test_previews_come_and_go(blender: ModuleType, run) -> None:
     from roigs_addon import splats
 
@@ -223,33 +256,51 @@ def test_nothing_to_load(blender: ModuleType, addon: ModuleType, project: Path) 
     assert not blender.ops.roigs.render.poll()
 
 
+def stand_in(cls: type):
+    """An object with a panel's methods: Blender makes none without a window."""
+    methods = {
+        name: value
+        for c in cls.__mro__
+        for name, value in vars(c).items()
+        if callable(value) and not name.startswith("__")
+    }
+    return type("Stand-in", (), methods)()
+
+
+class Layout:
+    """A layout that takes anything, and keeps the labels."""
+
+    def __init__(self, labels: list[str]) -> None:
+        vars(self)["labels"] = labels
+
+    def __getattr__(self, name: str):
+        def take(*args: object, **keywords: object) -> Layout:
+            if name == "label":
+                self.labels.append(str(keywords.get("text", "")))
+            return Layout(self.labels)
+
+        return take
+
+    def __setattr__(self, name: str, value: object) -> None:
+        pass
+
+
+def said(bpy: ModuleType, cls: type) -> list[str]:
+    """The labels of a panel."""
+    panel = stand_in(cls)
+    panel.layout = Layout([])
+    panel.draw(bpy.context)
+    return panel.layout.labels
+
+
 def test_panels_draw(blender: ModuleType, run) -> None:
     """Every panel's `draw`, on a layout that takes anything."""
     from roigs_addon import panels
 
-    class Layout:
-        def __getattr__(self, name: str):
-            return lambda *args, **kwargs: Layout()
-
-        def __setattr__(self, name: str, value: object) -> None:
-            pass
-
     def draw_all() -> None:
         for cls in panels.CLASSES[1:]:
-            if hasattr(cls, "poll") and not cls.poll(blender.context):
-                continue
-            panel = type(
-                "Stand-in",
-                (),
-                {
-                    k: v
-                    for c in cls.__mro__
-                    for k, v in vars(c).items()
-                    if callable(v) and not k.startswith("__")
-                },
-            )()
-            panel.layout = Layout()
-            panel.draw(blender.context)
+            if not hasattr(cls, "poll") or cls.poll(blender.context):
+                said(blender, cls)
 
     draw_all()
     blender.ops.roigs.select_cameras()

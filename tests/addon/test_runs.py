@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import subprocess
 import sys
@@ -104,3 +105,20 @@ def test_a_large_model_is_counted_in_a_thread(
     while not counts._counter.idle():
         pass
     assert counts.count_soon(roi, scene) == (0, 0)
+
+
+def test_an_engine_that_lacked_something_is_asked_afresh(
+    blender: ModuleType, addon: ModuleType, monkeypatch
+) -> None:
+    from roigs_addon import facts
+    from roigs_addon.engine import python
+
+    missing = [("torch",), ()]
+    fresh = functools.lru_cache(lambda _: python.Ability(version=(3, 12), missing=missing.pop(0)))
+    monkeypatch.setattr(python, "ability", fresh)
+    monkeypatch.setattr(facts, "ENGINE_SECONDS", 0.0)
+    engine = facts._EngineCheck()
+    for expected in ("torch", ""):
+        engine.ask()
+        engine.thread.join()
+        assert expected in engine.problem and bool(expected) == bool(engine.problem)
