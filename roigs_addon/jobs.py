@@ -66,8 +66,8 @@ class Runner:
         self.stopping = False
         self.finished = False
         self.hears_esc = False
-        """Whether an operator is there that stops it at Esc: none is after the file browser, nor after
-        a file was loaded, which ends it and not the job."""
+        """Whether an operator is there that stops it at Esc: none is after the file browser, or
+        after a file was loaded, which ends the operator and not the job."""
         self.news = True
         """Whether anything came since the panel was last drawn; whoever draws it clears this."""
         self._preview: Path | None = None

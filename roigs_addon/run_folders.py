@@ -105,7 +105,7 @@ def _before_save(path: str, *_: object) -> None:
     home = Path(path).parent
     for scene in _chosen(path):
         folder, relative = run_folder(scene), scene.roigs.run_dir.startswith("//")
-        if bpy.data.filepath if relative else folder.is_relative_to(home):
+        if bpy.data.filepath if relative else _moves_with(home, folder):
             _saving[scene.session_uid] = folder, relative
             scene.roigs.run_dir = _relative(folder, home)
 
@@ -141,6 +141,12 @@ def _after_undo(*_: object) -> None:
 def _chosen(blend: str) -> list[bpy.types.Scene]:
     """Scenes of the file itself that have a folder; none without a file."""
     return [s for s in bpy.data.scenes if blend and s.roigs.run_dir and s.library is None]
+
+
+def _moves_with(home: Path, folder: Path) -> bool:
+    """Below the file, but not in the user's folder, which may be below a file, too."""
+    kept = preferences.unsaved_folder()
+    return folder.is_relative_to(home) and not folder.is_relative_to(kept)
 
 
 def _relative(folder: Path, home: Path) -> str:

@@ -69,6 +69,11 @@ def test_two_unsaved_files_of_one_project_have_two_folders(
     second = use(boxed(blender, project))
     assert first != second == run_folders.run_folder(blender.context.scene)
     assert use(blender.context.scene) == second
+    save(blender, second.parents[2] / "home.blend")
+    save(blender, tmp_path / "b.blend")
+    assert opened(blender, second.parents[2] / "home.blend") == second
+    shutil.move(second.parents[2] / "home.blend", tmp_path / "moved.blend")
+    assert opened(blender, tmp_path / "moved.blend") == second
     assert opened(blender, tmp_path / "a.blend") == first
 
 

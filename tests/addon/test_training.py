@@ -158,24 +158,6 @@ def test_numbers_reach_the_engine_as_given(
     assert (values["steps_factor"], values["max_side"]) == (20.0, 32)
 
 
-def test_the_run_folder_of_an_unsaved_file_outlives_undo(
-    blender: ModuleType, addon: ModuleType, project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from roigs_addon import lookup, requests, undo
-    from roigs_addon.operators.train import TrainRoi
-
-    class Asker:
-        def _rois(self, context):
-            return lookup.rois(context.scene)
-
-    scene = imported(blender, project)
-    add_box(blender, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
-    kept: list[str] = []
-    monkeypatch.setattr(undo, "push", lambda _: kept.append(scene.roigs.run_dir))
-    TrainRoi.work(Asker(), blender.context)
-    assert kept == [str(requests.run_folder(scene))]
-
-
 def test_a_boxs_name_leads_nowhere_else(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
