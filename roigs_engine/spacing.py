@@ -60,8 +60,14 @@ def detail_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
 
 def _pixels(images: Sequence[PosedImage], roi: OrientedBox) -> Float64:
     """(N,) pixels of each photo in the box's silhouette."""
-    areas = [roi.projected_area(image.camera, image.world_to_camera) for image in images]
-    return np.array(areas) * [image.camera.width * image.camera.height for image in images]
+    return np.array(
+        [
+            roi.projected_area(image.camera, image.world_to_camera)
+            * (image.camera.width * image.camera.height)
+            for image in images
+        ],
+        dtype=np.float64,
+    )
 
 
 def _rays(images: Sequence[PosedImage], roi: OrientedBox) -> tuple[Float64, Float64]:
