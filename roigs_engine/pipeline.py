@@ -23,11 +23,11 @@ from itertools import starmap
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from . import sampling, strategies
 from .capacity import box_capacities, capacities_to
+from .cautions import cautions
 from .compose import cut, surroundings
 from .compose import replace as replace_in_boxes
 from .config import STRATEGIES, RunConfig, TrainConfig
@@ -40,7 +40,7 @@ from .images import PhotoCache
 from .memory import plan_memory
 from .region import Regions
 from .request import claim
-from .roi import OrientedBox, nearest_owner
+from .roi import OrientedBox
 from .sampling import PhotoAt
 from .scene import PosedImage, SfmScene
 from .selection import CameraSelection, select_cameras, visible_images
@@ -50,8 +50,6 @@ from .split import choose_test_views
 from .stages import Stage, StageResult, fingerprint
 from .strategies import TrainedModel
 from .trainer import StageData
-
-MAX_REACH = 1e4  # sizes of the scene from its origin; farther off float32 blurs what is in it
 
 
 class Run:
@@ -108,7 +106,8 @@ class Run:
         write_json(folder / "split.json", {"test": list(self.test)})
         self.train_scene = scene.without(set(self.test))
         self.extent = self.train_scene.extent()
-        self._warn()
+        for caution in cautions(self.train_scene, self.rois):
+            emit(Message(text=caution, level="warning"))
         self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
         self._selections: dict[str, CameraSelection] = {}
         self._visible: dict[str, tuple[str, ...]] = {}
@@ -124,28 +123,6 @@ class Run:
             "model": self.scene.digest()[:16],
         }
         return request | ({"given": self.given} if self.given else {})
-
-    def _warn(self) -> None:
-        """Of what will train badly, though it can be trained."""
-        reach = float(np.abs(self.train_scene.centres()).max(initial=0.0))
-        if reach > MAX_REACH * self.extent:
-            self._say(
-                f"The model lies {reach:.3g} units from its origin, which is"
-                f" {reach / self.extent:.3g} times its size: 32-bit positions are too coarse there."
-                " Move it to its origin first (COLMAP's model_transformer)."
-            )
-        owner = nearest_owner(self.scene.points, self.rois)
-        for index, roi in enumerate(self.rois):
-            inside = int(roi.contains(self.scene.points).sum())
-            if inside and not (owner == index).any():
-                self._say(
-                    f"ROI «{roi.name}» owns none of the {inside:,} points in it: they are nearer to"
-                    " the centre of another ROI. Move them apart, or train it alone"
-                    f" (--only {roi.name})."
-                )
-
-    def _say(self, warning: str) -> None:
-        self._emit(Message(text=warning, level="warning"))
 
     # --- selection ---
 
