@@ -75,6 +75,5 @@ def _pixels(roi: OrientedBox, images: Sequence[PosedImage], check: Check) -> flo
     pixels = 0.0
     for image in images:
         check()
-        share = roi.projected_area(image.camera, image.world_to_camera)
-        pixels += share * image.camera.width * image.camera.height
+        pixels += roi.projected_pixels(image.camera, image.world_to_camera)
     return pixels

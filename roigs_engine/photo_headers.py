@@ -81,7 +81,7 @@ def check_whole(path: Path) -> None:
         with open_photo(path) as photo:
             photo.load()
     except (ImportError, MemoryError):
-        return
+        return  # nothing is known against it
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise unreadable(path, error) from error
 

@@ -145,6 +145,10 @@ class OrientedBox:
         """Share of the image that the silhouette covers, 0 to 1; measured on a thumbnail."""
         return float(self.silhouette(camera.thumbnail(AREA_SIDE), world_to_camera).mean())
 
+    def projected_pixels(self, camera: Camera, world_to_camera: Float64) -> float:
+        """Pixels of the image that the silhouette covers, from `projected_area`."""
+        return self.projected_area(camera, world_to_camera) * camera.width * camera.height
+
     def to_dict(self) -> dict[str, Any]:
         """The form that `roi_from_dict` reads."""
         return {

@@ -54,20 +54,9 @@ def detail_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     angles.sort(axis=1)
     thirds = angles[:, min(NEIGHBOUR, len(images) - 1)]
     order = np.argsort(thirds, kind="stable")
-    share = np.cumsum(_pixels(images, roi)[order])
+    pixels = np.array([roi.projected_pixels(i.camera, i.world_to_camera) for i in images])
+    share = np.cumsum(pixels[order])
     return float(thirds[order][np.searchsorted(share, share[-1] / 2)])
-
-
-def _pixels(images: Sequence[PosedImage], roi: OrientedBox) -> Float64:
-    """(N,) pixels of each photo in the box's silhouette."""
-    return np.array(
-        [
-            roi.projected_area(image.camera, image.world_to_camera)
-            * (image.camera.width * image.camera.height)
-            for image in images
-        ],
-        dtype=np.float64,
-    )
 
 
 def _rays(images: Sequence[PosedImage], roi: OrientedBox) -> tuple[Float64, Float64]:

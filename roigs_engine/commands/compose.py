@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..errors import RoiError
 from .console import Console
 from .options import add_roi_options, boxes
-
-if TYPE_CHECKING:
-    from ..gaussians import Gaussians
-    from ..roi import OrientedBox
 
 HELP = "replace a scene's Gaussians in the boxes by objects'"
 EXAMPLES = """\
@@ -39,17 +34,18 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..gaussians import Gaussians
 
     by_name = {roi.name: roi for roi in boxes(args)}
-    objects: list[tuple[OrientedBox, Gaussians]] = []
+    objects: dict[str, Gaussians] = {}
     for text in args.object:
         name, _, path = text.partition("=")
         if name not in by_name:
             raise RoiError(
                 f"--object {text} names no ROI.", f"Write ROI=FILE; ROIs: {', '.join(by_name)}."
             )
-        if any(roi.name == name for roi, _ in objects):
+        if name in objects:
             raise RoiError(f"--object names «{name}» twice.", "Give one file for each ROI.")
-        objects.append((by_name[name], Gaussians.load_ply(Path(path))))
-    composed = replace(Gaussians.load_ply(args.scene_ply), objects)
+        objects[name] = Gaussians.load_ply(Path(path))
+    pairs = [(by_name[name], model) for name, model in objects.items()]
+    composed = replace(Gaussians.load_ply(args.scene_ply), pairs)
     composed.save_ply(args.out)
     console.print(f"{len(composed):,} Gaussians in {args.out}")
     return {"result": str(args.out)}

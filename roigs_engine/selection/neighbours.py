@@ -13,7 +13,6 @@ from ..events import Check, go_on
 from ..scene import Float64, Int64
 
 LEAF = 64  # points; a leaf holds more than half of it, which is how many neighbours there can be
-
 MANY = 100  # leaves to look at
 
 

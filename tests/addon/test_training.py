@@ -158,6 +158,19 @@ def test_numbers_reach_the_engine_as_given(
     assert (values["steps_factor"], values["max_side"]) == (20.0, 32)
 
 
+def test_rendering_works_where_training_does(
+    blender: ModuleType, addon: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from types import SimpleNamespace
+
+    from roigs_addon import preferences, requests
+
+    assert requests.machine_options() == ["--device", "auto"]
+    chosen = SimpleNamespace(device="cpu", threads=3)
+    monkeypatch.setattr(preferences, "get", lambda: chosen)
+    assert requests.machine_options() == ["--device", "cpu", "--threads", "3"]
+
+
 def test_a_boxs_name_leads_nowhere_else(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

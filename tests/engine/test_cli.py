@@ -215,6 +215,12 @@ def test_files_that_are_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[
     model = f"thing={write_one_gaussian(tmp_path)}"
     command = ["compose", tmp_path / "one.ply", "--roi", BOX, "--object", model]
     assert "twice" in refused(capsys, *command, "--object", model, "--out", out)
+    record = {"name": "a", "width": 8, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 4.0}
+    record["world_to_camera"] = np.eye(4).tolist()
+    cameras.write_text(json.dumps({"cameras": [record]}), encoding="utf-8")
+    command = ["render", tmp_path / "one.ply", "--path", cameras, "--out", tmp_path]
+    command += ["--device", "cpu"]  # else it says why not on a card
+    assert "«b»" in refused(capsys, *command, "--name", "b")
     line = refused(capsys, "render", tmp_path / "no.ply", "--path", cameras, "--out", tmp_path)
     assert "no.ply" in line
 

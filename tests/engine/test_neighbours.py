@@ -19,12 +19,14 @@ def spread(kind: str, rng: np.random.Generator) -> np.ndarray:
         points = points * [1e-3, 1e-2, 1e-3] + 5e3
     elif kind == "clumps":
         points = points * 1e-4 + rng.integers(0, 4, (2000, 1)) * 100.0
+    elif kind == "stray":  # enough for many leaves, which the few in the void would all look at
+        points = np.concatenate([rng.normal(size=(7900, 3)), rng.uniform(-60, 60, (100, 3))])
     elif kind == "few":
         points = points[:16]
     return points
 
 
-@pytest.mark.parametrize("kind", ["ball", "plane", "line", "far away", "clumps", "few"])
+@pytest.mark.parametrize("kind", ["ball", "plane", "line", "far away", "clumps", "stray", "few"])
 def test_neighbours_are_the_nearest(kind: str) -> None:
     points = spread(kind, np.random.default_rng(3))
     found = nearest_neighbours(points, 16)
