@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from benchmarks.synthetic import ring_cameras, synthetic_gaussians
-from roigs_engine.gaussians import NAMES
-from roigs_engine.losses import photo_loss
-from roigs_engine.optimizer import VisibleAdam
+from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import rasterize
+from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.optimizer import VisibleAdam
 
 WARM_UP = 3  # passes over the cameras: kernels are compiled, memory is taken
 COLUMNS = ("Gaussians", "size", "step", "bare step", "bare / step", "in kernels", "waits", "GiB")

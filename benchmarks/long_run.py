@@ -57,15 +57,15 @@ class Log:
 
 def train(folder: Path, hours: float, steps: int, threads: int) -> None:
     """Whole cycles until `hours` have passed on the clock."""
-    from roigs_engine import sampling
-    from roigs_engine.colmap import load_colmap
-    from roigs_engine.config import preset
-    from roigs_engine.events import Event, Progress
-    from roigs_engine.gaussians import Gaussians
-    from roigs_engine.images import PhotoCache
+    from roigs_engine.colmap.project import load_colmap
+    from roigs_engine.formats.events import Event, Progress
     from roigs_engine.kernels import library
-    from roigs_engine.stages import Stage
-    from roigs_engine.trainer import StageData
+    from roigs_engine.model.gaussians import Gaussians
+    from roigs_engine.photos.cache import PhotoCache
+    from roigs_engine.run.presets import preset
+    from roigs_engine.training import photo_order
+    from roigs_engine.training.stage import Stage
+    from roigs_engine.training.trainer import StageData
 
     library.set_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +91,7 @@ def train(folder: Path, hours: float, steps: int, threads: int) -> None:
             data = StageData(
                 images=scene.images,
                 photos=photos,
-                photo_at=sampling.shuffled(range(len(scene.images)), 0),
+                photo_at=photo_order.shuffled(range(len(scene.images)), 0),
                 extent=scene.extent(),
             )
             Stage(

@@ -15,12 +15,12 @@ import torch
 
 from benchmarks.memory import MIB, resident
 from benchmarks.synthetic import CAMERAS, ring_cameras, synthetic_gaussians
-from roigs_engine.gaussians import NAMES
 from roigs_engine.kernels import library
-from roigs_engine.losses import photo_loss
-from roigs_engine.optimizer import VisibleAdam
+from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import RenderOutput, rasterize
 from roigs_engine.rasterize.cpu import View
+from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.optimizer import VisibleAdam
 
 KERNEL_STAGES = {
     "roigs_project": "project",

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from roigs_engine.trainer import Trainer
+    from roigs_engine.training.trainer import Trainer
 
 MIB = 1 << 20
 STATUS = Path("/proc/self/status")
@@ -49,12 +49,12 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
 
     rows.append(("torch imported", resident()))
     from benchmarks.synthetic import ring_cameras, synthetic_gaussians
-    from roigs_engine import sampling
-    from roigs_engine.config import TrainConfig
-    from roigs_engine.images import PhotoCache
     from roigs_engine.kernels import library
-    from roigs_engine.scene import Camera, PosedImage
-    from roigs_engine.trainer import StageData, Trainer
+    from roigs_engine.model.scene import Camera, PosedImage
+    from roigs_engine.photos.cache import PhotoCache
+    from roigs_engine.training import photo_order
+    from roigs_engine.training.config import TrainConfig
+    from roigs_engine.training.trainer import StageData, Trainer
 
     library.set_threads(args.threads)
     rows.append(("engine imported, kernels loaded", resident()))
@@ -77,7 +77,7 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
     data = StageData(
         images=images,
         photos=photos,
-        photo_at=sampling.shuffled(range(len(images)), 0),
+        photo_at=photo_order.shuffled(range(len(images)), 0),
         extent=5.0,
     )
     config = TrainConfig(

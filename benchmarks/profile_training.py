@@ -17,15 +17,16 @@ from typing import Any
 
 import torch
 
-from roigs_engine import sampling, trainer
-from roigs_engine.colmap import load_colmap
-from roigs_engine.config import PRESETS, preset
-from roigs_engine.densify import DensityStats
-from roigs_engine.gaussians import Gaussians
-from roigs_engine.images import PhotoCache
+from roigs_engine.colmap.project import load_colmap
 from roigs_engine.kernels import library
-from roigs_engine.optimizer import VisibleAdam
-from roigs_engine.trainer import StageData, Trainer
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.run.presets import PRESETS, preset
+from roigs_engine.run.stage_configs import baseline
+from roigs_engine.training import photo_order, trainer
+from roigs_engine.training.densify import DensityStats
+from roigs_engine.training.optimizer import VisibleAdam
+from roigs_engine.training.trainer import StageData, Trainer
 
 KERNELS = "kernels"
 
@@ -121,11 +122,11 @@ def train(folder: Path, max_side: int, preset_name: str, steps: int) -> Trainer:
     data = StageData(
         images=scene.images,
         photos=PhotoCache(scene.images),
-        photo_at=sampling.shuffled(range(len(scene.images)), 0),
+        photo_at=photo_order.shuffled(range(len(scene.images)), 0),
         extent=scene.extent(),
     )
     start = Gaussians.from_points(scene.points, scene.colors)
-    work = Trainer(start, data, preset(preset_name).baseline())
+    work = Trainer(start, data, baseline(preset(preset_name)))
     work.run(should_stop=lambda: work.step >= steps)
     return work
 

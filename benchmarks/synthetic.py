@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from roigs_engine.densify import morton_order
-from roigs_engine.gaussians import SH_C0, Gaussians
+from roigs_engine.model.gaussians import SH_C0, Gaussians
+from roigs_engine.training.densify import morton_order
 
 CAMERAS = 8
 

@@ -22,34 +22,59 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from .checkpoint import load_checkpoint, save_checkpoint
-    from .colmap import load_colmap
-    from .config import RunConfig, TrainConfig, preset
+    from .colmap.project import load_colmap
     from .errors import EngineError
-    from .gaussians import Gaussians
-    from .pipeline import Run
+    from .model.gaussians import Gaussians
+    from .model.roi import OrientedBox, load_rois
+    from .model.scene import Camera, PosedImage, SfmScene
+    from .model.visibility import visible_images
     from .rasterize import RenderOutput
-    from .render import load_camera_path, render_view
-    from .roi import OrientedBox, load_rois
-    from .scene import Camera, PosedImage, SfmScene
-    from .selection import CameraSelection, SelectionConfig, select_cameras, visible_images
-    from .split import choose_test_views
-    from .trainer import StageData, Trainer
+    from .rasterize.camera_path import load_camera_path
+    from .rasterize.view import render_view
+    from .run.config import RunConfig
+    from .run.pipeline import Run
+    from .run.presets import preset
+    from .selection import CameraSelection, SelectionConfig, select_cameras
+    from .selection.split import choose_test_views
+    from .training.checkpoint import load_checkpoint, save_checkpoint
+    from .training.config import TrainConfig
+    from .training.trainer import StageData, Trainer
 
 _HOMES = {
-    "checkpoint": ("load_checkpoint", "save_checkpoint"),
-    "colmap": ("load_colmap",),
-    "config": ("RunConfig", "TrainConfig", "preset"),
+    "colmap.project": ("load_colmap",),
     "errors": ("EngineError",),
-    "gaussians": ("Gaussians",),
-    "pipeline": ("Run",),
+    "model.gaussians": ("Gaussians",),
+    "model.roi": (
+        "OrientedBox",
+        "load_rois",
+    ),
+    "model.scene": (
+        "Camera",
+        "PosedImage",
+        "SfmScene",
+    ),
+    "model.visibility": ("visible_images",),
     "rasterize": ("RenderOutput",),
-    "render": ("load_camera_path", "render_view"),
-    "roi": ("OrientedBox", "load_rois"),
-    "scene": ("Camera", "PosedImage", "SfmScene"),
-    "selection": ("CameraSelection", "SelectionConfig", "select_cameras", "visible_images"),
-    "split": ("choose_test_views",),
-    "trainer": ("StageData", "Trainer"),
+    "rasterize.camera_path": ("load_camera_path",),
+    "rasterize.view": ("render_view",),
+    "run.config": ("RunConfig",),
+    "run.pipeline": ("Run",),
+    "run.presets": ("preset",),
+    "selection": (
+        "CameraSelection",
+        "SelectionConfig",
+        "select_cameras",
+    ),
+    "selection.split": ("choose_test_views",),
+    "training.checkpoint": (
+        "load_checkpoint",
+        "save_checkpoint",
+    ),
+    "training.config": ("TrainConfig",),
+    "training.trainer": (
+        "StageData",
+        "Trainer",
+    ),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -18,9 +18,9 @@ from typing import Any, NoReturn
 from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
-from .commands.request_file import with_request_file
+from .commands.options_file import with_request_file
 from .errors import ConfigError, EngineError, Stopped
-from .events import Done, Failed
+from .formats.events import Done, Failed
 
 COMMANDS: dict[str, ModuleType] = {
     "inspect": inspect,

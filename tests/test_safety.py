@@ -18,13 +18,13 @@ from PIL import Image
 from roigs_addon.engine import client
 from roigs_addon.engine.client import Engine, Job
 from roigs_engine.cli import main
-from roigs_engine.colmap import load_colmap
+from roigs_engine.colmap.project import load_colmap
 from roigs_engine.errors import RoiError
-from roigs_engine.images import load_photo
-from roigs_engine.photo_headers import PhotoError, photo_size
-from roigs_engine.render import safe_name
-from roigs_engine.roi import roi_from_dict
-from roigs_engine.scene import Camera, PosedImage
+from roigs_engine.formats.names import safe_name
+from roigs_engine.model.roi import roi_from_dict
+from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.headers import PhotoError, photo_size
 from tests.addon.colmap_project import write_project
 from tests.addon.test_jobs import PYTHON, fake, finished
 

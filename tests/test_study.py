@@ -16,11 +16,13 @@ from benchmarks.study.measure import Bench
 from benchmarks.study.results import Results, Stat, load_records, mean_of
 from benchmarks.study.rows import all_rows, changed, parse_variant, wanted
 from benchmarks.study.scenes import StudyScene, parse_scenes
-from roigs_engine import config as engine_config
 from roigs_engine.cli import STOPPED
-from roigs_engine.config import RunConfig, TrainConfig, preset
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
+from roigs_engine.run import config as engine_config
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.presets import preset
+from roigs_engine.training.config import TrainConfig
 from tests.engine.synthetic_scene import make_scene
 
 ROIS = {

@@ -21,12 +21,12 @@ from benchmarks.study.tables import Study, command_line
 from benchmarks.study.work import Work
 from roigs_engine.cli import answered
 from roigs_engine.commands.console import Console
-from roigs_engine.config import PRESETS, preset
 from roigs_engine.errors import ConfigError
-from roigs_engine.events import Failed
-from roigs_engine.files import read_json, write_json, write_text
+from roigs_engine.formats.events import Failed
+from roigs_engine.formats.files import read_json, write_json, write_text
 from roigs_engine.kernels import library
-from roigs_engine.trainer import one_torch_thread
+from roigs_engine.run.presets import PRESETS, preset
+from roigs_engine.training.trainer import one_torch_thread
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

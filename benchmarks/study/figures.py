@@ -15,8 +15,8 @@ from PIL import Image
 from benchmarks.study.results import Results, Stat
 from benchmarks.study.rows import BEYOND, Row
 from benchmarks.study.tables import LINES, RESULT, Line, kind_of
-from roigs_engine.events import Emit, Message
-from roigs_engine.strategies import BASELINE
+from roigs_engine.formats.events import Emit, Message
+from roigs_engine.run.strategies import BASELINE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

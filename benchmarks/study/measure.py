@@ -16,18 +16,19 @@ import torch
 
 from benchmarks.study.rows import BASELINES, FULL_OBJECT, FULL_SCENE, MATCHED, VARIANT, Row
 from benchmarks.study.scenes import StudyScene
-from roigs_engine import strategies
 from roigs_engine.commands.console import Console
-from roigs_engine.compose import cut
-from roigs_engine.config import RunConfig
-from roigs_engine.crops import choose_views, write_crops
-from roigs_engine.evaluate import EvaluatedModel, Evaluation, evaluate
+from roigs_engine.evaluation.crops import choose_views, write_crops
+from roigs_engine.evaluation.evaluate import Evaluation, evaluate
+from roigs_engine.evaluation.views import EvaluatedModel
+from roigs_engine.formats.names import safe_name
 from roigs_engine.kernels import library
-from roigs_engine.pipeline import Run
-from roigs_engine.render import safe_name
-from roigs_engine.scene import SfmScene
-from roigs_engine.stages import StageResult
-from roigs_engine.strategies import BASELINE, TrainedModel
+from roigs_engine.model.compose import cut
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run import stage_configs, strategies
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.pipeline import Run
+from roigs_engine.run.strategies import BASELINE, TrainedModel
+from roigs_engine.training.stage import StageResult
 
 
 class OnScene(Run):
@@ -68,7 +69,7 @@ class Bench:
         request = {
             "kind": row.kind,
             "config": row.config(self.preset, self.factor, self.seed).to_dict(),
-            "baseline": asdict(self._own_config().baseline()),
+            "baseline": asdict(stage_configs.baseline(self._own_config())),
             "rois": [roi.to_dict() for roi in self.scene.rois],
             "photos": len(images),
             "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from roigs_engine.files import read_json
-from roigs_engine.scores import Evaluation, ModelScore
-from roigs_engine.strategies import BASELINE
+from roigs_engine.evaluation.scores import Evaluation, ModelScore
+from roigs_engine.formats.files import read_json
+from roigs_engine.run.strategies import BASELINE
 
 NONE, ONE_SEED = "-", " †"
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
-from roigs_engine.config import SEAM_SHARE, RunConfig, preset, with_steps
 from roigs_engine.errors import ConfigError
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.presets import SEAM_SHARE, in_strategy, preset
+from roigs_engine.training.config import with_steps
 
 TABLES = ("I", "II", "III")
 BEYOND = "Beyond"
@@ -55,7 +57,7 @@ class Row:
         config = preset(preset_name)
         strategy = {INDEPENDENT: INDEPENDENT, REFINED: INDEPENDENT, JOINT: JOINT}.get(self.kind)
         if strategy is not None and strategy != config.strategy:
-            config = config.in_strategy(strategy)
+            config = in_strategy(config, strategy)
         if strategy == INDEPENDENT:
             config = replace(config, seam_share=SEAM_SHARE if self.kind == REFINED else 0.0)
         config = changed(config, self.changes).scaled(factor)

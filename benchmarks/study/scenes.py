@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from roigs_engine.errors import ConfigError
-from roigs_engine.roi import OrientedBox, load_rois
+from roigs_engine.model.roi import OrientedBox, load_rois
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

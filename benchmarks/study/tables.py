@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.study.results import METRICS, NONE, Results, Stat, mean_of
 from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, REFINED, Row
-from roigs_engine.strategies import BASELINE
+from roigs_engine.run.strategies import BASELINE
 
 # A line of a table: what it is called, the row it comes from, the model of that row.
 Line = tuple[str, str, str]

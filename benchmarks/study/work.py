@@ -12,15 +12,15 @@ from typing import Any
 from benchmarks.study.measure import Bench
 from benchmarks.study.rows import Row
 from benchmarks.study.scenes import StudyScene
-from roigs_engine.colmap import load_colmap
+from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.console import Console
 from roigs_engine.errors import EngineError
-from roigs_engine.events import Message
-from roigs_engine.files import read_json, write_json
-from roigs_engine.lock import locked
-from roigs_engine.older import put_away, take_back
-from roigs_engine.render import safe_name
-from roigs_engine.scene import SfmScene
+from roigs_engine.formats.events import Message
+from roigs_engine.formats.files import read_json, write_json
+from roigs_engine.formats.lock import locked
+from roigs_engine.formats.names import safe_name
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run.archive import put_away, take_back
 
 Item = tuple[StudyScene, int, Row]
 

@@ -30,8 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read, replace, write."""
-    from ..compose import replace
-    from ..gaussians import Gaussians
+    from ..model.compose import replace
+    from ..model.gaussians import Gaussians
 
     by_name = {roi.name: roi for roi in boxes(args)}
     objects: dict[str, Gaussians] = {}

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, TextIO
 
 from ..errors import RunFolderError, Stopped
-from ..events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
+from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 
 if TYPE_CHECKING:
     from tqdm import tqdm

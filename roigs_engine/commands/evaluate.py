@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import ConfigError
-from ..files import read_json
+from ..formats.files import read_json
 from .console import Console
 from .options import (
     add_device_option,
@@ -46,11 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Render the test photos with every model and compare."""
-    from ..crops import write_crops
-    from ..evaluate import EvaluatedModel, evaluate
-    from ..gaussians import Gaussians
-    from ..report import format_markdown, write_report
-    from ..split import choose_test_views
+    from ..evaluation.crops import write_crops
+    from ..evaluation.evaluate import evaluate
+    from ..evaluation.report import format_markdown, write_report
+    from ..evaluation.views import EvaluatedModel
+    from ..model.gaussians import Gaussians
+    from ..selection.split import choose_test_views
 
     rois, scene = boxes(args), load_scene(args, console, args.out / "cache")
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)

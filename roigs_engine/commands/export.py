@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read, write."""
-    from ..export import write_export
+    from ..colmap.export import write_export
 
     scene = load_scene(args, console)
     outputs = write_export(scene, args.out)

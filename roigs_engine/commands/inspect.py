@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from ..inspect import format_inspection, inspect_scene
+from ..colmap.inspect import format_inspection, inspect_scene
 from .console import Console
 from .options import add_roi_options, add_scene_options, boxes, load_scene
 

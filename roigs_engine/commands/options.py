@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..config import INITS, ORDERS, PRESETS, STRATEGIES, RunConfig, preset
 from ..errors import ConfigError, RoiError
-from ..roi import OrientedBox, first_taken, load_rois, parse_roi
-from ..scene import SfmScene
+from ..formats.names import first_taken
+from ..model.roi import OrientedBox, load_rois, parse_roi
+from ..model.scene import SfmScene
+from ..run.config import INITS, ORDERS, STRATEGIES, RunConfig
+from ..run.presets import PRESETS, in_strategy, preset
 from ..selection import METHODS
 from .console import Console
 
@@ -106,7 +108,7 @@ def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = 
         args, console: of the command.
         cache: where undistorted photos go; None: nobody will look at pixels, only at cameras.
     """
-    from ..colmap import load_colmap
+    from ..colmap.project import load_colmap
     from ..kernels.library import set_threads
 
     if args.threads is not None:  # photos can be looked at where the kernels cannot run
@@ -149,7 +151,7 @@ def run_config(args: argparse.Namespace) -> RunConfig:
     """The preset with the given options in it."""
     config = preset(args.preset)
     if args.strategy and args.strategy != config.strategy:
-        config = replace(config.in_strategy(args.strategy), preset=config.preset)
+        config = replace(in_strategy(config, args.strategy), preset=config.preset)
     if args.steps_factor is not None:
         config = config.scaled(args.steps_factor)
     given = {

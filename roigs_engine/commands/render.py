@@ -32,9 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Draw every camera to a PNG."""
-    from ..gaussians import Gaussians
     from ..kernels.library import set_threads
-    from ..render import load_camera_path, render_sequence
+    from ..model.gaussians import Gaussians
+    from ..rasterize.camera_path import load_camera_path
+    from ..rasterize.sequence import render_sequence
     from .options import load_scene
 
     gaussians = Gaussians.load_ply(args.ply).to(device(args, console))

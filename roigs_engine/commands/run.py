@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..config import COMPARISONS
 from ..errors import ConfigError
+from ..run.config import COMPARISONS
 from . import train
 from .console import Console
 from .options import run_config
@@ -30,9 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Train and evaluate; a folder that holds part of it is gone on with."""
-    from ..crops import write_crops
-    from ..evaluate import evaluate
-    from ..report import format_markdown, write_report
+    from ..evaluation.crops import write_crops
+    from ..evaluation.evaluate import evaluate
+    from ..evaluation.report import format_markdown, write_report
 
     if run_config(args).test_every == 0:
         raise ConfigError("--test-every 0 keeps no photo to compare on.", "Use `train` with it.")
@@ -41,9 +41,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     with train.open_run(args, console) as work:
         scene, rois = work.scene, work.rois
         models = [model.evaluated().to(work.device) for model in work.train(compare)]
-        evaluation = evaluate(models, scene, work.test, rois, emit=console.emit, check=check)
+        evaluation = evaluate(models, scene, work.test, rois, emit=console.emit, context=context)
         write_report(evaluation, args.run_dir)
-        write_crops(evaluation, models, scene, rois, args.run_dir, check=check)
+        write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
     console.print(format_markdown(evaluation))
     outputs = {"report": "report.md", "pictures": "crops", "result": "result.ply", "rois": "rois"}
     for what, where in outputs.items():

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from ..files import write_json
+from ..formats.files import write_json
 from ..selection import SelectionConfig, format_selection, select_cameras
 from .console import Console
 from .options import add_roi_options, add_scene_options, add_selection_options, boxes, load_scene
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     config = replace(SelectionConfig(), **{n: v for n, v in given.items() if v is not None})
     scene = load_scene(args, console)
     if args.test_every is not None:
-        from ..split import choose_test_views
+        from ..selection.split import choose_test_views
 
         scene = scene.without(set(choose_test_views(scene, rois, args.test_every, console.check)))
     outputs = {}

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
-from ..files import remove_leftovers
-from ..lock import locked
-from ..selection.given import load_given
+from ..formats.files import remove_leftovers
+from ..formats.lock import locked
+from ..selection.manual import load_given
 from .console import Console
 from .options import (
     add_device_option,
@@ -27,7 +27,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..pipeline import Run
+    from ..run.pipeline import Run
 
 HELP = "train the scene and its boxes to one PLY"
 EXAMPLES = """\
@@ -79,8 +79,8 @@ def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
 
     Its folder is locked as long as the block lasts.
     """
-    from ..pipeline import Run
-    from ..sessions import session
+    from ..run.pipeline import Run
+    from ..run.provenance import session
 
     rois, config = boxes(args), run_config(args)
     given = load_given(args.selection, rois) if args.selection else {}

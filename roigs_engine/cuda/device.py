@@ -7,14 +7,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..context import QUIET, Context
 from ..errors import KernelError
-from ..events import Emit, Message, ignore
 from . import library
 
 CPU = torch.device("cpu")
 
 
-def choose_device(name: str, emit: Emit = ignore) -> torch.device:
+def choose_device(name: str, context: Context = QUIET) -> torch.device:
     """The device for `--device`: "cpu", "cuda", or "auto", the card where one can be used.
 
     A message says why "auto" takes the CPU.
@@ -29,10 +29,10 @@ def choose_device(name: str, emit: Emit = ignore) -> torch.device:
     except KernelError as error:
         if name == "cuda":
             raise
-        emit(Message(text=f"Working on the CPU: {error.message}"))
+        context.info(f"Working on the CPU: {error.message}")
         return CPU
     device = torch.device("cuda", torch.cuda.current_device())
-    emit(Message(text=f"Working on {torch.cuda.get_device_name(device)}."))
+    context.info(f"Working on {torch.cuda.get_device_name(device)}.")
     return device
 
 

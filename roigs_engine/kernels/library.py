@@ -14,8 +14,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roigs_engine.errors import KernelError
-from roigs_engine.kernels import build
+from ..errors import KernelError
+from . import build
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -12,9 +12,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from roigs_engine.errors import EngineError
-from roigs_engine.optimizer import VisibleAdam
-from roigs_engine.rasterize.common import (
+from ..errors import EngineError
+from ..training.optimizer import VisibleAdam
+from .inputs import (
     RenderOutput,
     RenderRequest,
     background_colour,
@@ -22,8 +22,8 @@ from roigs_engine.rasterize.common import (
     check_optimizer,
     check_pixel_weights,
     used_sh_degree,
-    worked_tiles,
 )
+from .tiles import worked_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
 
@@ -123,15 +123,15 @@ def rasterize(
         optimizer=optimizer,
     )
     if backend == "reference":
-        from roigs_engine.rasterize import reference
+        from . import reference
 
         return reference.render(request)
     if backend == "cpu":
-        from roigs_engine.rasterize import cpu
+        from . import cpu
 
         return cpu.render(request)
     if backend == "cuda":
-        from roigs_engine.rasterize import cuda
+        from . import cuda
 
         return cuda.render(request)
     raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")

@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from roigs_engine.errors import EngineError, KernelError
-from roigs_engine.kernels import library
-from roigs_engine.kernels.library import pointer
-from roigs_engine.optimizer import VisibleAdam
-from roigs_engine.rasterize.common import RenderOutput, RenderRequest
+from ..errors import EngineError, KernelError
+from ..kernels import library
+from ..kernels.library import pointer
+from ..training.optimizer import VisibleAdam
+from .inputs import RenderOutput, RenderRequest
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from ..cuda import library
 from ..errors import KernelError
-from .common import BLUR, NEAR, TILE, RenderOutput, RenderRequest
+from .inputs import BLUR, NEAR, TILE, RenderOutput, RenderRequest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -231,7 +231,7 @@ def _weigh(
             "pip install triton (on Windows triton-windows), or a strategy without"
             " contribution_every (joint), or --device cpu.",
         )
-    from ..cuda.weights import blending_weights
+    from .cuda_weights import blending_weights
 
     x0, y0, width, height = cut
     counts = request.pixel_weights

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from roigs_engine.rasterize.common import (
+from .inputs import (
     ALPHA_MAX,
     ALPHA_MIN,
     BLUR,

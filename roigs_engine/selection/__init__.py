@@ -10,18 +10,20 @@ name order, ties go by name, and everything random has a seed. Nothing here need
 
 from __future__ import annotations
 
-from ..events import Check, Emit, Message, go_on, ignore
-from ..roi import OrientedBox
-from ..scene import SfmScene
+from ..context import QUIET, Context
+from ..formats.events import Message
+from ..model.roi import OrientedBox
+from ..model.scene import SfmScene
+from ..model.visibility import Candidates, find_candidates, visible_images
 from .baselines import order_fvs, order_random
+from .config import METHODS, SelectionConfig
 from .coverage import order_coverage, prefix_coverage
 from .features import StaticFeatures, static_features
 from .greedy import order_greedy
-from .records import METHODS, CameraSelection, Candidates, Picks, SelectionConfig
+from .records import CameraSelection, Picks
 from .report import format_selection
 from .score import prefix_scores
 from .static import order_static
-from .visibility import find_candidates, visible_images
 
 __all__ = [
     "METHODS",
@@ -37,8 +39,7 @@ def select_cameras(
     scene: SfmScene,
     roi: OrientedBox,
     config: SelectionConfig,
-    emit: Emit = ignore,
-    check: Check = go_on,
+    context: Context = QUIET,
 ) -> CameraSelection:
     """Choose the photos of a box, best first.
 
@@ -46,18 +47,18 @@ def select_cameras(
         scene: the model, test photos already taken out (`SfmScene.without`).
         roi: the box.
         config: method and settings.
-        emit: gets one warning for each degenerate case met.
-        check: called between photos; may raise to stop.
+        context: gets one warning for each degenerate case met.
+        context: asked between photos whether to stop.
 
     Raises:
         RoiError: no point lies in the box, or no photo sees one that does.
     """
-    candidates = find_candidates(scene, roi, check)
-    features = static_features(candidates, check)
+    candidates = find_candidates(scene, roi, context)
+    features = static_features(candidates, context)
     count = config.resolved_count(len(candidates))
-    picks = _order(candidates, features, config, count, check)
+    picks = _order(candidates, features, config, count, context)
     if config.method == "coverage":
-        scores = prefix_coverage(candidates, picks.order, config.direction_bins, check)
+        scores = prefix_coverage(candidates, picks.order, config.direction_bins, context)
     else:
         scores = prefix_scores(candidates, picks.order)
     flags = (
@@ -67,7 +68,7 @@ def select_cameras(
         *_picks_flags(picks),
     )
     for flag in flags:
-        emit(Message(text=flag, level="warning"))
+        context.warn(flag)
     names = candidates.names
     return CameraSelection(
         roi=roi.name,
@@ -85,7 +86,7 @@ def _order(
     features: StaticFeatures,
     config: SelectionConfig,
     count: int,
-    check: Check,
+    context: Context,
 ) -> Picks:
     """Run the configured method."""
     match config.method:
@@ -94,11 +95,11 @@ def _order(
         case "gp6" | "gp9":
             from .gp import order_gp  # scikit-learn takes a second to import
 
-            return order_gp(candidates, features, config, count, config.method == "gp9", check)
+            return order_gp(candidates, features, config, count, config.method == "gp9", context)
         case "greedy":
-            return order_greedy(candidates, count, check)
+            return order_greedy(candidates, count, context)
         case "coverage":
-            return order_coverage(candidates, count, config.direction_bins, check)
+            return order_coverage(candidates, count, config.direction_bins, context)
         case "fvs":
             return order_fvs(candidates, count)
         case _:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..scene import Float64
-from .records import Candidates, Picks
+from ..model.scene import Float64
+from ..model.visibility import Candidates
+from .records import Picks
 
 # Weight of log distance beside the unit direction: two photos in one direction, one twice as far,
 # stand as far apart as two photos at one distance and about 10 degrees between them.

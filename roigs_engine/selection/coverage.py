@@ -19,12 +19,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..events import Check, go_on
-from ..scene import Float64, Int64
+from ..context import QUIET, Context
+from ..model.scene import Float64, Int64
+from ..model.visibility import Candidates
 from .baselines import fill_up
 from .greedy import lazy_greedy
 from .neighbours import nearest_neighbours
-from .records import Candidates, Picks
+from .records import Picks
 from .score import voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
@@ -41,13 +42,13 @@ ROWS = 1 << 16  # observations compared with all directions at once
 class Coverage:
     """F(S) of a growing set S of photos, as a share of what all candidates give together."""
 
-    def __init__(self, candidates: Candidates, bins: int, check: Check = go_on) -> None:
+    def __init__(self, candidates: Candidates, bins: int, context: Context = QUIET) -> None:
         self._starts = candidates.row_starts()
         view, point = candidates.obs_view, candidates.obs_point
         ray = candidates.centres()[view] - candidates.points[point]  # (N, 3) point to camera
         length = np.linalg.norm(ray, axis=1)
         ray /= np.maximum(length, np.finfo(float).tiny)[:, None]
-        density = _pixel_density(candidates) * _cosines(candidates, ray, check)
+        density = _pixel_density(candidates) * _cosines(candidates, ray, context)
         best = np.percentile(density, RESOLUTION_PERCENTILE) if len(density) else 0.0
         share = np.minimum(1.0, density / best) if best > 0 else np.zeros(len(density))
         voxel = voxel_indices(candidates.points, candidates.roi)
@@ -77,18 +78,20 @@ class Coverage:
         np.maximum.at(self._held, self._slot[part], self._worth[part])
 
 
-def order_coverage(candidates: Candidates, count: int, bins: int, check: Check = go_on) -> Picks:
+def order_coverage(
+    candidates: Candidates, count: int, bins: int, context: Context = QUIET
+) -> Picks:
     """The photos that raise F most, one at a time; then farthest views."""
-    coverage = Coverage(candidates, bins, check)
-    order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count, check)
+    coverage = Coverage(candidates, bins, context)
+    order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count, context)
     return fill_up(candidates, order, count)
 
 
 def prefix_coverage(
-    candidates: Candidates, order: tuple[int, ...], bins: int, check: Check = go_on
+    candidates: Candidates, order: tuple[int, ...], bins: int, context: Context = QUIET
 ) -> tuple[float, ...]:
     """F / F(all candidates) after each pick of `order`."""
-    coverage = Coverage(candidates, bins, check)
+    coverage = Coverage(candidates, bins, context)
     values = []
     for view in order:
         coverage.add(view)
@@ -125,23 +128,23 @@ def _pixel_density(candidates: Candidates) -> Float64:
     return density
 
 
-def _cosines(candidates: Candidates, rays: Float64, check: Check) -> Float64:
+def _cosines(candidates: Candidates, rays: Float64, context: Context) -> Float64:
     """(N,) cos(theta) of each observation: 1 where the normal is unknown, >= `MIN_COSINE`."""
-    normals, known = _normals(candidates, rays, check)
+    normals, known = _normals(candidates, rays, context)
     point = candidates.obs_point
     cosine = np.einsum("ni,ni->n", rays, normals[point])
     return np.where(known[point], np.clip(cosine, MIN_COSINE, 1.0), 1.0)
 
 
 def _normals(
-    candidates: Candidates, rays: Float64, check: Check
+    candidates: Candidates, rays: Float64, context: Context
 ) -> tuple[Float64, NDArray[np.bool_]]:
     """(P, 3) unit normals by principal components, facing the observers; (P,) which are known."""
     points = candidates.points
     total = len(points)
     if total < NORMAL_NEIGHBOURS:
         return np.zeros((total, 3)), np.zeros(total, dtype=bool)
-    neighbours = points[nearest_neighbours(points, NORMAL_NEIGHBOURS, check)]  # (P, k, 3)
+    neighbours = points[nearest_neighbours(points, NORMAL_NEIGHBOURS, context)]  # (P, k, 3)
     centred = neighbours - neighbours.mean(axis=1, keepdims=True)
     covariance = np.einsum("pki,pkj->pij", centred, centred) / NORMAL_NEIGHBOURS
     values, vectors = np.linalg.eigh(covariance)  # ascending

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..events import Check, go_on
-from ..scene import Float64
-from .records import Candidates
+from ..context import QUIET, Context
+from ..model.scene import Float64
+from ..model.visibility import Candidates
 
 # Photos named in the flag about cameras inside the box.
 INSIDE_NAMED = 3
@@ -52,12 +52,12 @@ class StaticFeatures:
         }
 
 
-def static_features(candidates: Candidates, check: Check = go_on) -> StaticFeatures:
+def static_features(candidates: Candidates, context: Context = QUIET) -> StaticFeatures:
     """The features of every candidate."""
     roi, images = candidates.roi, candidates.images
     area = []
     for image in images:
-        check()
+        context.check_cancelled()
         area.append(roi.projected_area(image.camera, image.world_to_camera))
     return StaticFeatures(
         distance=np.linalg.norm(candidates.centres() - roi.centre, axis=1),

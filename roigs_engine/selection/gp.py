@@ -21,11 +21,13 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-from ..events import Check, go_on
-from ..scene import Float64
+from ..context import QUIET, Context
+from ..model.scene import Float64
+from ..model.visibility import Candidates
 from .baselines import farthest_first, fill_up, most_keypoints
+from .config import SelectionConfig
 from .features import StaticFeatures
-from .records import Candidates, Picks, SelectionConfig
+from .records import Picks
 from .score import DensityOccupancy
 
 # Photos picked before the first fit.
@@ -121,7 +123,7 @@ def order_gp(
     config: SelectionConfig,
     count: int,
     extended: bool,
-    check: Check = go_on,
+    context: Context = QUIET,
 ) -> Picks:
     """The photos that the GP's acquisition ranks best, one at a time.
 
@@ -144,7 +146,7 @@ def order_gp(
         score.add(view)
     if not names:
         return fill_up(candidates, seeds, count, flags)
-    order = _loop(inputs, score, seeds, gains, config, count, check)
+    order = _loop(inputs, score, seeds, gains, config, count, context)
     return fill_up(candidates, order, count, flags)
 
 
@@ -155,14 +157,14 @@ def _loop(
     gains: list[float],
     config: SelectionConfig,
     count: int,
-    check: Check,
+    context: Context,
 ) -> list[int]:
     """`seeds` continued to `count` photos, or to the last one before all gains are zero."""
     surrogate = Surrogate(inputs, config.seed)
     generator = np.random.default_rng(config.seed)
     order = list(seeds)
     while len(order) < count:
-        check()
+        context.check_cancelled()
         present = score.gains()
         taken = set(order)
         rest = [view for view in range(len(inputs)) if view not in taken]

@@ -14,9 +14,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..events import Check, go_on
+from ..context import QUIET, Context
+from ..model.visibility import Candidates
 from .baselines import fill_up
-from .records import Candidates, Picks
+from .records import Picks
 from .score import DensityOccupancy
 
 
@@ -25,7 +26,7 @@ def lazy_greedy(
     gain: Callable[[int], float],
     add: Callable[[int], None],
     count: int,
-    check: Check = go_on,
+    context: Context = QUIET,
 ) -> list[int]:
     """Up to `count` views, each with the largest gain given those before it; ties by view id.
 
@@ -39,7 +40,7 @@ def lazy_greedy(
     heapq.heapify(heap)
     order: list[int] = []
     while heap and len(order) < count:
-        check()
+        context.check_cancelled()
         negative, view, measured_at = heapq.heappop(heap)
         if measured_at < len(order):
             heapq.heappush(heap, (-gain(view), view, len(order)))
@@ -51,7 +52,7 @@ def lazy_greedy(
     return order
 
 
-def order_greedy(candidates: Candidates, count: int, check: Check = go_on) -> Picks:
+def order_greedy(candidates: Candidates, count: int, context: Context = QUIET) -> Picks:
     """The photos that raise density x occupancy most, one at a time; then farthest views."""
     score = DensityOccupancy(candidates)
     # log f of the empty set is -inf: the first pick is made outside the lazy loop.
@@ -62,5 +63,5 @@ def order_greedy(candidates: Candidates, count: int, check: Check = go_on) -> Pi
     def log_gain(view: int) -> float:
         return math.log(score.product_with(view)) - math.log(score.product)
 
-    order = [first, *lazy_greedy(others, log_gain, score.add, count - 1, check)]
+    order = [first, *lazy_greedy(others, log_gain, score.add, count - 1, context)]
     return fill_up(candidates, order, count)

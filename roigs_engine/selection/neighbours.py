@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..events import Check, go_on
-from ..scene import Float64, Int64
+from ..context import QUIET, Context
+from ..model.scene import Float64, Int64
 
 LEAF = 64  # points; a leaf holds more than half of it, which is how many neighbours there can be
 MANY = 100  # leaves to look at
 
 
-def nearest_neighbours(points: Float64, count: int, check: Check = go_on) -> Int64:
+def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) -> Int64:
     """(P, 3) points -> (P, count) rows of the nearest ones, in no order, the point itself included.
 
     `count` is at most P and `LEAF` / 2.
@@ -27,7 +27,7 @@ def nearest_neighbours(points: Float64, count: int, check: Check = go_on) -> Int
     high = np.array([points[leaf].max(axis=0) for leaf in leaves])
     found = np.empty((len(points), count), dtype=np.int64)
     for leaf in leaves:
-        check()
+        context.check_cancelled()
         centre = points[leaf].mean(axis=0)  # distances by scalar products are exact near zero
         own = points[leaf] - centre
         bounds = np.maximum(_kth(_squared(own, own), count), 0.0)

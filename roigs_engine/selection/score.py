@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..roi import OrientedBox
-from ..scene import Float64, Int64
-from .records import Candidates
+from ..model.roi import OrientedBox
+from ..model.scene import Float64, Int64
+from ..model.visibility import Candidates
 
 VOXELS_ALONG_LONGEST_SIDE = 16
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Float64
+from ..model.scene import Float64
 from .features import StaticFeatures
 from .records import Picks
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from roigs_engine.ply import write_ply
 
 from roigs_addon.gaussian_ply import read_splats
-from roigs_engine.ply import write_ply
 from tests.addon.splat_cases import random_arrays, random_ply
 
 

@@ -104,9 +104,10 @@ def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
     result = Path(os.environ.get("ROIGS_DEMO_RUN", ROOT / "runs" / "demo")) / "result.ply"
     if not result.is_file():
         pytest.skip("the demo has not been trained")
-    from roigs_engine import load_colmap
     from roigs_engine.gaussians import Gaussians
     from roigs_engine.render import load_camera_path, render_sequence
+
+    from roigs_engine import load_colmap
 
     (tmp_path / "splats.ply").symlink_to(result.resolve())
     chosen = []

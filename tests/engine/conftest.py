@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from roigs_engine import losses, optimizer
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import library
 from roigs_engine.rasterize import cpu
+from roigs_engine.training import losses, optimizer
 
 
 @pytest.fixture(scope="module", params=["generic", "avx2", "avx512", "neon"])

@@ -24,9 +24,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roigs_engine import cli, config, files, trainer
+from roigs_engine import cli
 from roigs_engine.commands.console import Console
-from roigs_engine.config import RunConfig, TrainConfig
+from roigs_engine.formats import files
+from roigs_engine.run import config
+from roigs_engine.run.config import RunConfig
+from roigs_engine.training import trainer
+from roigs_engine.training.config import TrainConfig
 from tests.engine.synthetic_colmap import camera, write_project
 
 CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")

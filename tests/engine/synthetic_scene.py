@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from PIL import Image
 
-from roigs_engine.gaussians import SH_C0, Gaussians
+from roigs_engine.model.gaussians import SH_C0, Gaussians
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.rasterize import rasterize
-from roigs_engine.roi import OrientedBox
-from roigs_engine.scene import Camera, PosedImage, SfmScene
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
 BOX = OrientedBox.axis_aligned("thing", [-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])

@@ -128,7 +128,7 @@ def lenses(dice: random.Random, folder: Path) -> Command:
 
 
 def inputs_parameters(name: str) -> int:
-    from roigs_engine.colmap_files import PARAMETER_COUNT
+    from roigs_engine.colmap.records import PARAMETER_COUNT
 
     return PARAMETER_COUNT[name]
 

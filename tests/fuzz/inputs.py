@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from roigs_engine.colmap_files import CAMERA_MODELS
+from roigs_engine.colmap.records import CAMERA_MODELS
 from tests.addon.colmap_project import quaternion, ring
 
 WIDTH, HEIGHT, PHOTOS, POINTS = 48, 36, 4, 40

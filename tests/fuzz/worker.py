@@ -57,8 +57,8 @@ class Decode:
 
     @staticmethod
     def run(args: Any, console: Any) -> dict[str, str]:
-        from roigs_engine.colmap import load_colmap
-        from roigs_engine.images import PhotoCache
+        from roigs_engine.colmap.project import load_colmap
+        from roigs_engine.photos.cache import PhotoCache
 
         scene = load_colmap(args.scene, max_side=64, cache=args.scene / "../out", emit=console.emit)
         with PhotoCache(scene.images) as cache:

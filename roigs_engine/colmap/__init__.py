@@ -1,0 +1,1 @@
+"""A COLMAP project read into a scene, inspected and exported."""

@@ -1,0 +1,57 @@
+"""Cameras and points of a scene as files that any program reads; numpy and JSON only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..formats.files import atomic_write, write_json
+from ..model.scene import PosedImage, SfmScene
+from .inspect import inspect_scene
+
+
+def write_export(scene: SfmScene, folder: Path) -> dict[str, str]:
+    """Write the scene below `folder`; name -> path of the files.
+
+    scene.json: what `inspect_scene` says, and `images`, one record each (docs/files.md).
+    points.npy (P, 3) float32, colors.npy (P, 3) uint8.
+    observed.npy (M,) int32 rows of points, photo after photo; observed_starts.npy (V + 1,) int64:
+    photo k observes the points observed[starts[k]:starts[k + 1]].
+    """
+    starts = np.cumsum([0, *(len(image.point_indices) for image in scene.images)])
+    rows = [image.point_indices for image in scene.images]
+    arrays: dict[str, NDArray[Any]] = {
+        "points": scene.points.astype(np.float32),
+        "colors": scene.colors,
+        "observed": np.concatenate([np.empty(0, np.int64), *rows]).astype(np.int32),
+        "observed_starts": starts.astype(np.int64),
+    }
+    for name, array in arrays.items():
+        with atomic_write(folder / f"{name}.npy") as file:
+            np.save(file, array, allow_pickle=False)
+    record = inspect_scene(scene)
+    del record["rois"]
+    write_json(
+        folder / "scene.json", {**record, "images": [_image_record(i) for i in scene.images]}
+    )
+    files = {"scene": "scene.json", **{name: f"{name}.npy" for name in arrays}}
+    return {name: str(folder / file) for name, file in files.items()}
+
+
+def _image_record(image: PosedImage) -> dict[str, object]:
+    camera = image.camera
+    return {
+        "name": image.name,
+        "path": str(image.path.absolute()),
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "world_to_camera": image.world_to_camera.tolist(),
+        "distorted": image.distorted,
+    }

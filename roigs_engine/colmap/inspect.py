@@ -1,0 +1,103 @@
+"""What a scene holds and how well its regions of interest are seen, before any training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..model.roi import OrientedBox
+from ..model.scene import SfmScene
+
+FIRST_NAMES = 5
+
+
+def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str, Any]:
+    """The scene in figures, as plain values that JSON can hold.
+
+    Keys: `photos`; `cameras` (distinct intrinsics); `smallest`, `largest` ([width, height] in
+    pixels, by area); `skipped` (reason -> {count, first}); `points`; `observations`;
+    `has_tracks`; `extent` (scene.extent(), world units); `bounds` ([low, high] corners of the
+    middle 98 % of the points); `rois`, one entry each (see `inspect_roi`).
+    """
+    cameras = {image.camera for image in scene.images}
+    sizes = sorted({(c.width, c.height) for c in cameras}, key=lambda size: size[0] * size[1])
+    bounds = np.percentile(scene.points, (1, 99), axis=0) if len(scene.points) else np.zeros((2, 3))
+    return {
+        "photos": len(scene.images),
+        "cameras": len(cameras),
+        "smallest": list(sizes[0]) if sizes else [0, 0],
+        "largest": list(sizes[-1]) if sizes else [0, 0],
+        "skipped": {
+            reason: {"count": len(names), "first": list(names[:FIRST_NAMES])}
+            for reason, names in scene.skipped.items()
+        },
+        "points": len(scene.points),
+        "observations": sum(len(image.point_indices) for image in scene.images),
+        "has_tracks": scene.has_tracks,
+        "extent": scene.extent(),
+        "bounds": bounds.tolist(),
+        "rois": [inspect_roi(scene, roi) for roi in rois],
+    }
+
+
+def inspect_roi(scene: SfmScene, roi: OrientedBox) -> dict[str, Any]:
+    """One box in figures.
+
+    Keys: `name`; `sides` (3 lengths, world units); `points` (inside); `photos` (that observe at
+    least one point inside; without tracks: whose image the box's silhouette meets);
+    `median_area` (of those photos, share of the image that the silhouette covers, 0 to 1);
+    `nearest`, `farthest` (distance of those photos' cameras from the box's centre, world units;
+    0 when there are none); `cameras_inside` (of those photos).
+    """
+    inside = roi.contains(scene.points)
+    photos = [image for image in scene.images if inside[image.point_indices].any()]
+    if not scene.has_tracks:
+        photos = list(scene.images)
+    areas = [roi.projected_area(image.camera, image.world_to_camera) for image in photos]
+    if not scene.has_tracks:
+        photos = [image for image, area in zip(photos, areas, strict=True) if area > 0]
+        areas = [area for area in areas if area > 0]
+    distances = [float(np.linalg.norm(image.centre - roi.centre)) for image in photos]
+    return {
+        "name": roi.name,
+        "sides": (2 * roi.half_extents).tolist(),
+        "points": int(inside.sum()),
+        "photos": len(photos),
+        "median_area": float(np.median(areas)) if areas else 0.0,
+        "nearest": min(distances, default=0.0),
+        "farthest": max(distances, default=0.0),
+        "cameras_inside": sum(roi.camera_inside(image.world_to_camera) for image in photos),
+    }
+
+
+def format_inspection(record: dict[str, Any]) -> str:
+    """`inspect_scene`'s dictionary as lines for a terminal."""
+    sizes = [" x ".join(map(str, record[key])) for key in ("smallest", "largest")]
+    size = " to ".join(dict.fromkeys(sizes)) + " pixels"
+    lines = [
+        f"photos   {record['photos']}, {_many(record['cameras'], 'camera')}, {size}",
+        f"points   {record['points']}, seen {record['observations']} times",
+        f"extent   {record['extent']:.4g} scene units",
+    ]
+    if not record["has_tracks"]:
+        lines.append("tracks   none: which photo sees which point is not stored in this model")
+    for reason, entry in record["skipped"].items():
+        more = ", …" if entry["count"] > len(entry["first"]) else ""
+        lines.append(f"skipped  {entry['count']} {reason}: {', '.join(entry['first'])}{more}")
+    for roi in record["rois"]:
+        sides = " x ".join(f"{side:.3g}" for side in roi["sides"])
+        lines.append(f"ROI «{roi['name']}», {sides}")
+        lines.append(
+            f"         {_many(roi['points'], 'point')} inside, seen on "
+            f"{_many(roi['photos'], 'photo')}, covering {100 * roi['median_area']:.1f} % of one "
+            f"(median), from {roi['nearest']:.3g} to {roi['farthest']:.3g} away"
+        )
+        if roi["cameras_inside"]:
+            lines.append(f"         {_many(roi['cameras_inside'], 'camera')} inside the box")
+    return "\n".join(lines)
+
+
+def _many(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -1,0 +1,201 @@
+"""A model's photos: which of them can be used, with which pose, camera and file."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import RunFolderError, SceneError
+from ..formats.events import StageStarted
+from ..model.scene import FAR, Camera, Float64, PosedImage
+from ..photos.files import PhotoFolder
+from ..photos.headers import PhotoError, check_whole, photo_size
+from .records import NO_IDS, Model, ModelCamera, ModelImage
+from .undistort import (
+    Plan,
+    as_pinhole,
+    has_pycolmap,
+    plan_undistortion,
+    temporary_folder,
+    undistort,
+    without_distortion,
+)
+
+MISSING = "missing on disk"
+UNPOSED = "without a pose"
+WRONG_SIZE = "wrong size"
+UNREADABLE = "unreadable"
+NO_CAMERA = "without a camera"
+DUPLICATE = "twice in the model"
+Shrink = Callable[[int, int], tuple[int, int]]
+
+
+def photo_name(image: ModelImage) -> str:
+    """The photo's name in the scene: with `/` between folders whatever system wrote the model."""
+    return image.name.replace("\\", "/")
+
+
+def _pose(image: ModelImage) -> Float64 | None:
+    """(4, 4) world to camera, None when the stored numbers are no pose."""
+    numbers = np.concatenate([image.quaternion, image.translation])
+    if not (np.abs(numbers) < FAR).all():
+        return None
+    norm = float(np.linalg.norm(image.quaternion))
+    if norm < 1e-12:
+        return None
+    w, x, y, z = image.quaternion / norm
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = image.translation
+    return pose
+
+
+def _same_shape(camera: ModelCamera, size: tuple[int, int]) -> bool:
+    """Whether a photo of that size is a resampled copy, rounded by a pixel at most."""
+    slack = 1 / camera.width + 1 / camera.height
+    return abs(size[0] / camera.width - size[1] / camera.height) <= slack + 1e-9
+
+
+class PhotoLoader:
+    """Sorts a model's photos into usable ones, plans for distorted ones, and skipped names.
+
+    Attributes:
+        posed: image id -> photo, with its final camera and the original file.
+        skipped: reason -> names.
+        approximate: whether a camera's distortion is ignored, for want of pycolmap.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        photos: PhotoFolder,
+        shrink: Shrink,
+        *,
+        pixels: bool = True,
+        context: Context = QUIET,
+    ) -> None:
+        """Args: `pixels`: False where only cameras matter, see `load_colmap`."""
+        self.approximate = False
+        self._pixels = pixels
+        self.skipped: defaultdict[str, list[str]] = defaultdict(list)
+        self.posed: dict[int, PosedImage] = {}
+        self._plans: dict[int, Plan] = {}
+        names: set[str] = set()
+        for image in sorted(model.images, key=lambda image: image.image_id):
+            context.check_cancelled()
+            reason = DUPLICATE if photo_name(image) in names or image.image_id in self.posed else ""
+            reason = reason or self._add(image, model.cameras.get(image.camera_id), photos, shrink)
+            names.add(photo_name(image))
+            if reason:
+                self.skipped[reason].append(photo_name(image))
+
+    def _add(
+        self, image: ModelImage, camera: ModelCamera | None, photos: PhotoFolder, shrink: Shrink
+    ) -> str:
+        """Take the photo in, or say why not."""
+        pose, path = _pose(image), photos.find(image.name)
+        if pose is None:
+            return UNPOSED
+        if camera is None:
+            return NO_CAMERA
+        if path is None:
+            return MISSING
+        try:
+            size = photo_size(path) or (camera.width, camera.height)
+            check_whole(path)
+        except SceneError:
+            return UNREADABLE
+        if not _same_shape(camera, size):
+            return WRONG_SIZE
+        pinhole, distorted = as_pinhole(camera), False
+        try:
+            if pinhole is None:
+                distorted, target = (
+                    True,
+                    self._undistorted_camera(image, path, camera, size, shrink),
+                )
+            else:
+                target = pinhole.resized(*shrink(*size))
+        except SceneError:
+            return f"{camera.model} cannot be undistorted"
+        self.posed[image.image_id] = PosedImage(
+            name=photo_name(image),
+            path=path,
+            camera=target,
+            world_to_camera=pose,
+            point_indices=NO_IDS,
+            distorted=distorted,
+        )
+        return ""
+
+    def _undistorted_camera(
+        self,
+        image: ModelImage,
+        path: Path,
+        camera: ModelCamera,
+        size: tuple[int, int],
+        shrink: Shrink,
+    ) -> Camera:
+        """The pinhole of a distorted camera; the photo is noted for undistortion."""
+        if not self._pixels and not has_pycolmap():
+            self.approximate = True
+            return without_distortion(camera).resized(*shrink(*size))
+        plan = plan_undistortion(path, camera, size, shrink)
+        self._plans[image.image_id] = plan
+        return plan.target
+
+    def undistorted(self, cache: Path | None, context: Context = QUIET) -> dict[int, PosedImage]:
+        """Image id -> photo, the distorted ones' undistorted copies made or found in the cache."""
+        if not self._plans:
+            return self.posed
+        folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
+        total = len(self._plans)
+        made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
+        report = ignore if made else emit
+        report(StageStarted(stage="undistort", total=total))
+        started = time.monotonic()
+        pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="undistort")
+        try:
+            jobs = {key: pool.submit(undistort, plan, folder) for key, plan in self._plans.items()}
+            for step, (key, job) in enumerate(jobs.items(), start=1):
+                image = self.posed[key]
+                try:
+                    self.posed[key] = replace(image, path=_waited(job, context), distorted=False)
+                except PhotoError:
+                    self.skipped[UNREADABLE].append(image.name)
+                    del self.posed[key]
+                report(step_done("undistort", step, total, started))
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return self.posed
+
+
+def _waited(job: Future[Path], context: Context) -> Path:
+    """The job's result, asking now and then whether to stop."""
+    while not wait([job], timeout=0.2).done:
+        context.check_cancelled()
+    context.check_cancelled()
+    return job.result()
+
+
+def _made(folder: Path) -> Path:
+    """The folder, created before photos are decoded for it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(
+            f"Cannot write to {folder} ({error.strerror}).", "Choose another folder."
+        ) from error
+    return folder

@@ -1,0 +1,194 @@
+"""A COLMAP project folder to an `SfmScene`: finds model and photos, undistorts what needs it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, SceneError
+from ..formats.events import Message
+from ..model.scene import FAR, Float64, Int64, SfmScene
+from ..photos.files import PhotoFolder, find_photos
+from .model_files import count_images, model_suffix, read_model
+from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
+from .records import MAX_SIDE, NO_IDS, Model
+
+
+def load_colmap(
+    path: Path | str,
+    *,
+    images: Path | str | None = None,
+    cache: Path | None = None,
+    downscale: float | None = None,
+    max_side: int | None = None,
+    pixels: bool = True,
+    context: Context = QUIET,
+) -> SfmScene:
+    """The scene of a COLMAP project.
+
+    Args:
+        path: project folder with `sparse/0` or `sparse`, or the model's own folder.
+        images: the photos' folder; default `images`, `images_2`, `images_4` or `images_8` of the
+            project, the first that holds any of the model's photos.
+        cache: where undistorted photos are kept between loads; default a temporary folder.
+        downscale: divides the photos' size, >= 1.
+        max_side: longest side in pixels; photos are never enlarged.
+        pixels: False when nobody will look at the photos themselves: the cameras are the same,
+            but nothing is undistorted (it takes seconds), and `path` names the distorted photo.
+            Works with numpy alone; without pycolmap, cameras with distortion are taken as if they
+            had none, and a warning says so.
+        context: receives messages.
+        context: asked between files and photos whether to stop.
+
+    Raises:
+        SceneError: no usable model, points or photos.
+        ConfigError: `downscale` or `max_side` out of range.
+        RunFolderError: `cache` cannot be written.
+    """
+    shrink = _shrink(downscale, max_side)
+    folder = find_model(Path(path), context)
+    model = read_model(folder, context)
+    ids, points, colors = _points(model, folder, context)
+    photos = find_photos(folder, images, [image.name for image in model.images])
+    loader = PhotoLoader(model, photos, shrink, pixels=pixels, context=context)
+    if loader.approximate:
+        text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
+        context.warn(text)
+    posed = loader.undistorted(cache, context) if pixels else loader.posed
+    if not posed:
+        raise _no_photos(model, photos, loader.skipped)
+    loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
+    skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
+    for reason, names in skipped.items():
+        first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
+        level = "info" if reason == UNPOSED else "warning"
+        context.info(f"Photos left out, {reason}: {len(names)} ({first}).", level=level)
+    observed = _observations(model, ids, context)
+    used = {image.name: observed.get(image_id, NO_IDS) for image_id, image in posed.items()}
+    return SfmScene(
+        images=tuple(
+            replace(image, point_indices=used[image.name])
+            for image in sorted(posed.values(), key=lambda image: image.name)
+        ),
+        points=points,
+        colors=colors,
+        skipped=skipped,
+        has_tracks=any(len(rows) for rows in used.values()),
+    )
+
+
+def find_model(path: Path, context: Context = QUIET) -> Path:
+    """The model folder of a project: `path`, `path/sparse` or one of their numbered subfolders.
+
+    Of several models the one with the most photos is taken, and a message says so.
+
+    Raises:
+        SceneError: there is none.
+    """
+    if model_suffix(path):
+        return path
+    if not path.is_dir():
+        raise SceneError(f"{path} is not a folder.", "Give the project's folder.")
+    found: list[Path] = []
+    for parent in (path / "sparse", path):
+        numbered = [child for child in _children(parent) if child.name.isdecimal()]
+        found += [*sorted(numbered, key=lambda child: int(child.name)), parent]
+    counts = {folder: count_images(folder) for folder in found if model_suffix(folder)}
+    if not counts:
+        raise SceneError(
+            f"{path} holds no COLMAP model.",
+            "Give a folder with sparse/0, or one with cameras, images and points3D files.",
+        )
+    best = max(counts, key=lambda folder: counts[folder])
+    if len(counts) > 1:
+        others = (f"{f.relative_to(path)}: {n}" for f, n in counts.items() if f != best)
+        context.emit(
+            Message(
+                text=f"{path} holds {len(counts)} models; taking {best.relative_to(path)} "
+                f"with {counts[best]} photos (others: {', '.join(others)}).",
+                level="warning",
+            )
+        )
+    return best
+
+
+def _children(folder: Path) -> list[Path]:
+    try:
+        return [child for child in folder.iterdir() if child.is_dir()]
+    except OSError:
+        return []
+
+
+def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
+    """The function from a photo's (width, height) to those wanted."""
+    if downscale is not None and not 1 <= downscale < 1e6:
+        raise ConfigError(f"downscale is {downscale:g}.", "Give a number of at least 1.")
+    if max_side is not None and not 1 <= max_side <= MAX_SIDE:
+        raise ConfigError(f"max_side is {max_side}.", "Give a number of pixels.")
+
+    def shrink(width: int, height: int) -> tuple[int, int]:
+        scale = 1 / (downscale or 1)
+        if max_side is not None:
+            scale = min(scale, max_side / max(width, height))
+        return max(1, round(width * scale)), max(1, round(height * scale))
+
+    return shrink
+
+
+def _points(
+    model: Model, folder: Path, context: Context
+) -> tuple[Int64, Float64, NDArray[np.uint8]]:
+    """Ids ascending, positions and colours of the points with usable numbers."""
+    good = (np.abs(model.points) < FAR).all(axis=1) & (model.point_ids >= 0)  # False for NaN
+    if not good.any():
+        raise SceneError(
+            f"The model in {folder} holds no 3D points.",
+            "Export the sparse point cloud with the model: training starts from it.",
+        )
+    if not good.all():
+        text = f"{int((~good).sum())} 3D points without a usable position are left out."
+        context.warn(text)
+    ids, rows = np.unique(model.point_ids[good], return_index=True)
+    return ids, model.points[good][rows], model.colors[good][rows]
+
+
+def _observations(model: Model, ids: Int64, context: Context) -> dict[int, Int64]:
+    """Image id -> ascending rows of the points it observes; ids of no point are ignored.
+
+    The photos' side of the observations counts; a model that has only the points' side (tracks)
+    is read from there.
+    """
+    seen = {image.image_id: image.point_ids for image in model.images}
+    if len(model.track_rows):
+        order = np.argsort(model.track_images, kind="stable")
+        viewers, starts = np.unique(model.track_images[order], return_index=True)
+        by_viewer = np.split(model.point_ids[model.track_rows[order]], starts[1:])
+        seen = dict(zip((int(viewer) for viewer in viewers), by_viewer, strict=True))
+    observed = {}
+    for image_id, values in seen.items():
+        context.check_cancelled()
+        observed[image_id] = _rows(values, ids)
+    return observed
+
+
+def _rows(values: Int64, ids: Int64) -> Int64:
+    """Rows of `ids` (ascending) that `values` name, unique and ascending."""
+    unique = np.unique(values)
+    at = np.minimum(np.searchsorted(ids, unique), len(ids) - 1)
+    rows: Int64 = at[ids[at] == unique].astype(np.int64)
+    return rows
+
+
+def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]]) -> SceneError:
+    if not model.images:
+        return SceneError("The model holds no posed photos.", "Run COLMAP's mapper to its end.")
+    counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
+    first = ", ".join(f"«{photo_name(image):.60}»" for image in model.images[:3])
+    return SceneError(
+        f"None of the model's {len(model.images)} photos can be used ({counts}).",
+        f"Looked in {photos.folder} for {first}: give the photos' folder with --images.",
+    )

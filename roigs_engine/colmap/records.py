@@ -1,0 +1,128 @@
+"""COLMAP's model as plain records, their numbers checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.scene import FAR, Float64, Int64
+
+# COLMAP's camera models: (name, number of parameters), indexed by the id in binary files.
+CAMERA_MODELS = (
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
+)
+
+
+PARAMETER_COUNT = dict(CAMERA_MODELS)
+
+
+# Models whose parameters begin with one focal length; of the others' two, fx and fy.
+ONE_FOCAL = {
+    *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "SIMPLE_RADIAL_FISHEYE", "SIMPLE_DIVISION"),
+    *("SIMPLE_FISHEYE", "RADIAL", "RADIAL_FISHEYE"),
+}
+
+
+MAX_SIDE = 1 << 20  # pixels; a larger camera is a damaged file
+
+
+NO_IDS = np.empty(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelCamera:
+    """A camera as COLMAP stores it; `params` in the order of its model."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelImage:
+    """A posed photo as COLMAP stores it.
+
+    Attributes:
+        quaternion: (4,) wxyz of the rotation world -> camera, as stored (perhaps not normalised).
+        translation: (3,) of the same transform.
+        point_ids: (M,) ids of the observed points, -1 for keypoints without one.
+    """
+
+    image_id: int
+    name: str
+    camera_id: int
+    quaternion: Float64
+    translation: Float64
+    point_ids: Int64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """A COLMAP model.
+
+    Attributes:
+        point_ids, points, colors: (P,) ids, (P, 3) positions, (P, 3) uint8 sRGB.
+        track_rows, track_images: (T,) rows of `points` and ids of the photos that observe them;
+            read only when no photo tells what it observes, else empty.
+    """
+
+    cameras: dict[int, ModelCamera]
+    images: list[ModelImage]
+    point_ids: Int64
+    points: Float64
+    colors: NDArray[np.uint8]
+    track_rows: Int64
+    track_images: Int64
+
+
+def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ModelCamera:
+    """A checked camera; ValueError when its numbers cannot be a camera's."""
+    if model not in PARAMETER_COUNT:
+        raise ValueError(f"unknown camera model {model}")
+    if len(params) != PARAMETER_COUNT[model]:
+        raise ValueError(f"{model} camera with {len(params)} parameters")
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+        raise ValueError(f"camera of {width} x {height} pixels")
+    focals = params[: 1 if model in ONE_FOCAL else 2]
+    if not (np.abs(params) < FAR).all() or min(focals) <= 0:  # nor is it for NaN
+        raise ValueError(f"{model} camera with parameters {params}")
+    return ModelCamera(model=model, width=width, height=height, params=params)
+
+
+def checked_image(
+    image_id: int, pose: list[float], camera_id: int, name: str, point_ids: Int64
+) -> ModelImage:
+    """The photo; ValueError unless `pose` is a quaternion and a translation."""
+    if len(pose) != 7:
+        raise ValueError(f"a pose of {len(pose)} numbers")
+    return ModelImage(
+        image_id=image_id,
+        name=name,
+        camera_id=camera_id,
+        quaternion=np.array(pose[:4], dtype=np.float64),
+        translation=np.array(pose[4:7], dtype=np.float64),
+        point_ids=point_ids,
+    )
+
+
+Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]

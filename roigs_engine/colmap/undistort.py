@@ -1,0 +1,214 @@
+"""Camera models to pinholes: undistorted photos, made once and cached. The only pycolmap import."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import EngineError, SceneError
+from ..formats.files import atomic_write
+from ..model.scene import Camera
+from .records import ONE_FOCAL, ModelCamera
+
+# Models that are a pinhole once their distortion is all zeros (a fisheye's projection never is).
+PINHOLE_AT_ZERO = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 3,
+    "RADIAL": 3,
+    "OPENCV": 4,
+    "FULL_OPENCV": 4,
+    "SIMPLE_DIVISION": 3,
+    "DIVISION": 4,
+}
+# Undistorting happens at full size or, for a much smaller result, at this multiple of it.
+OVERSAMPLING = 2.0
+CACHE_VERSION = 1  # part of each cached photo's name: raise it when the pixels would differ
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`."""
+
+    photo: Path
+    source: ModelCamera
+    target: Camera
+
+    def file_name(self) -> str:
+        """The cached photo's name: a digest of everything its pixels follow from."""
+        status = self.photo.stat()
+        size = (self.target.width, self.target.height)
+        facts = (CACHE_VERSION, str(self.photo.resolve()), status.st_mtime_ns, status.st_size)
+        text = repr((facts, self.source, size))
+        return hashlib.sha256(text.encode("utf-8", errors="replace")).hexdigest()[:32] + ".png"
+
+
+def as_pinhole(camera: ModelCamera) -> Camera | None:
+    """The camera's exact pinhole, or None when its photos need undistorting."""
+    first_extra = PINHOLE_AT_ZERO.get(camera.model)
+    if first_extra is None or any(camera.params[first_extra:]):
+        return None
+    focals = camera.params[:1] * 2 if camera.model in ONE_FOCAL else camera.params[:2]
+    cx, cy = camera.params[first_extra - 2 : first_extra]
+    fx, fy = focals
+    return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def without_distortion(camera: ModelCamera) -> Camera:
+    """The pinhole of the camera's focal lengths and principal point, its distortion ignored.
+
+    Raises:
+        SceneError: the model has no focal length (an equirectangular panorama).
+    """
+    if camera.model == "EQUIRECTANGULAR":
+        raise SceneError("An EQUIRECTANGULAR camera cannot be undistorted.")
+    one = camera.model in ONE_FOCAL
+    fx, fy, cx, cy = (camera.params[:1] if one else ()) + camera.params[: 3 if one else 4]
+    return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def has_pycolmap() -> bool:
+    """Whether distortion can be dealt with here."""
+    try:
+        _pycolmap()
+    except EngineError:
+        return False
+    return True
+
+
+def plan_undistortion(
+    photo: Path,
+    camera: ModelCamera,
+    size: tuple[int, int],
+    shrink: Callable[[int, int], tuple[int, int]],
+) -> Plan:
+    """What to do to a distorted photo.
+
+    Args:
+        camera: the photo's camera as modelled; the photo may be a resampled copy.
+        size: (width, height) of the photo on disk.
+        shrink: (width, height) of the undistorted photo -> those wanted.
+
+    Raises:
+        SceneError: the camera cannot be turned into a pinhole.
+    """
+    source = _resized(camera, *size)
+    pinhole = undistorted_camera(source)
+    target = pinhole.resized(*shrink(pinhole.width, pinhole.height))
+    share = OVERSAMPLING * max(target.width / pinhole.width, target.height / pinhole.height)
+    if share < 0.75:
+        source = _resized(camera, round(size[0] * share), round(size[1] * share))
+        # The smaller photo's pinhole differs by less than a pixel; the target follows it.
+        target = undistorted_camera(source).resized(target.width, target.height)
+    return Plan(photo=photo, source=source, target=target)
+
+
+def undistort(plan: Plan, folder: Path) -> Path:
+    """The undistorted photo in `folder`, made now unless it is there already.
+
+    Raises:
+        PhotoError: the photo cannot be decoded.
+        RunFolderError: the cache folder cannot be written.
+    """
+    path = folder / plan.file_name()
+    if path.is_file():
+        return path
+    from PIL import Image  # needed for pixels only: cameras are looked at without it
+
+    from ..photos.decode import decode
+
+    pixels = decode(plan.photo, (plan.source.width, plan.source.height))
+    colmap = _pycolmap()
+    bitmap, _ = colmap.undistort_image(
+        _options(), colmap.Bitmap.from_array(pixels), _colmap_camera(plan.source)
+    )
+    result = Image.fromarray(np.asarray(bitmap.to_array()))
+    size = (plan.target.width, plan.target.height)
+    if result.size != size:
+        result = result.resize(size, Image.Resampling.LANCZOS)
+    with atomic_write(path) as file:
+        result.save(file, format="PNG", compress_level=1)
+    return path
+
+
+@lru_cache(maxsize=1024)
+def undistorted_camera(camera: ModelCamera) -> Camera:
+    """The pinhole that shows only pixels the distorted photo has (no black borders).
+
+    Raises:
+        SceneError: no pinhole can show this camera's photos.
+    """
+    try:
+        pinhole = _pycolmap().undistort_camera(_options(), _colmap_camera(camera))
+    except (ValueError, RuntimeError) as error:
+        raise SceneError(
+            f"A {camera.model} camera cannot be undistorted ({error}).",
+            "Resample its photos to pinhole cameras first.",
+        ) from error
+    fx, fy, cx, cy = (float(value) for value in pinhole.params)
+    if pinhole.width < 1 or pinhole.height < 1 or not np.isfinite([fx, fy, cx, cy]).all():
+        raise SceneError(f"A {camera.model} camera with {camera.params} leaves no image area.")
+    return Camera(width=pinhole.width, height=pinhole.height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def temporary_folder() -> Path:
+    """A folder that lasts as long as this process."""
+    folder = tempfile.mkdtemp(prefix="roigs-photos-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+def _resized(camera: ModelCamera, width: int, height: int) -> ModelCamera:
+    """The same distorted camera for the photo resampled to `width` x `height`."""
+    if (width, height) == (camera.width, camera.height):
+        return camera
+    scaled = _colmap_camera(camera)
+    scaled.rescale(width, height)
+    params = tuple(float(value) for value in scaled.params)
+    return replace(camera, width=width, height=height, params=params)
+
+
+def _colmap_camera(camera: ModelCamera) -> Any:
+    """The camera as pycolmap's; SceneError when the installed version does not know the model."""
+    colmap = _pycolmap()
+    if camera.model not in colmap.CameraModelId.__members__:
+        raise SceneError(
+            f"{camera.model} cameras are unknown to pycolmap {colmap.__version__}.",
+            "Install a newer pycolmap.",
+        )
+    return colmap.Camera(
+        model=camera.model, width=camera.width, height=camera.height, params=list(camera.params)
+    )
+
+
+def _options() -> Any:
+    return _pycolmap().UndistortCameraOptions(blank_pixels=0.0)
+
+
+@cache
+def _pycolmap() -> Any:
+    """The module, its log silenced: what matters comes as an exception."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise EngineError(
+            f"Undistorting photos needs pycolmap, which this Python lacks ({error}).",
+            "Install pycolmap, or give a model that COLMAP's image_undistorter has written.",
+        ) from error
+    pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL.value)
+    if threading.current_thread() is threading.main_thread():
+        # The import takes SIGTERM over, to print a stack trace; ending a process is no crash.
+        signal.signal(signal.SIGTERM, before)
+    return pycolmap

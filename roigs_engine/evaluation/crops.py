@@ -1,0 +1,184 @@
+"""Side-by-side pictures of every box: photo, then models, on held-out photos.
+
+Which photos: for each box the one where the result gains most over the baseline, the median one and
+the one where it gains least, so that the choice flatters nobody. Files: `crops/ROI/PHOTO.png` and
+`crops/ROI/overview.png`, the median photo's whole frame with the box drawn into it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from ..context import QUIET, Context
+from ..formats.names import safe_name
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64, PosedImage, SfmScene
+from ..photos.decode import load_photo
+from ..rasterize.image_files import save_png, to_uint8
+from ..rasterize.view import render_view
+from .box_lines import box_lines
+from .metrics import bounding_box
+from .scores import Evaluation, ModelScore, RoiScores
+from .views import EvaluatedModel
+
+HEIGHT = 480  # pixels of a panel, about
+MARGIN = 0.1  # of the silhouette's bounding box, on each side
+STRIP = 26  # pixels of the label under a panel
+GAP = 4  # pixels between panels
+INK, PAPER, OUTLINE = (235, 235, 235), (24, 24, 24), (255, 160, 0)
+
+
+def write_crops(
+    evaluation: Evaluation,
+    models: Sequence[EvaluatedModel],
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    run_dir: Path,
+    *,
+    names: Sequence[str] | None = None,
+    views: Sequence[str] | None = None,
+    context: Context = QUIET,
+) -> list[Path]:
+    """Write the pictures of all boxes; the files written, box by box.
+
+    Args:
+        evaluation: of these models on this scene; says which photos to show.
+        models: what was evaluated.
+        scene: all photos.
+        rois: the boxes that were evaluated.
+        run_dir: the pictures go to its folder `crops`.
+        names: the rows to show after the photo; the last one is the result that is compared.
+            Default: the baseline and the box's last row.
+        views: the photos to show, instead of those with the largest, median and least gain.
+        context: asked before every picture whether to stop.
+    """
+    written: list[Path] = []
+    for roi in rois:
+        scores = evaluation.roi(roi.name)
+        shown = _shown(scores, evaluation.baseline, names)
+        if not scores.views or not shown:
+            continue
+        by_name = {m.name: m for m in models if m.rois is None or roi.name in m.rois}
+        panels = [(row, by_name[row.model]) for row in shown]
+        chosen = choose_views(shown[-1], shown[0])
+        labels = chosen if views is None else {name: chosen.get(name, "") for name in views}
+        folder = Path(run_dir) / "crops" / safe_name(roi.name)
+        for name, label in labels.items():
+            context.check_cancelled()
+            path = folder / f"{safe_name(name)}.png"
+            save_png(path, _side_by_side(scene.image(name), roi, panels, label))
+            written.append(path)
+        context.check_cancelled()
+        median = list(chosen)[len(chosen) // 2]
+        save_png(folder / "overview.png", _overview(scene.image(median), roi, panels[-1][1]))
+        written.append(folder / "overview.png")
+    return written
+
+
+def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
+    """Photo -> why it is shown: largest, median and least gain in ROI PSNR, in this order.
+
+    With fewer than three photos, those there are. A result compared with itself goes by its PSNR.
+    """
+    before = {view.view: view.roi_psnr for view in baseline.views}
+    gain = {view.view: view.roi_psnr - before.get(view.view, 0.0) for view in result.views}
+    word = "gain"
+    if result.model == baseline.model:
+        gain, word = before, "PSNR"
+    order = sorted(gain, key=lambda name: (-gain[name], name))
+    picks: dict[str, str] = {}
+    for index, label in ((0, "largest"), (len(order) // 2, "median"), (-1, "least")):
+        picks.setdefault(order[index], f"{label} {word}")
+    return picks
+
+
+def _shown(scores: RoiScores, baseline: str, names: Sequence[str] | None) -> list[ModelScore]:
+    """The rows to show; the first is what the last is compared with."""
+    rows = {row.model: row for row in scores.rows}
+    if names is not None:
+        return [rows[name] for name in names if name in rows]
+    if not rows:
+        return []
+    last = scores.rows[-1]
+    return [rows[baseline], last] if baseline in rows and baseline != last.model else [last]
+
+
+def _side_by_side(
+    image: PosedImage,
+    roi: OrientedBox,
+    panels: Sequence[tuple[ModelScore, EvaluatedModel]],
+    label: str,
+) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: the photo's part around the box, then each model's, labelled."""
+    rows, columns = crop_window(roi, image.camera, image.world_to_camera)
+    pictures = [load_photo(image)[rows, columns]]
+    captions = [f"photo ({label})" if label else "photo"]
+    for row, model in panels:
+        view = render_view(model.gaussians, image.camera, image.world_to_camera)
+        pictures.append(to_uint8(view.image)[rows, columns])
+        scored = [score.roi_psnr for score in row.views if score.view == image.name]
+        captions.append(f"{row.model}  {scored[0]:.2f} dB" if scored else row.model)
+    return _joined([_panel(p, c) for p, c in zip(pictures, captions, strict=True)])
+
+
+def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> tuple[slice, slice]:
+    """Rows and columns of the silhouette's bounding box, widened by 10 %; all when unseen."""
+    mask = torch.from_numpy(roi.silhouette(camera, world_to_camera))
+    tight = bounding_box(mask)
+    if tight is None:
+        return slice(0, camera.height), slice(0, camera.width)
+    longer = max(side.stop - side.start for side in tight)
+    window = bounding_box(mask, margin=round(MARGIN * longer))
+    assert window is not None
+    return window
+
+
+def _panel(picture: NDArray[np.uint8], caption: str) -> Image.Image:
+    """The picture at about `HEIGHT` pixels height with its caption below.
+
+    Small ones grow by a whole factor, pixel by pixel, so that no resampling is taken for sharpness.
+    """
+    height, width = picture.shape[:2]
+    shown = Image.fromarray(np.ascontiguousarray(picture))
+    if height <= HEIGHT:
+        factor = max(1, round(HEIGHT / height))
+        shown = shown.resize((width * factor, height * factor), Image.Resampling.NEAREST)
+    else:
+        size = (max(1, round(width * HEIGHT / height)), HEIGHT)
+        shown = shown.resize(size, Image.Resampling.LANCZOS)
+    font = ImageFont.load_default(size=15)
+    needed = int(font.getlength(caption)) + 12
+    panel = Image.new("RGB", (max(shown.width, needed), shown.height + STRIP), PAPER)
+    panel.paste(shown, (0, 0))
+    ImageDraw.Draw(panel).text((6, shown.height + 4), caption, fill=INK, font=font)
+    return panel
+
+
+def _joined(panels: Sequence[Image.Image]) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: the panels beside one another."""
+    width = sum(panel.width for panel in panels) + GAP * (len(panels) - 1)
+    sheet = Image.new("RGB", (width, max(panel.height for panel in panels)), PAPER)
+    left = 0
+    for panel in panels:
+        sheet.paste(panel, (left, 0))
+        left += panel.width + GAP
+    return np.asarray(sheet)
+
+
+def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: the whole photo and the whole render, the box's edges drawn into both."""
+    view = render_view(model.gaussians, image.camera, image.world_to_camera)
+    panels = []
+    for picture, caption in ((load_photo(image), "photo"), (to_uint8(view.image), model.name)):
+        drawn = Image.fromarray(np.ascontiguousarray(picture))
+        pen = ImageDraw.Draw(drawn)
+        for line in box_lines(roi, image.camera, image.world_to_camera):
+            pen.line(line, fill=OUTLINE, width=max(1, image.camera.height // 300))
+        panels.append(_panel(np.asarray(drawn), f"{caption} ({image.name})"))
+    return _joined(panels)

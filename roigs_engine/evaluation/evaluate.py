@@ -1,0 +1,188 @@
+"""Held-out photos against renders: the paper's table for every box, and what it leaves out.
+
+Masks (docs/method.md, evaluation): the silhouette of the box, which is the paper's mask, and the
+object's pixels, those of the silhouette whose expected depth lies inside the box in the model that
+scores best on the silhouette, or in a named one; the same pixels for every row of a box. PSNR is
+computed per view and then averaged. Renders are compared as they are, clamped to [0, 1] but not
+rounded to 8 bits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, SceneError
+from ..formats.events import StageStarted
+from ..model.gaussians import Gaussians
+from ..model.roi import OrientedBox
+from ..model.scene import PosedImage, SfmScene
+from . import metrics
+from .scores import (
+    MIN_OBJECT,
+    Evaluation,
+    ModelScore,
+    RoiScores,
+    ViewScore,
+)
+from .views import BoxPlan, EvaluatedModel, Sample, measure_view, plan_views
+
+__all__ = ["EvaluatedModel", "Evaluation", "evaluate"]
+
+
+def evaluate(
+    models: Sequence[EvaluatedModel],
+    scene: SfmScene,
+    test: Sequence[str],
+    rois: Sequence[OrientedBox],
+    *,
+    context: Context = QUIET,
+    baseline: str = "Full Scene",
+    object_mask_from: str | None = None,
+) -> Evaluation:
+    """Measure every model on the held-out photos `test` of `scene` (which holds all photos).
+
+    Each test view is rendered once per model and dropped again. The object's mask needs the best
+    model, which is known only at the end: so each view's errors are summed inside the mask of
+    every model's depth, a handful of numbers, and the best model's are picked afterwards.
+
+    Args:
+        models, scene, test, rois: see above.
+        context: takes events; asked between photos whether to stop.
+        baseline: name of the model that gains are counted from.
+        object_mask_from: name of the model whose depth makes the object's mask; None: the best one.
+            Evaluations that are to be compared need the same.
+
+    Raises:
+        SceneError: no test view, or one that the scene does not have.
+        ConfigError: no model, two of one name for one box, or no `object_mask_from` for one.
+    """
+    images = _checked(models, scene, test)
+    plans = [plan_views(roi, images, models, object_mask_from, context) for roi in rois]
+    samples: list[dict[str, Sample]] = [{} for _ in plans]
+    image_views: dict[EvaluatedModel, dict[str, float]] = {model: {} for model in models}
+    context.emit(StageStarted(stage="evaluate", total=len(images)))
+    started = time.monotonic()
+    for step, image in enumerate(images, start=1):
+        whole, measured = measure_view(models, image, plans, context)
+        for model, value in whole.items():
+            image_views[model][image.name] = value
+        for store, sample in zip(samples, measured, strict=True):
+            if sample is not None:
+                store[image.name] = sample
+        context.emit(
+            step_done(
+                "evaluate",
+                step,
+                len(images),
+                started,
+                psnr=max(whole.values()),
+                gaussians=max(len(model.gaussians) for model in models),
+            )
+        )
+    tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
+    names = tuple(image.name for image in images)
+    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables))
+
+
+def ply_bytes(gaussians: Gaussians) -> int:
+    """Size of the model's PLY without its header: 14 + 3 K float32 numbers a Gaussian."""
+    return 4 * len(gaussians) * (14 + 3 * gaussians.sh.shape[1])
+
+
+def _checked(
+    models: Sequence[EvaluatedModel], scene: SfmScene, test: Sequence[str]
+) -> list[PosedImage]:
+    """The test photos in the scene's order."""
+    if not models:
+        raise ConfigError("There is no model to evaluate.")
+    unknown = set(test) - {image.name for image in scene.images}
+    if unknown:
+        raise SceneError(f"Test photo «{min(unknown)}» is not in the scene.")
+    if not test:
+        raise SceneError("No photo is held out for testing.", "Set test_every.")
+    return list(scene.select(set(test)).images)
+
+
+def _table(
+    plan: BoxPlan,
+    samples: dict[str, Sample],
+    image_views: dict[EvaluatedModel, dict[str, float]],
+    baseline: str,
+) -> RoiScores:
+    """One box's rows, once all views are measured."""
+    names = [model.name for model in plan.models]
+    means = [_mean([sample.psnr[k] for sample in samples.values()]) for k in range(len(names))]
+    scored = [k for k, mean in enumerate(means) if mean is not None]
+    best = max(scored, key=lambda k: means[k] or 0.0) if scored else None
+    if best is not None and plan.mask_from is not None:
+        best = plan.mask_from
+    base = names.index(baseline) if baseline in names else None
+    views = tuple(
+        dataclasses.replace(view, object_pixels=0 if best is None else samples[name].pixels[best])
+        for name, view in plan.views.items()
+    )
+    rows = tuple(
+        _row(plan, index, samples, best, base, image_views[model])
+        for index, model in enumerate(plan.models)
+    )
+    return RoiScores(
+        roi=plan.roi.name,
+        views=views,
+        left_out=plan.left_out,
+        object_mask_from=None if best is None else names[best],
+        rows=rows,
+    )
+
+
+def _row(
+    plan: BoxPlan,
+    index: int,
+    samples: dict[str, Sample],
+    best: int | None,
+    base: int | None,
+    image_views: dict[str, float],
+) -> ModelScore:
+    """The row of model `index`; `best` made the object's mask, gains are over model `base`."""
+    model = plan.models[index]
+    views = []
+    for name, sample in samples.items():
+        psnr = None
+        if best is not None and sample.pixels[best] >= MIN_OBJECT:
+            psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
+        views.append(
+            ViewScore(
+                view=name,
+                roi_psnr=sample.psnr[index],
+                roi_ssim=sample.ssim[index],
+                object_psnr=psnr,
+            )
+        )
+    gains: dict[str, float] = {}
+    if base is not None and base != index:
+        gains = {name: s.psnr[index] - s.psnr[base] for name, s in samples.items()}
+    peak_view = max(gains, key=lambda name: gains[name]) if gains else None
+    return ModelScore(
+        model=model.name,
+        roi_psnr=_mean([view.roi_psnr for view in views]),
+        object_psnr=_mean([v.object_psnr for v in views if v.object_psnr is not None]),
+        roi_ssim=_mean([view.roi_ssim for view in views]),
+        image_psnr=float(np.mean(list(image_views.values()))),
+        peak_gain=None if peak_view is None else gains[peak_view],
+        peak_view=peak_view,
+        gaussians=len(model.gaussians),
+        gaussians_in_box=int(model.gaussians.in_box(plan.roi).sum()),
+        seconds=float(model.seconds),
+        stages={stage: float(seconds) for stage, seconds in model.stages.items()},
+        ply_bytes=ply_bytes(model.gaussians),
+        views=tuple(views),
+        image_views=image_views,
+    )
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None

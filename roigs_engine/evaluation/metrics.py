@@ -1,0 +1,73 @@
+"""How close a render is to its photo, over all pixels or those of a mask.
+
+Images are (H, W, 3) sRGB values in [0, 1]; masks (H, W) bool. A higher number is better.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..training.losses import photo_loss
+
+# What is reported for equal images: the PSNR of a mean squared error of 1e-10, in dB. It keeps
+# means and JSON finite, and lies far above what 8-bit photos can reach.
+MAX_PSNR = 100.0
+SSIM_RADIUS = 5  # half of the 11 x 11 window
+
+
+def psnr_from_mse(mse: float) -> float:
+    """Peak signal-to-noise ratio in dB of a mean squared error on values in [0, 1]."""
+    return MAX_PSNR if mse <= 1e-10 else -10.0 * math.log10(mse)
+
+
+def squared_error(image: Tensor, target: Tensor) -> Tensor:
+    """(H, W, 3) twice -> (H, W) squared error, averaged over the channels."""
+    return ((image - target) ** 2).mean(dim=-1)
+
+
+def mean_in(values: Tensor, mask: Tensor | None = None) -> float:
+    """Mean of (H, W) values over the mask's pixels, summed in float64; NaN for an empty mask."""
+    picked = values if mask is None else values[mask]
+    return float(picked.double().mean()) if picked.numel() else math.nan
+
+
+def psnr(image: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
+    """PSNR in dB from the mean squared error over the mask's pixels x 3 channels.
+
+    NaN for an empty mask; at most `MAX_PSNR`.
+    """
+    mse = mean_in(squared_error(image, target), mask)
+    return mse if math.isnan(mse) else psnr_from_mse(mse)
+
+
+def ssim(
+    image: Tensor,
+    photo: Tensor,  # (H, W, 3) uint8
+    mask: Tensor | None = None,
+) -> float:
+    """Structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
+
+    The map is the one of the full images, averaged over the channels; the mean is over the mask.
+    Only the mask's bounding box and the window's reach around it are computed. NaN for an empty
+    mask.
+    """
+    if mask is None:
+        return float(photo_loss(image, photo).ssim)
+    box = bounding_box(mask, margin=SSIM_RADIUS)
+    if box is None:
+        return math.nan
+    return float(photo_loss(image[box], photo[box], weights=mask[box].to(image)).ssim)
+
+
+def bounding_box(mask: Tensor, margin: int = 0) -> tuple[slice, slice] | None:
+    """Rows and columns of the mask's pixels, widened by `margin` in the image; None if empty."""
+    rows, columns = torch.nonzero(mask.any(dim=1)), torch.nonzero(mask.any(dim=0))
+    if len(rows) == 0:
+        return None
+    height, width = mask.shape
+    top, bottom = int(rows[0]) - margin, int(rows[-1]) + 1 + margin
+    left, right = int(columns[0]) - margin, int(columns[-1]) + 1 + margin
+    return slice(max(top, 0), min(bottom, height)), slice(max(left, 0), min(right, width))

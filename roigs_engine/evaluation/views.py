@@ -1,0 +1,195 @@
+"""What is measured on one test photo."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..context import Context
+from ..errors import ConfigError
+from ..model.gaussians import Gaussians
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64, PosedImage
+from ..photos.decode import load_photo
+from ..rasterize.view import render_view
+from . import metrics
+from .scores import MIN_SILHOUETTE, MeasuredView
+
+PIXELS_AT_ONCE = 1 << 18  # whose points in the world are held
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EvaluatedModel:
+    """A model to be measured.
+
+    Attributes:
+        name: the row's name, unique among the rows of a box.
+        gaussians: the model.
+        seconds: what its training took, in all.
+        rois: names of the boxes it gets a row for; None means all (an Object-GS has one).
+        stages: seconds by stage.
+    """
+
+    name: str
+    gaussians: Gaussians
+    seconds: float
+    rois: tuple[str, ...] | None = None
+    stages: dict[str, float] = field(default_factory=dict)
+
+    def to(self, device: torch.device) -> EvaluatedModel:
+        """The same with its Gaussians on a device, where they are then drawn."""
+        return dataclasses.replace(self, gaussians=self.gaussians.to(device))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoxPlan:
+    """What is measured for one box: its views by photo name, and the models that have a row.
+
+    `mask_from` is the model that makes the object's mask; None: the best one.
+    """
+
+    roi: OrientedBox
+    views: dict[str, MeasuredView]
+    left_out: tuple[str, ...]
+    models: tuple[EvaluatedModel, ...]
+    mask_from: int | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sample:
+    """One view of one box. Depth sources and models are indexed alike, as in `BoxPlan.models`.
+
+    Attributes:
+        psnr, ssim: (M,) inside the silhouette.
+        pixels: (M,) size of the object's mask by the depth of each model.
+        object_mse: (M, M) [model, depth source] inside that mask; NaN where it is empty.
+    """
+
+    psnr: list[float]
+    ssim: list[float]
+    pixels: list[int]
+    object_mse: list[list[float]]
+
+
+def points_in_box(
+    depth: Tensor,  # (H, W)
+    roi: OrientedBox,
+    camera: Camera,
+    world_to_camera: Float64,  # (4, 4)
+    mask: Tensor,  # (H, W) bool
+) -> Tensor:
+    """(P,) for the mask's pixels, row by row: whether the point at that depth is in the box.
+
+    A pixel without depth (0: nothing rendered there) is not.
+    """
+    rows, columns = (index.cpu().numpy() for index in torch.nonzero(mask, as_tuple=True))
+    z = depth[mask].cpu().numpy()
+    inside = np.zeros(len(z), dtype=bool)
+    for part in (slice(k, k + PIXELS_AT_ONCE) for k in range(0, len(z), PIXELS_AT_ONCE)):
+        deep = z[part].astype(np.float64)
+        x = (columns[part] + 0.5 - camera.cx) / camera.fx * deep
+        y = (rows[part] + 0.5 - camera.cy) / camera.fy * deep
+        points = np.stack([x, y, deep], axis=1) - world_to_camera[:3, 3]
+        inside[part] = roi.contains(points @ world_to_camera[:3, :3]) & (deep > 0)
+    return torch.from_numpy(inside).to(mask.device)
+
+
+def plan_views(
+    roi: OrientedBox,
+    images: Sequence[PosedImage],
+    models: Sequence[EvaluatedModel],
+    mask_from: str | None,
+    context: Context,
+) -> BoxPlan:
+    """Which of the test views count for the box."""
+    sizes = {}
+    for image in images:
+        context.check_cancelled()
+        sizes[image.name] = int(roi.silhouette(image.camera, image.world_to_camera).sum())
+    inside = {i.name: roi.camera_inside(i.world_to_camera) for i in images}
+    largest = max(sizes.values())
+    least = MIN_SILHOUETTE if largest >= MIN_SILHOUETTE else max(1, math.ceil(largest / 2))
+    views = {
+        name: MeasuredView(
+            view=name,
+            silhouette_pixels=size,
+            object_pixels=0,
+            camera_inside=inside[name],
+            small=size < MIN_SILHOUETTE,
+        )
+        for name, size in sizes.items()
+        if size >= least
+    }
+    if not views:
+        context.warn(f"No test photo shows ROI «{roi.name}»: no scores.")
+    rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
+    names = [model.name for model in rows]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"Two models of ROI «{roi.name}» share a name ({', '.join(names)}).")
+    if mask_from is not None and mask_from not in names:
+        raise ConfigError(
+            f"No model of ROI «{roi.name}» is named «{mask_from}», which the object's mask needs.",
+            f"There are: {', '.join(names)}.",
+        )
+    return BoxPlan(
+        roi=roi,
+        views=views,
+        left_out=tuple(name for name in sizes if name not in views),
+        models=rows,
+        mask_from=None if mask_from is None else names.index(mask_from),
+    )
+
+
+def measure_view(
+    models: Sequence[EvaluatedModel], image: PosedImage, plans: Sequence[BoxPlan], context: Context
+) -> tuple[dict[EvaluatedModel, float], list[Sample | None]]:
+    """Every model on one photo: whole-image PSNR by model, one sample for each box that counts."""
+    device = models[0].gaussians.means.device
+    photo = torch.as_tensor(load_photo(image), device=device)
+    target = photo.float() / 255
+    masks = {
+        index: torch.from_numpy(plan.roi.silhouette(image.camera, image.world_to_camera)).to(device)
+        for index, plan in enumerate(plans)
+        if image.name in plan.views
+    }
+    whole: dict[EvaluatedModel, float] = {}
+    ssim: dict[int, list[float]] = {index: [] for index in masks}
+    errors: dict[int, list[Tensor]] = {index: [] for index in masks}
+    objects: dict[int, list[Tensor]] = {index: [] for index in masks}
+    for model in models:
+        context.check_cancelled()
+        wanted = [index for index in masks if model in plans[index].models]
+        view = render_view(
+            model.gaussians, image.camera, image.world_to_camera, with_depth=bool(wanted)
+        )
+        picture = view.image.to(device)
+        error = metrics.squared_error(picture, target)
+        whole[model] = metrics.psnr_from_mse(metrics.mean_in(error))
+        for index in wanted:
+            mask, roi = masks[index], plans[index].roi
+            assert view.depth is not None
+            depth = view.depth.to(device)
+            errors[index].append(error[mask])
+            ssim[index].append(metrics.ssim(picture, photo, mask))
+            inside = points_in_box(depth, roi, image.camera, image.world_to_camera, mask)
+            objects[index].append(inside)
+    return whole, [
+        _sample(errors[index], ssim[index], objects[index]) if index in masks else None
+        for index in range(len(plans))
+    ]
+
+
+def _sample(errors: list[Tensor], ssim: list[float], objects: list[Tensor]) -> Sample:
+    """Sums over the silhouette's P pixels: errors (P,) float and objects (P,) bool per model."""
+    return Sample(
+        psnr=[metrics.psnr_from_mse(metrics.mean_in(error)) for error in errors],
+        ssim=ssim,
+        pixels=[int(inside.sum()) for inside in objects],
+        object_mse=[[metrics.mean_in(error, inside) for inside in objects] for error in errors],
+    )

@@ -1,0 +1,1 @@
+"""Files and lines of text that the engine and the Blender add-on share; numpy only."""

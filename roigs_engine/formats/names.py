@@ -1,0 +1,56 @@
+"""Names of files that work on every system, for the engine and the add-on."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import unicodedata
+from collections.abc import Iterable
+
+
+def safe_name(name: str) -> str:
+    """`name` as one path component: letters of any script, digits, `-`, `.`, `_` and spaces.
+
+    A name that had to be changed gets a short checksum, so that two names stay two files.
+    """
+    clean = re.sub(r"[^\w\-. ]+", "_", name).strip(" .")
+    clean = clean[:80].rstrip(" .") or "unnamed"
+    if clean == name:
+        return clean
+    return f"{clean}-{hashlib.sha1(name.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}"
+
+
+MAX_NAME = 100  # letters: with what is added to it, a name for a file on every system
+
+
+# Windows opens a device under these names, whatever follows behind a dot.
+DEVICES = {
+    "con",
+    "prn",
+    "aux",
+    "nul",
+    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
+}
+
+
+def names_a_file(name: str) -> bool:
+    """Whether files can be called like that on every system."""
+    return (
+        0 < len(name) <= MAX_NAME
+        and name == name.strip()
+        and not name.endswith(".")
+        and not any(c in '/\\:*?"<>|' or unicodedata.category(c) in ("Cc", "Cs") for c in name)
+        and len(name.encode("utf-8", "replace")) <= 2 * MAX_NAME
+        and name.partition(".")[0].strip().casefold() not in DEVICES
+    )
+
+
+def first_taken(names: Iterable[str]) -> str | None:
+    """A name that another one has too, or has in another case: their files would be the same."""
+    seen: set[str] = set()
+    for name in names:
+        key = unicodedata.normalize("NFC", name).casefold()
+        if key in seen:
+            return name
+        seen.add(key)
+    return None

@@ -1,0 +1,74 @@
+"""The machine this process runs on: memory and processor."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import os
+import platform
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+FALLBACK_MEMORY = 8 << 30  # bytes, where the machine does not tell
+
+
+def machine_memory() -> int:
+    """Bytes of memory this process may count on: the machine's, or its container's limit."""
+    total = FALLBACK_MEMORY
+    if sys.platform == "win32":
+        total = _windows_memory() or total
+    else:
+        with contextlib.suppress(OSError, ValueError):
+            total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        limit = Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii").strip()
+        return min(total, int(limit)) if limit.isdigit() else total
+    except (OSError, UnicodeDecodeError):
+        return total
+
+
+def _windows_memory() -> int:
+    """Physical memory in bytes from the Windows API, 0 when it does not answer."""
+    import ctypes
+
+    class Status(ctypes.Structure):
+        _fields_ = [
+            ("length", ctypes.c_ulong),
+            ("load", ctypes.c_ulong),
+            ("total", ctypes.c_ulonglong),
+            *((f"rest{index}", ctypes.c_ulonglong) for index in range(6)),
+        ]
+
+    status = Status(length=ctypes.sizeof(Status))
+    kernel = getattr(ctypes, "windll").kernel32  # noqa: B009 (absent elsewhere: not for mypy)
+    return int(status.total) if kernel.GlobalMemoryStatusEx(ctypes.byref(status)) else 0
+
+
+def give_back_freed() -> None:
+    """Hand memory that was freed back to the system, where the C library (glibc) would keep it.
+
+    Every densification frees all parameters and their moments and allocates them a little larger.
+    What is freed stays in holes of the heap that the next ones do not fit.
+    """
+    trim = _malloc_trim()
+    if trim is not None:
+        trim(0)
+
+
+@functools.cache
+def _malloc_trim() -> Callable[[int], int] | None:
+    return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+
+
+def chip() -> str:
+    """The processor's name, as far as it can be had without asking another program."""
+    with suppress(OSError):
+        for line in (
+            Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        ):
+            if line.startswith(("model name", "Model")):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,1 @@
+"""The model as data: scene, boxes, Gaussians, and who owns what."""

@@ -1,0 +1,221 @@
+"""Regions of interest: oriented boxes in the COLMAP frame, their silhouettes, their files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RoiError
+from ..formats.names import MAX_NAME, first_taken, names_a_file
+from .scene import FAR, Camera, Float64
+from .silhouette import convex_hull, fill_convex
+
+# A vertex of the clipped box lies at least this share of the box's size in front of the camera.
+NEAR_SHARE = 1e-3
+# The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
+EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
+AREA_SIDE = 256  # pixels of the thumbnail that a silhouette's area is measured on
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OrientedBox:
+    """A box: |world_to_box . p| <= half_extents, per axis.
+
+    Attributes:
+        name: unique within a run; used in file names.
+        world_to_box: (4, 4) rigid transform; the box's centre maps to the origin.
+        half_extents: (3,) half side lengths, world units, > 0.
+    """
+
+    name: str
+    world_to_box: Float64
+    half_extents: Float64
+
+    def __post_init__(self) -> None:
+        numbers = np.concatenate([self.world_to_box.ravel(), self.half_extents])
+        if not (np.abs(numbers) < FAR).all():  # nor is it for NaN
+            raise RoiError(f"ROI «{self.name}» holds a number that is not finite or far too large.")
+        if not (self.half_extents > 0).all():
+            sides = " x ".join(f"{2 * side:g}" for side in self.half_extents)
+            raise RoiError(
+                f"ROI «{self.name}» is empty: its sides are {sides}.",
+                "Make every side longer than zero (min < max).",
+            )
+
+    @classmethod
+    def axis_aligned(cls, name: str, low: Any, high: Any) -> OrientedBox:
+        """The box between the corners `low` and `high`, both (3,), in world units."""
+        low_, high_ = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+        transform = np.eye(4)
+        transform[:3, 3] = -(low_ + high_) / 2
+        return cls(name=name, world_to_box=transform, half_extents=(high_ - low_) / 2)
+
+    @property
+    def centre(self) -> Float64:
+        """(3,) centre in the world."""
+        rotation, translation = self.world_to_box[:3, :3], self.world_to_box[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the box's space diagonal, world units."""
+        return float(2 * np.linalg.norm(self.half_extents))
+
+    def scaled(self, factor: float) -> OrientedBox:
+        """The box with the same centre and sides `factor` times as long."""
+        return replace(self, half_extents=self.half_extents * factor)
+
+    def to_box(self, points: Float64) -> Float64:
+        """(N, 3) world positions -> (N, 3) in units of the half extents (inside: all |x| <= 1)."""
+        with np.errstate(all="ignore"):  # a damaged Gaussian may be anywhere, and is in no box
+            local = points @ self.world_to_box[:3, :3].T + self.world_to_box[:3, 3]
+            scaled: Float64 = local / self.half_extents
+        return scaled
+
+    def contains(self, points: Float64) -> NDArray[np.bool_]:
+        """(N, 3) world positions -> (N,) whether each lies inside or on the box."""
+        within = np.abs(self.to_box(points)) <= 1
+        inside: NDArray[np.bool_] = np.logical_and.reduce(within, axis=1)
+        return inside
+
+    def corners(self) -> Float64:
+        """(8, 3) world positions; corner k has the sign bits of k."""
+        bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
+        local = (2 * bits - 1) * self.half_extents
+        corners: Float64 = (local - self.world_to_box[:3, 3]) @ self.world_to_box[:3, :3]
+        return corners
+
+    def silhouette_polygon(self, camera: Camera, world_to_camera: Float64) -> Float64 | None:
+        """The projected box as a convex polygon, (M, 2) pixels, or None when it is not seen.
+
+        The box's edges are clipped at a near plane first: projecting the corners of a box that is
+        partly behind the camera would turn it inside out. A camera inside the box (see
+        `camera_inside`) has no silhouette polygon; the whole image is its silhouette.
+        """
+        corners = self.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+        near = NEAR_SHARE * self.diagonal
+        front = corners[:, 2] >= near
+        vertices = [corners[front]]
+        for a, b in EDGES:
+            if front[a] != front[b]:
+                t = (near - corners[a, 2]) / (corners[b, 2] - corners[a, 2])
+                vertices.append((corners[a] + t * (corners[b] - corners[a]))[None])
+        visible = np.concatenate(vertices)
+        if len(visible) < 3:
+            return None
+        focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
+        pixels = visible[:, :2] / visible[:, 2:] * focal + centre
+        hull = convex_hull(pixels)
+        return hull if len(hull) >= 3 else None  # fewer: seen edge-on, as a line or a point
+
+    def camera_inside(self, world_to_camera: Float64) -> bool:
+        """Whether the camera's centre lies inside the box."""
+        centre = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
+        return bool(self.contains(centre[None])[0])
+
+    def silhouette(self, camera: Camera, world_to_camera: Float64) -> NDArray[np.bool_]:
+        """(H, W) pixels whose centre lies in the projected box (the paper's mask, sec. III-B).
+
+        The whole image when the camera is inside the box; nothing when the box is out of view.
+        """
+        shape = (camera.height, camera.width)
+        if self.camera_inside(world_to_camera):
+            return np.ones(shape, dtype=bool)
+        polygon = self.silhouette_polygon(camera, world_to_camera)
+        if polygon is None:
+            return np.zeros(shape, dtype=bool)
+        return fill_convex(polygon, *shape)
+
+    def projected_area(self, camera: Camera, world_to_camera: Float64) -> float:
+        """Share of the image that the silhouette covers, 0 to 1; measured on a thumbnail."""
+        return float(self.silhouette(camera.thumbnail(AREA_SIDE), world_to_camera).mean())
+
+    def projected_pixels(self, camera: Camera, world_to_camera: Float64) -> float:
+        """Pixels of the image that the silhouette covers, from `projected_area`."""
+        return self.projected_area(camera, world_to_camera) * camera.width * camera.height
+
+    def to_dict(self) -> dict[str, Any]:
+        """The form that `roi_from_dict` reads."""
+        return {
+            "name": self.name,
+            "world_to_box": self.world_to_box.tolist(),
+            "half_extents": self.half_extents.tolist(),
+        }
+
+
+def roi_from_dict(record: Any) -> OrientedBox:
+    """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
+
+    Raises:
+        RoiError: a key is missing or a value has the wrong shape.
+    """
+    if not isinstance(record, dict) or not isinstance(record.get("name"), str):
+        raise RoiError("A ROI must be an object with a «name» and «min»/«max» corners.")
+    name = record["name"]
+    if not names_a_file(name):
+        raise RoiError(
+            f"ROI name «{name:.{MAX_NAME}}» cannot be used in file names.",
+            f"Use at most {MAX_NAME} letters, digits, spaces, - and _.",
+        )
+    try:
+        if "min" in record:
+            low = np.asarray(record["min"], dtype=float).reshape(3)
+            high = np.asarray(record["max"], dtype=float).reshape(3)
+            with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
+                return OrientedBox.axis_aligned(name, low, high)
+        transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
+        half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
+        raise RoiError(
+            f"ROI «{name}» is malformed ({error}).",
+            "Give «min» and «max» with three numbers each, or «world_to_box» and «half_extents».",
+        ) from error
+    rotation = transform[:3, :3]
+    with np.errstate(all="ignore"):
+        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
+    if not rigid:
+        raise RoiError(
+            f"ROI «{name}»: world_to_box is not a rotation and a translation.",
+            "Put the box's size into half_extents.",
+        )
+    return OrientedBox(name=name, world_to_box=transform, half_extents=half_extents)
+
+
+def load_rois(path: Path) -> list[OrientedBox]:
+    """All boxes of a `rois.json`: `{"rois": [...]}` or a bare list.
+
+    Raises:
+        RoiError: the file is unreadable, holds no box, or two boxes share a name.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
+    except (ValueError, RecursionError) as error:
+        raise RoiError(f"{path} is not JSON ({error}).") from error
+    records = document.get("rois") if isinstance(document, dict) else document
+    if not isinstance(records, list) or not records:
+        raise RoiError(f"{path} holds no ROI.", 'It needs a list «rois» of {"name", "min", "max"}.')
+    rois = [roi_from_dict(record) for record in records]
+    taken = first_taken(roi.name for roi in rois)
+    if taken is not None:
+        raise RoiError(f"Two ROIs in {path} are named «{taken}».", "Give each its own name.")
+    return rois
+
+
+def parse_roi(text: str) -> OrientedBox:
+    """A box from the command line: `NAME=x0,y0,z0,x1,y1,z1`."""
+    name, separator, numbers = text.partition("=")
+    try:
+        values = np.array([float(number) for number in numbers.split(",")])
+        corners = values.reshape(2, 3)
+    except ValueError as error:
+        raise RoiError(f"Cannot read ROI «{text}».", "Write NAME=x0,y0,z0,x1,y1,z1.") from error
+    if not separator:
+        raise RoiError(f"ROI «{text}» has no name.", "Write NAME=x0,y0,z0,x1,y1,z1.")
+    return roi_from_dict({"name": name, "min": corners[0], "max": corners[1]})

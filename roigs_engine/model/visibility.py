@@ -1,0 +1,210 @@
+"""Which photos see the box: the filter of the paper's sec. III-A.
+
+A photo is a candidate when it observes at least one SfM point inside the box. Observations come
+from the model's tracks; a model without tracks falls back to projecting the points and testing
+their depth against the sparse points in front of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..errors import RoiError
+from .roi import OrientedBox
+from .scene import Float64, Int64, PosedImage, SfmScene
+
+# Points named in the error about an empty box.
+NEAREST_NAMED = 3
+# The fallback's depth test: cells along the image's longer side, the points that may stand in a
+# cell before the one tested (one may be an outlier), and how far in front (share of the diagonal).
+DEPTH_CELLS = 64
+OCCLUDERS = 2
+DEPTH_SLACK = 0.1
+# No more scene points than this take part in the fallback's depth test.
+MAX_OCCLUDERS = 100_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """The photos that see the box, and which of the box's points each of them sees.
+
+    The visibility matrix A (method: A[v, p] = 1 where photo v observes point p) is stored as its
+    non-zero entries, ordered by photo.
+
+    Attributes:
+        roi: the box.
+        images: V photos in name order; a photo's index in here is its id in every method.
+        points: (P, 3) the scene's points inside the box, world units.
+        obs_view: (N,) photo of each observation, ascending.
+        obs_point: (N,) row of `points` of each observation, ascending within a photo.
+        flags: degenerate cases met while finding them.
+    """
+
+    roi: OrientedBox
+    images: tuple[PosedImage, ...]
+    points: Float64
+    obs_view: Int64
+    obs_point: Int64
+    flags: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(V,) photo names, ascending."""
+        return tuple(image.name for image in self.images)
+
+    def centres(self) -> Float64:
+        """(V, 3) camera centres in the world."""
+        return np.array([image.centre for image in self.images]).reshape(-1, 3)
+
+    def forwards(self) -> Float64:
+        """(V, 3) unit viewing directions in the world."""
+        return np.array([image.forward for image in self.images]).reshape(-1, 3)
+
+    def row_starts(self) -> Int64:
+        """(V + 1,) photo v owns the observations row_starts[v] to row_starts[v + 1]."""
+        return np.searchsorted(self.obs_view, np.arange(len(self) + 1)).astype(np.int64)
+
+
+def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
+    """The photos that see the box and their observations of the points in it.
+
+    Raises:
+        RoiError: no point lies in the box, or no photo observes one that does.
+    """
+    rows = np.flatnonzero(roi.contains(scene.points)) if len(scene.points) else np.zeros(0, int)
+    if len(rows) == 0:
+        raise _empty_box(scene, roi)
+    images = sorted(scene.images, key=lambda image: image.name)
+    flags: tuple[str, ...] = ()
+    if scene.has_tracks:
+        seen = _from_tracks(images, rows, len(scene.points))
+    else:
+        seen = _from_projection(images, rows, scene.points, roi, context)
+        flags = (
+            "The model stores no tracks: which photos see the box is guessed by projecting the"
+            " sparse points and testing their depth.",
+        )
+    kept = [index for index, points in enumerate(seen) if len(points)]
+    if not kept:
+        raise RoiError(
+            f"No photo sees any of the {len(rows)} points in ROI «{roi.name}»"
+            f" ({len(images)} photos searched).",
+            "Keep photos of the object out of the test set, or move or enlarge the box.",
+        )
+    return Candidates(
+        roi=roi,
+        images=tuple(images[index] for index in kept),
+        points=scene.points[rows],
+        obs_view=np.repeat(np.arange(len(kept)), [len(seen[index]) for index in kept]),
+        obs_point=np.concatenate([seen[index] for index in kept]),
+        flags=flags,
+    )
+
+
+def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> tuple[str, ...]:
+    """Names of the photos that see the box, in name order.
+
+    Raises:
+        RoiError: as `find_candidates`.
+    """
+    return find_candidates(scene, roi, context).names
+
+
+def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int64]:
+    """Per photo, the positions in `rows` (points in the box) that it observes, ascending."""
+    position = np.full(total, -1, dtype=np.int64)
+    position[rows] = np.arange(len(rows))
+    found = [position[image.point_indices] for image in images]
+    return [np.unique(points[points >= 0]) for points in found]
+
+
+def _from_projection(
+    images: list[PosedImage], rows: Int64, points: Float64, roi: OrientedBox, context: Context
+) -> list[Int64]:
+    """As `_from_tracks`, for a model without tracks.
+
+    A point counts as seen when it projects into the image and fewer than `OCCLUDERS` other sparse
+    points of its cell (image cut into `DEPTH_CELLS` along the longer side) stand more than
+    `DEPTH_SLACK` box diagonals in front of it.
+    """
+    step = -(-len(points) // MAX_OCCLUDERS)
+    occluders = points[::step]
+    slack = DEPTH_SLACK * roi.diagonal
+    seen = []
+    for image in images:
+        context.check_cancelled()
+        seen.append(_visible_by_depth(image, points[rows], occluders, slack))
+    return seen
+
+
+def _visible_by_depth(
+    image: PosedImage, targets: Float64, occluders: Float64, slack: float
+) -> Int64:
+    """(M,) indices of `targets` (T, 3) that the photo sees past `occluders` (Q, 3)."""
+    target_cell, target_depth = _cells(image, targets)
+    cell, depth = _cells(image, occluders)
+    cell, depth = cell[cell >= 0], depth[cell >= 0]
+    order = np.lexsort((depth, cell))
+    cell, depth = cell[order], depth[order]
+    nth = np.searchsorted(cell, target_cell) + OCCLUDERS - 1
+    inside = nth < len(cell)
+    at = np.minimum(nth, max(len(cell) - 1, 0))
+    if len(cell):
+        same = inside & (cell[at] == target_cell)
+        hidden = same & (depth[at] < target_depth - slack)
+    else:
+        hidden = np.zeros(len(targets), dtype=bool)
+    return np.flatnonzero((target_cell >= 0) & ~hidden).astype(np.int64)
+
+
+def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
+    """(N, 3) world positions -> (N,) cell of the depth grid, -1 outside the image; (N,) depth."""
+    camera = image.camera
+    local = points @ image.world_to_camera[:3, :3].T + image.world_to_camera[:3, 3]
+    depth = local[:, 2]
+    front = depth > 0
+    safe = np.where(front, depth, 1.0)
+    x = local[:, 0] / safe * camera.fx + camera.cx
+    y = local[:, 1] / safe * camera.fy + camera.cy
+    inside: NDArray[np.bool_] = (
+        front & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    )
+    size = max(camera.width, camera.height) / DEPTH_CELLS
+    column = np.where(inside, x, 0.0) // size
+    row = np.where(inside, y, 0.0) // size
+    cell = np.where(inside, row * (DEPTH_CELLS + 1) + column, -1)
+    return cell.astype(np.int64), depth
+
+
+def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
+    """The error for a box without a point: its size and the points nearest to it."""
+    finite = scene.points[np.isfinite(scene.points).all(axis=1)] if len(scene.points) else None
+    sides = " x ".join(f"{2 * side:.4g}" for side in roi.half_extents)
+    centre = _position(roi.centre)
+    message = f"No sparse point lies in ROI «{roi.name}» (sides {sides}, centre {centre})."
+    if finite is None or len(finite) == 0:
+        return RoiError(
+            f"{message} The model has no points at all.",
+            "Export the COLMAP model with its points3D file.",
+        )
+    local = finite @ roi.world_to_box[:3, :3].T + roi.world_to_box[:3, 3]
+    outside = np.maximum(np.abs(local) - roi.half_extents, 0.0)
+    distance = np.linalg.norm(outside, axis=1)
+    nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
+    named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
+    return RoiError(
+        f"{message} Nearest points: {named}.",
+        f"Move the box onto the object, or enlarge it by {distance[nearest[0]]:.4g} or more on"
+        " that side.",
+    )
+
+
+def _position(point: Float64) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in point) + ")"

@@ -1,0 +1,132 @@
+"""A bounded cache of decoded photos."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from ..machine import machine_memory
+from ..model.scene import PosedImage
+from .decode import Pixels, load_photo
+
+
+class PhotoCache:
+    """Decoded photos of a scene, least recently used ones dropped past a limit in bytes.
+
+    `cache[index]` returns the (H, W, 3) uint8 photo of `images[index]`; callers must not write into
+    it. `prefetch` decodes ahead on background threads. Safe to use from several threads.
+    """
+
+    def __init__(
+        self, images: Sequence[PosedImage], limit_bytes: int | None = None, threads: int = 2
+    ) -> None:
+        """Args: `limit_bytes`: for the photos kept; default a quarter of the machine's memory."""
+        self._images = list(images)
+        self._limit = machine_memory() // 4 if limit_bytes is None else limit_bytes
+        self._kept: OrderedDict[int, Pixels] = OrderedDict()
+        self._kept_bytes = 0
+        self._pending: dict[int, Future[Pixels]] = {}
+        self._lock = threading.Lock()
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="photos")
+        self._closed = False
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    @property
+    def kept_bytes(self) -> int:
+        """Bytes of the photos held now."""
+        return self._kept_bytes
+
+    def __getitem__(self, index: int) -> Pixels:
+        """The photo, decoded now unless it is held or under way. Raises PhotoError as it does."""
+        index = range(len(self._images))[index]
+        with self._lock:
+            if index in self._kept:
+                self._kept.move_to_end(index)
+                return self._kept[index]
+            future = self._pending.get(index)
+            mine = (
+                future is None or future.cancel()
+            )  # still queued: faster done here than waited for
+            if mine:
+                future = self._pending[index] = Future()
+                future.set_running_or_notify_cancel()
+        assert future is not None
+        if mine:
+            self._decode(index, future)
+        return future.result()
+
+    def prefetch(self, indices: Iterable[int]) -> None:
+        """Decode these photos in the background, as far as they fit beside each other.
+
+        A photo that cannot be decoded raises only when it is asked for.
+        """
+        planned = 0
+        for given in indices:
+            index = range(len(self._images))[given]
+            camera = self._images[index].camera
+            planned += 3 * camera.width * camera.height
+            if planned > self._limit // 2:
+                return
+            with self._lock:
+                if self._closed or index in self._pending:
+                    continue
+                if index in self._kept:
+                    self._kept.move_to_end(index)
+                    continue
+                future: Future[Pixels] = Future()
+                self._pending[index] = future
+                self._pool.submit(self._decode_queued, index, future)
+
+    def close(self) -> None:
+        """Drop everything and end the threads; photos can still be read, one by one."""
+        with self._lock:
+            self._closed = True
+            for future in self._pending.values():
+                future.cancel()
+            self._kept.clear()
+            self._kept_bytes = 0
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def __enter__(self) -> PhotoCache:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.close()
+
+    def _decode_queued(self, index: int, future: Future[Pixels]) -> None:
+        """On a background thread: `_decode`, unless the photo was asked for or closed meanwhile."""
+        if future.set_running_or_notify_cancel():
+            self._decode(index, future)
+
+    def _decode(self, index: int, future: Future[Pixels]) -> None:
+        """Fill the running `future` and keep the photo."""
+        try:
+            pixels = load_photo(self._images[index])
+        except BaseException as error:  # handed to whoever waits for it
+            with self._lock:
+                self._forget(index, future)
+            future.set_exception(error)
+            return
+        with self._lock:
+            self._forget(index, future)
+            if not self._closed:
+                self._keep(index, pixels)
+        future.set_result(pixels)
+
+    def _forget(self, index: int, future: Future[Pixels]) -> None:
+        if self._pending.get(index) is future:
+            del self._pending[index]
+
+    def _keep(self, index: int, pixels: Pixels) -> None:
+        """Hold the photo as the most recent one; needs the lock."""
+        if pixels.nbytes > self._limit or index in self._kept:
+            return
+        self._kept[index] = pixels
+        self._kept_bytes += pixels.nbytes
+        while self._kept_bytes > self._limit:
+            _, dropped = self._kept.popitem(last=False)
+            self._kept_bytes -= dropped.nbytes

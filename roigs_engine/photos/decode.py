@@ -1,0 +1,74 @@
+"""Decoding photos to uint8 arrays at their camera's size, and a bounded cache of them.
+
+Orientation tags are ignored, as COLMAP ignores them: pixels are taken as the file stores them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..model.scene import PosedImage
+from .headers import open_photo, unreadable
+
+Pixels = NDArray[np.uint8]
+
+# A JPEG is decoded at a fraction of its size only where this factor is left for the resampling.
+GAP = 2.0
+
+
+def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
+    """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) when given.
+
+    Grey, palette, CMYK and 16-bit files are converted; an alpha channel is dropped.
+
+    Raises:
+        PhotoError: the file is missing or cannot be decoded; names it.
+    """
+    try:
+        with open_photo(path) as photo:
+            full = photo.size
+            if size is not None:
+                photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
+            shrink = _draft_factor(full, photo.size)
+            rgb = _to_rgb(photo)
+    except MemoryError:
+        raise
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
+        raise unreadable(path, error) from error
+    if size is not None and rgb.size != size:
+        # The last column and row of a draft may reach past the photo: leave that share out.
+        box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
+        rgb = rgb.resize(size, Image.Resampling.LANCZOS, box=box)
+    return np.array(rgb, dtype=np.uint8)
+
+
+def load_photo(image: PosedImage) -> Pixels:
+    """(H, W, 3) uint8 sRGB of a posed photo at its camera's size.
+
+    Raises:
+        PhotoError: the file is missing or cannot be decoded; names it.
+    """
+    return decode(image.path, (image.camera.width, image.camera.height))
+
+
+def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
+    """By how much JPEG's draft mode has shrunk the photo: 1, 2, 4 or 8."""
+    return next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == drafted[0]), 1)
+
+
+def _to_rgb(photo: Image.Image) -> Image.Image:
+    """The photo as 8-bit RGB."""
+    if photo.mode == "I" or photo.mode.startswith("I;16"):
+        values = np.asarray(photo)
+        grey = values >> 8 if values.max(initial=0) > 255 else values
+        return Image.fromarray(grey.clip(0, 255).astype(np.uint8)).convert("RGB")
+    if photo.mode in ("P", "PA"):
+        return photo.convert("RGBA").convert("RGB")
+    if photo.mode == "RGB":  # no second copy of a large photo
+        photo.load()
+        return photo
+    return photo.convert("RGB")

@@ -1,0 +1,108 @@
+"""Finding a model's photos on disk: which folder, and which file carries which name."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import unicodedata
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+from ..errors import SceneError
+
+PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
+EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
+
+
+class PhotoFolder:
+    """The photos under one folder, by the names a model gives them.
+
+    Attributes:
+        folder: where it looks; need not exist.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def _files(self) -> dict[str, Path]:
+        """Name on disk (with `/`) -> path, of every photo under the folder, hidden ones aside."""
+        files = {}
+        for parent, folders, names in os.walk(self.folder):
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            for name in sorted(names):
+                path = Path(parent, name)
+                if path.suffix.lower() not in EXTENSIONS or name.startswith("."):
+                    continue
+                if path.is_file():  # not a pipe or a device, which could be read for ever
+                    files[path.relative_to(self.folder).as_posix()] = path
+        return files
+
+    @cached_property
+    def _by_key(self) -> dict[str, Path]:
+        files: dict[str, Path] = {}
+        for name, path in self._files.items():
+            files.setdefault(_key(name), path)
+        return files
+
+    def find(self, name: str) -> Path | None:
+        """The photo of that name in the model.
+
+        Where no file has exactly that name, one that differs in upper and lower case, in the
+        kind of slash or in the Unicode form of accents will do. Names that lead out of the
+        folder find nothing.
+        """
+        for spelling in dict.fromkeys((name, name.replace("\\", "/"))):
+            parts = PurePosixPath(spelling)
+            if parts.is_absolute() or ".." in parts.parts or "\0" in spelling:
+                return None
+            path = self.folder / spelling
+            if not path.is_relative_to(self.folder):  # a drive, on Windows
+                return None
+            with contextlib.suppress(OSError):  # a name too long for the file system
+                if path.is_file():
+                    return path
+        return self._by_key.get(_key(name))
+
+    def others(self, names: Iterable[str]) -> list[str]:
+        """Photos on disk, by their names there, that none of a model's `names` finds."""
+        found = {self.find(name) for name in names}
+        return [name for name, path in self._files.items() if path not in found]
+
+
+def _key(name: str) -> str:
+    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
+
+
+def find_photos(model: Path, images: Path | str | None, names: list[str]) -> PhotoFolder:
+    """The folder of a model's photos.
+
+    Args:
+        model: the model's folder; photos are looked for beside it and up to its project's folder.
+        images: the folder when the caller knows it.
+        names: of the model's photos; the first folder that holds any of them is taken.
+
+    Raises:
+        SceneError: `images` is given and is no folder.
+    """
+    if images is not None:
+        if not Path(images).is_dir():
+            raise SceneError(f"{images} is not a folder.", "Give --images the photos' folder.")
+        return PhotoFolder(Path(images))
+    candidates = [root / name for root in _roots(model) for name in PHOTO_FOLDERS]
+    existing = [PhotoFolder(folder) for folder in candidates if folder.is_dir()]
+    for photos in existing:
+        if any(photos.find(name) for name in names):
+            return photos
+    return existing[0] if existing else PhotoFolder(_roots(model)[-1] / PHOTO_FOLDERS[0])
+
+
+def _roots(model: Path) -> list[Path]:
+    """The model's folder and those above it, up to the one that holds `sparse` (at most two up)."""
+    roots = [model.absolute()]
+    for folder in model.absolute().parents[:2]:
+        if roots[-1].name == "sparse":
+            return [*roots, folder]
+        roots.append(folder)
+    return roots

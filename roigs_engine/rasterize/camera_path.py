@@ -1,0 +1,74 @@
+"""Camera path files: the cameras of a film, as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..formats.names import safe_name
+from ..model.scene import Camera, Float64
+
+CameraPath = Sequence[tuple[str, Camera, Float64]]
+
+
+MAX_SIDE = 16384  # pixels; a larger width or height in a path file is a mistake
+
+
+def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
+    """The cameras of a path file, as (name, camera, world_to_camera), in the file's order.
+
+    Raises:
+        ConfigError: the file is unreadable or malformed; the message names the camera.
+    """
+    hint = "See «camera path file» in the documentation of `render`."
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"Cannot read {path} ({error.strerror}).") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} is not JSON ({error}).", hint) from error
+    records = document.get("cameras") if isinstance(document, dict) else None
+    if not isinstance(records, list) or not records:
+        raise ConfigError(f"{path} holds no list «cameras».", hint)
+    cameras = []
+    for index, record in enumerate(records):
+        try:
+            cameras.append(_camera_from_record(record))
+        except KeyError as error:
+            raise ConfigError(f"{path}: camera {index} has no {error}.", hint) from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ConfigError(f"{path}: camera {index} is malformed ({error}).", hint) from error
+    names = [safe_name(name).casefold() for name, _, _ in cameras]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{path}: two cameras are named «{name}».", "Give each its own name.")
+    return cameras
+
+
+def _camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
+    """One entry of a path file; KeyError, TypeError or ValueError when it is malformed."""
+    if not isinstance(record, dict):
+        raise TypeError("not an object")
+    name = record["name"]
+    if not isinstance(name, str) or not name.strip():
+        raise ValueError("its name must be text")
+    sides = [record["width"], record["height"]]
+    if any(type(side) is not int or not 0 < side <= MAX_SIDE for side in sides):
+        raise ValueError(f"width and height must be whole numbers from 1 to {MAX_SIDE}")
+    fx, fy, cx, cy = (float(record[key]) for key in ("fx", "fy", "cx", "cy"))
+    if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0 and fy > 0):
+        raise ValueError("fx and fy must be positive, cx and cy finite")
+    pose = np.array(record["world_to_camera"], dtype=float)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError("world_to_camera must be 4 x 4 finite numbers")
+    rotation = pose[:3, :3]
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+    if not (rigid and np.linalg.det(rotation) > 0 and np.allclose(pose[3], (0, 0, 0, 1))):
+        raise ValueError("world_to_camera must be a rotation and a translation")
+    camera = Camera(width=sides[0], height=sides[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    return name, camera, pose

@@ -1,0 +1,181 @@
+"""What every rasterizer backend shares: the model's constants, the checked request, the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..errors import EngineError
+from ..training.optimizer import VisibleAdam
+
+TILE = 16
+"""Side of a pixel tile; culling, binning and `region` work in whole tiles."""
+
+LONGEST_SIDE = 1 << 16
+"""Largest image width and height, px: float32 then places a centre to 1/128 px at least."""
+
+NEAR = 0.01
+"""Gaussians whose centre is nearer to the camera plane than this (scene units) are culled."""
+
+BLUR = 0.3
+"""Added to the 2D covariance's diagonal, px^2: a Gaussian covers about a pixel at least."""
+
+ALPHA_MIN = 1.0 / 255.0
+"""Contributions below this are skipped: 8-bit output would not show them."""
+
+ALPHA_MAX = 0.999
+"""Opacity cap per pixel: keeps 1 / (1 - alpha) in the gradient finite."""
+
+FRUSTUM_MARGIN = 0.3
+"""The projection's Jacobian is taken inside the view widened by this share of its half angle."""
+
+SH_SIZES = (1, 4, 9, 16)
+"""Numbers of SH coefficients per colour for degrees 0 to 3."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOutput:
+    """What `rasterize` returns; C cameras, N Gaussians. Gradients flow through `image` alone.
+
+    Attributes:
+        image: (C, H, W, 3) colours blended in sRGB values, background added.
+        alpha: (C, H, W) 1 - transmittance left behind the last Gaussian.
+        visible: (C, N) bool, True where the Gaussian reaches a tile that was worked on.
+        grad2d: (C, N) float32, zeros until `backward()` has run; then |dL / d(projected centre)|
+            with x scaled by width / 2 and y by height / 2, the statistic that 3DGS densifies by.
+        depth: (C, H, W) mean camera depth sum(w z) / sum(w), 0 where nothing was drawn; or None.
+        max_weight: (N,) largest weight alpha * T a Gaussian has in any pixel; or None.
+        weight_sum: (N,) sum of its weights over all cameras' pixels, each times the pixel's
+            `pixel_weights` if these are given; or None.
+    """
+
+    image: Tensor
+    alpha: Tensor
+    visible: Tensor
+    grad2d: Tensor
+    depth: Tensor | None
+    max_weight: Tensor | None
+    weight_sum: Tensor | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderRequest:
+    """The arguments of `rasterize` after its checks; all tensors on one device."""
+
+    means: Tensor  # (N, 3)
+    quats: Tensor  # (N, 4) wxyz, any length
+    scales: Tensor  # (N, 3)
+    opacities: Tensor  # (N,)
+    sh: Tensor  # (N, K, 3)
+    viewmats: Tensor  # (C, 4, 4) world_to_camera
+    Ks: Tensor  # (C, 3, 3)
+    width: int
+    height: int
+    sh_degree: int
+    raw: bool
+    background: Tensor  # (3,)
+    with_depth: bool
+    with_max_weight: bool
+    with_weight_sum: bool
+    pixel_weights: Tensor | None  # (C, H, W)
+    tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
+    tile_mask: Tensor | None  # (rows, columns) bool, which of them to work on; None: all
+    optimizer: VisibleAdam | None  # takes its step in the backward pass; None: gradients
+
+    @property
+    def parameters(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The trained tensors, in the order of `rasterize`'s arguments."""
+        return self.means, self.quats, self.scales, self.opacities, self.sh
+
+
+def check_inputs(
+    parameters: tuple[Tensor, Tensor, Tensor, Tensor, Tensor],
+    viewmats: Tensor,  # (C, 4, 4)
+    Ks: Tensor,  # (C, 3, 3)
+    width: int,
+    height: int,
+) -> None:
+    """Raises EngineError unless shapes, types and devices of the arguments fit together."""
+    means, quats, scales, opacities, sh = parameters
+    n, cameras = means.shape[0] if means.ndim else -1, viewmats.shape[0] if viewmats.ndim else -1
+    k = sh.shape[1] if sh.ndim == 3 else -1
+    wanted = {
+        "means": (means, (n, 3)),
+        "quats": (quats, (n, 4)),
+        "scales": (scales, (n, 3)),
+        "opacities": (opacities, (n,)),
+        "sh": (sh, (n, k, 3)),
+        "viewmats": (viewmats, (cameras, 4, 4)),
+        "Ks": (Ks, (cameras, 3, 3)),
+    }
+    for name, (tensor, shape) in wanted.items():
+        if tuple(tensor.shape) != shape:
+            raise EngineError(
+                f"rasterize: {name} has shape {tuple(tensor.shape)}, expected {shape}."
+            )
+        if not tensor.is_floating_point() or tensor.device != means.device:
+            raise EngineError(
+                f"rasterize: {name} is {tensor.dtype} on {tensor.device}.",
+                f"Pass floating point tensors on one device ({means.device}).",
+            )
+    if k not in SH_SIZES:
+        raise EngineError(f"rasterize: sh has {k} coefficients per colour, not one of {SH_SIZES}.")
+    if width < 1 or height < 1:
+        raise EngineError(f"rasterize: the image size {width}x{height} is not positive.")
+    if max(width, height) > LONGEST_SIDE:
+        raise EngineError(
+            f"rasterize: the image size {width}x{height} is too large.",
+            f"Render {LONGEST_SIDE} pixels a side at most.",
+        )
+
+
+def check_optimizer(
+    optimizer: VisibleAdam, parameters: tuple[Tensor, ...], cameras: int, backend: str
+) -> None:
+    """Raises EngineError unless a backward pass can take this optimiser's step."""
+    trained = tuple(optimizer.parameters.values())
+    if len(trained) != len(parameters) or any(
+        a is not b for a, b in zip(trained, parameters, strict=True)
+    ):
+        raise EngineError(
+            "rasterize: the optimizer's parameters are not the tensors to render.",
+            "Pass the tensors it was made with, in the order of rasterize's arguments.",
+        )
+    if cameras != 1 or backend != "cpu":
+        raise EngineError(
+            f"rasterize: no optimizer step with {cameras} cameras on the {backend} backend.",
+            "Pass one camera and float32 tensors on the CPU, or call VisibleAdam.step.",
+        )
+
+
+def check_pixel_weights(
+    pixel_weights: Tensor, with_weight_sum: bool, shape: tuple[int, int, int]
+) -> None:
+    """Raises EngineError unless the weights fit the images and are asked for."""
+    if not with_weight_sum:
+        raise EngineError("rasterize: pixel_weights without with_weight_sum have no effect.")
+    if tuple(pixel_weights.shape) != shape:
+        raise EngineError(
+            f"rasterize: pixel_weights has shape {tuple(pixel_weights.shape)}, expected {shape}."
+        )
+
+
+def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:
+    """The degree to evaluate: the given one, or all that `coefficients` per colour hold."""
+    stored = SH_SIZES.index(coefficients)
+    if sh_degree is None:
+        return stored
+    if not 0 <= sh_degree <= stored:
+        raise EngineError(f"rasterize: sh_degree {sh_degree} is not in 0..{stored}.")
+    return sh_degree
+
+
+def background_colour(background: Tensor | None, like: Tensor) -> Tensor:
+    """The (3,) background in `like`'s type and device; black when None."""
+    if background is None:
+        return torch.zeros(3, dtype=like.dtype, device=like.device)
+    if tuple(background.shape) != (3,):
+        raise EngineError(f"rasterize: background has shape {tuple(background.shape)}, not (3,).")
+    return background.to(dtype=like.dtype, device=like.device)

@@ -1,0 +1,51 @@
+"""The 16x16 tiles of an image that are drawn."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..errors import EngineError
+from .inputs import TILE
+
+
+def worked_tiles(
+    width: int, height: int, region: tuple[int, int, int, int] | Tensor | None
+) -> tuple[tuple[int, int, int, int], Tensor | None]:
+    """The tiles to work on: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
+
+    `region` is as in `rasterize`. Raises EngineError: a mask that does not fit the image.
+    """
+    if not isinstance(region, Tensor):
+        return tile_rectangle(width, height, region), None
+    if region.dtype != torch.bool or tuple(region.shape) != (height, width):
+        raise EngineError(
+            f"rasterize: region is {region.dtype} of shape {tuple(region.shape)}.",
+            f"Pass a bool mask of shape {(height, width)}, or x0, y0, x1, y1.",
+        )
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    padded = region.new_zeros(rows * TILE, columns * TILE)
+    padded[:height, :width] = region
+    touched = padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
+    ys, xs = touched.any(dim=1).nonzero()[:, 0], touched.any(dim=0).nonzero()[:, 0]
+    if not len(ys):
+        return (0, 0, 0, 0), None
+    x0, y0, x1, y1 = int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1
+    return (x0, y0, x1, y1), touched[y0:y1, x0:x1]
+
+
+def tile_rectangle(
+    width: int, height: int, region: tuple[int, int, int, int] | None
+) -> tuple[int, int, int, int]:
+    """The tiles (x0, y0, x1, y1; end exclusive) that touch a pixel region, or all of them."""
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    if region is None:
+        return 0, 0, columns, rows
+    x0, y0, x1, y1 = (int(v) for v in region)
+    if x1 <= x0 or y1 <= y0:
+        return 0, 0, 0, 0
+    left, top = max(x0, 0) // TILE, max(y0, 0) // TILE
+    right, bottom = min(-(-x1 // TILE), columns), min(-(-y1 // TILE), rows)
+    if right <= left or bottom <= top:
+        return 0, 0, 0, 0
+    return left, top, right, bottom

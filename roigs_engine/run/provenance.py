@@ -1,0 +1,97 @@
+"""`run.json`: with what, on what and for how long the engine has worked in a run folder.
+
+One entry for each time it did, so that a result can be traced after the program or the machine has
+changed. Nothing of the environment, of names of users or machines, or of paths is in it.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..errors import EngineError, RunFolderError, Stopped
+from ..formats.files import read_json, write_json
+from ..kernels import library
+from ..machine import chip, machine_memory
+
+NAME = "run.json"
+PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
+
+
+@contextmanager
+def session(folder: Path, seed: int, device: str) -> Iterator[None]:
+    """Note in `folder`/run.json that a run is worked on while the block lasts, and how that ended.
+
+    Raises:
+        RunFolderError: the file cannot be written, or is none of ours.
+    """
+    path = folder / NAME
+    sessions = _earlier(path)
+    now: dict[str, Any] = {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "ended": "killed",  # unless something better is written in its place
+        "seconds": None,
+        "versions": {"roigs_engine": __version__, "python": platform.python_version()}
+        | {name: found for name in PACKAGES if (found := _version(name))},
+        "machine": {
+            "system": platform.platform(),
+            "chip": chip(),
+            "cores": library.usable_cores(),
+            "memory": machine_memory(),
+        },
+        "kernels": library.isa(),
+        "threads": library.threads(),
+        "device": device,
+        "seed": seed,
+    }
+    write_json(path, {"sessions": [*sessions, now]})
+    began = time.monotonic()
+    try:
+        yield
+        now["ended"] = "done"
+    except Stopped:
+        now["ended"] = "stopped"
+        raise
+    except EngineError as error:
+        now["ended"] = f"failed: {error.message}"
+        raise
+    except BaseException as error:
+        now["ended"] = f"failed: {type(error).__name__}"
+        raise
+    finally:
+        now["seconds"] = round(time.monotonic() - began, 1)
+        now["stages"] = _stages(folder)
+        with suppress(RunFolderError):  # what ended the block is more important
+            # Forcing it to the disk would force a checkpoint just written there too: a stop waits.
+            write_json(path, {"sessions": [*sessions, now]}, durable=False)
+
+
+def _earlier(path: Path) -> list[Any]:
+    if not path.exists():
+        return []
+    record = read_json(path)
+    if not isinstance(record, dict) or not isinstance(record.get("sessions"), list):
+        raise RunFolderError(f"{path} is not the engine's.", "Delete it, or choose another folder.")
+    return list(record["sessions"])
+
+
+def _version(name: str) -> str:
+    with suppress(PackageNotFoundError):
+        return version(name)
+    return ""
+
+
+def _stages(folder: Path) -> dict[str, float]:
+    """Seconds of training of the stages that are finished."""
+    found = {}
+    for path in sorted(folder.glob("*/stage.json")):
+        with suppress(RunFolderError, KeyError, TypeError, ValueError):
+            found[path.parent.name] = round(float(read_json(path)["seconds"]), 1)
+    return found

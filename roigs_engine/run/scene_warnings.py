@@ -1,0 +1,41 @@
+"""What will train badly, though it can be trained: said before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..model.ownership import nearest_owner
+from ..model.roi import OrientedBox
+from ..model.scene import SfmScene
+
+MAX_REACH = 1e4  # sizes of the scene from its origin; farther off float32 blurs what is in it
+
+
+def cautions(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
+    """Sentences about a scene to be trained and its boxes; none when all is well."""
+    return [*_far_from_its_origin(scene), *_without_points_of_their_own(scene, list(rois))]
+
+
+def _far_from_its_origin(scene: SfmScene) -> list[str]:
+    reach, extent = float(np.abs(scene.centres()).max(initial=0.0)), scene.extent()
+    if reach <= MAX_REACH * extent:
+        return []
+    times = reach / max(extent, 1e-9)
+    return [
+        f"The model lies {reach:.3g} units from its origin, {times:.3g} times its size: 32-bit"
+        " positions are too coarse there. Move it to its origin first (COLMAP's model_transformer)."
+    ]
+
+
+def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> list[str]:
+    owner, found = nearest_owner(scene.points, rois), []
+    for index, roi in enumerate(rois):
+        inside = int(roi.contains(scene.points).sum())
+        if inside and not (owner == index).any():
+            found.append(
+                f"ROI «{roi.name}» owns none of the {inside:,} points in it: they are nearer to the"
+                f" centre of another ROI. Move them apart, or train it alone (--only {roi.name})."
+            )
+    return found

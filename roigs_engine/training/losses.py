@@ -1,0 +1,216 @@
+"""How far a render is from its photo: L1 and SSIM, as 3D Gaussian Splatting is trained by them.
+
+    L = (1 - w) L1 + w (1 - SSIM),  w = 0.2                (Kerbl et al. 2023, eq. 7)
+
+Images are (H, W, 3) sRGB values in [0, 1], photos (H, W, 3) uint8. SSIM (Wang et al. 2004) has an
+11 x 11 Gaussian window of sigma 1.5, zeros around the image, C1 = 0.01^2 and C2 = 0.03^2.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ..cuda.library import fused_ssim
+from ..errors import EngineError
+from ..kernels import library
+
+WINDOW_RADIUS = 5
+WINDOW_SIGMA = 1.5
+C1 = 0.01**2
+C2 = 0.03**2
+BACKENDS = ("auto", "cpu", "fused", "reference")
+
+
+class LossOutput(NamedTuple):
+    """The loss and its parts, each a scalar tensor; gradients flow through `loss` alone."""
+
+    loss: Tensor
+    l1: Tensor
+    ssim: Tensor
+
+
+def photo_loss(
+    image: Tensor,  # (H, W, 3) or (1, H, W, 3)
+    target: Tensor,  # (H, W, 3) uint8
+    *,
+    ssim_weight: float = 0.2,
+    weights: Tensor | None = None,  # (H, W)
+    backend: str = "auto",
+) -> LossOutput:
+    """The training loss of a render against its photo; differentiable in `image`.
+
+    Args:
+        image: values in [0, 1]. A permuted view of planar (3, H, W) memory is the fastest form:
+            it is not copied, and its gradient comes in the same form.
+        target: the photo, on the image's device.
+        ssim_weight: share of the SSIM term, 0 to 1.
+        weights: how much each pixel counts in both terms, not negative; None: all the same. They
+            are divided by their sum. The SSIM of a pixel still looks at all pixels around it.
+            Where all are zero, so is the loss.
+        backend: "cpu" (compiled kernel: float32 on the CPU), "fused" (the package fused-ssim:
+            float32 on an NVIDIA card, no weights), "reference" (plain torch, any dtype and device),
+            or "auto", the first of them that can be used.
+
+    Raises:
+        EngineError: shapes or types that do not fit, or an unknown backend.
+    """
+    # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
+    planes = image.squeeze(0) if image.dim() == 4 else image
+    _check(planes, target, weights)
+    native = planes.dtype == torch.float32 and planes.device.type == "cpu"
+    if backend == "auto":
+        backend = "cpu" if native else _without_kernel(planes, weights)
+    if backend == "reference":
+        return _reference(planes, target, ssim_weight, weights)
+    if backend == "fused":
+        return _fused(planes, target, ssim_weight)
+    if backend != "cpu":
+        raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
+    if not native:
+        raise EngineError("photo_loss: the cpu backend takes float32 tensors on the CPU only.")
+    terms = _KernelLoss.apply(planes, target, ssim_weight, weights)  # type: ignore[no-untyped-call]
+    return LossOutput(*terms)
+
+
+def ssim_map(image: Tensor, target: Tensor) -> Tensor:
+    """(H, W, 3) twice -> SSIM of every pixel and channel, (H, W, 3); plain torch.
+
+    `target` may be uint8, it is then divided by 255. Any floating dtype and device.
+    """
+    x, t = image.permute(2, 0, 1), _unit_values(target, image.dtype).permute(2, 0, 1)
+    mean_x, mean_t = _filtered(x), _filtered(t)
+    variance_x = _filtered(x * x) - mean_x**2
+    variance_t = _filtered(t * t) - mean_t**2
+    covariance = _filtered(x * t) - mean_x * mean_t
+    luminance = (2 * mean_x * mean_t + C1) / (mean_x**2 + mean_t**2 + C1)
+    structure = (2 * covariance + C2) / (variance_x + variance_t + C2)
+    return (luminance * structure).permute(1, 2, 0)
+
+
+def _reference(
+    image: Tensor, target: Tensor, ssim_weight: float, weights: Tensor | None
+) -> LossOutput:
+    error = (image - _unit_values(target, image.dtype)).abs().mean(dim=-1)
+    difference = 1 - ssim_map(image, target).mean(dim=-1)
+    if weights is None:
+        l1, dissimilarity = error.mean(), difference.mean()
+    else:
+        share = weights.to(image.dtype)
+        share = share / share.sum().clamp(min=torch.finfo(image.dtype).tiny)
+        l1, dissimilarity = (share * error).sum(), (share * difference).sum()
+    loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
+    return LossOutput(loss, l1.detach(), 1 - dissimilarity.detach())
+
+
+def _without_kernel(image: Tensor, weights: Tensor | None) -> str:
+    """The backend for what the compiled kernel does not take."""
+    suits = image.device.type == "cuda" and image.dtype == torch.float32 and weights is None
+    return "fused" if suits and fused_ssim() is not None else "reference"
+
+
+def _fused(image: Tensor, target: Tensor, ssim_weight: float) -> LossOutput:
+    """With the mean SSIM of fused-ssim, whose window, borders and constants are those above."""
+    ssim = fused_ssim()
+    if ssim is None:
+        raise EngineError("photo_loss: fused-ssim is not installed.", "Use another backend.")
+    x = image.permute(2, 0, 1)[None].contiguous()
+    t = _unit_values(target, image.dtype).permute(2, 0, 1)[None].contiguous()
+    similarity, l1 = ssim(x, t), (x - t).abs().mean()
+    loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - similarity)
+    return LossOutput(loss, l1.detach(), similarity.detach())
+
+
+class _KernelLoss(torch.autograd.Function):
+    """`roigs_photo_loss` of kernels/loss.cpp: value and gradient come from one pass."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, image: Tensor, target: Tensor, ssim_weight: float, weights: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        height, width, _ = image.shape
+        planar = image.permute(2, 0, 1).contiguous()  # no copy when it is planar already
+        photo = target.contiguous()
+        mask = None if weights is None else weights.to(torch.float32).contiguous()
+        gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
+        result = (ctypes.c_double * 3)()
+        _kernel()(
+            width,
+            height,
+            library.pointer(planar),
+            library.pointer(photo),
+            library.pointer(mask),
+            ssim_weight,
+            library.pointer(gradient),
+            result,
+        )
+        ctx.gradient = gradient
+        loss, l1, ssim = torch.tensor(list(result), dtype=torch.float32).unbind()
+        ctx.mark_non_differentiable(l1, ssim)
+        ctx.set_materialize_grads(False)
+        return loss, l1, ssim
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
+        scale, gradient = upstream[0], ctx.gradient
+        if scale is None or gradient is None:
+            return None, None, None, None
+        if scale != 1:  # the usual case needs no pass over the image
+            gradient = gradient * scale
+        return gradient.permute(1, 2, 0), None, None, None
+
+
+@functools.cache
+def _kernel() -> Any:
+    function = library.load().roigs_photo_loss
+    address = ctypes.c_void_p
+    function.argtypes = [
+        ctypes.c_int64,  # width
+        ctypes.c_int64,  # height
+        address,  # image (3, height, width)
+        address,  # target (height, width, 3)
+        address,  # weights (height, width) or null
+        ctypes.c_float,  # ssim_weight
+        address,  # gradient (3, height, width) or null
+        address,  # result: loss, L1, SSIM
+    ]
+    function.restype = None
+    return function
+
+
+def _check(image: Tensor, target: Tensor, weights: Tensor | None) -> None:
+    shape = tuple(image.shape)
+    if image.dim() != 3 or shape[2] != 3 or 0 in shape or not image.is_floating_point():
+        raise EngineError(f"photo_loss: image is {shape} {image.dtype}, not (H, W, 3) floats.")
+    if tuple(target.shape) != shape or target.dtype != torch.uint8:
+        raise EngineError(
+            f"photo_loss: target is {tuple(target.shape)} {target.dtype}, not {shape} uint8."
+        )
+    if weights is not None and tuple(weights.shape) != shape[:2]:
+        raise EngineError(f"photo_loss: weights are {tuple(weights.shape)}, not {shape[:2]}.")
+
+
+def _unit_values(image: Tensor, dtype: torch.dtype) -> Tensor:
+    return image.to(dtype) / 255 if image.dtype == torch.uint8 else image.to(dtype)
+
+
+def _filtered(planes: Tensor) -> Tensor:
+    """(3, H, W) -> the same size, filtered with the window along columns, then rows."""
+    window = _window(planes.dtype, planes.device)
+    batch = planes[:, None]
+    batch = functional.conv2d(batch, window.view(1, 1, -1, 1), padding=(WINDOW_RADIUS, 0))
+    batch = functional.conv2d(batch, window.view(1, 1, 1, -1), padding=(0, WINDOW_RADIUS))
+    return batch[:, 0]
+
+
+@functools.lru_cache(maxsize=8)
+def _window(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """(11,) Gaussian, sum 1."""
+    offsets = torch.arange(-WINDOW_RADIUS, WINDOW_RADIUS + 1, dtype=torch.float64)
+    window = torch.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
+    return (window / window.sum()).to(dtype=dtype, device=device)

@@ -1,0 +1,131 @@
+"""The pixels of a photo that the ROI stage learns from: the boxes' silhouettes and a rim around.
+
+What lies outside the silhouettes is the Scene-GS's business; leaving it out of most steps makes
+them quicker and keeps their descent to what is wanted (ours, docs/method.md; paper: the loss is on
+the entire image, sec. II-B). Regions are whole 16x16 tiles, since that is what the rasterizer works
+on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..context import QUIET, Context
+from ..model.roi import OrientedBox
+from ..model.scene import PosedImage
+from ..rasterize.inputs import TILE
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Region:
+    """Some tiles of a photo.
+
+    Attributes:
+        mask: (H, W) bool, whole tiles.
+        window: x0, y0, x1, y1 in pixels, the smallest rectangle around them.
+        weights: (h, w) of the window, 1 in the mask and 0 outside, on the photos' device.
+        share: of the photo's pixels that the mask holds.
+        pull: weight of the region's mean loss beside that of a whole photo.
+    """
+
+    mask: Tensor
+    window: tuple[int, int, int, int]
+    weights: Tensor
+    share: float
+    pull: float
+
+    def crop(self, image: Tensor) -> Tensor:
+        """(H, W, ...) -> its pixels in the window."""
+        x0, y0, x1, y1 = self.window
+        return image[y0:y1, x0:x1]
+
+
+class Regions:
+    """The region of each photo; found when first asked for, and kept as a small grid of tiles.
+
+    Args:
+        images, rois: of the stage.
+        drawn: rows of the photos whose regions are asked for.
+        device: of the weights.
+        balance: 0: a pixel pulls as hard as in a whole photo, so close-ups, which show a box on
+            many, outweigh the rest; 1: regions pull alike, however large they are, and a pixel as
+            hard as in a whole photo only where the region has the (geometric) mean share.
+        context: asked between photos where these are needed from the start whether to stop.
+    """
+
+    def __init__(
+        self,
+        images: Sequence[PosedImage],
+        rois: Sequence[OrientedBox],
+        drawn: Sequence[int],
+        device: torch.device | None = None,
+        *,
+        balance: float = 0.0,
+        context: Context = QUIET,
+    ) -> None:
+        self._images, self._rois, self._device = images, rois, device
+        self._balance = balance
+        self._tiles: dict[int, NDArray[np.bool_]] = {}
+        self._mean_share = self._geometric_mean(drawn, context) if balance else 0.0
+
+    def __getitem__(self, index: int) -> Region | None:
+        """The region of photo `index`, None where no box is in sight."""
+        tiles, camera = self._tiles_of(index), self._images[index].camera
+        if not tiles.any():
+            return None
+        mask = self._mask(index)
+        rows, columns = np.flatnonzero(tiles.any(axis=1)), np.flatnonzero(tiles.any(axis=0))
+        x0, x1 = int(columns[0]) * TILE, min(int(columns[-1] + 1) * TILE, camera.width)
+        y0, y1 = int(rows[0]) * TILE, min(int(rows[-1] + 1) * TILE, camera.height)
+        weights = mask[y0:y1, x0:x1].astype(np.float32)
+        share = float(mask.mean())
+        return Region(
+            mask=torch.from_numpy(np.ascontiguousarray(mask)),
+            window=(x0, y0, x1, y1),
+            weights=torch.from_numpy(weights).to(self._device),
+            share=share,
+            pull=share * (self._mean_share / share) ** self._balance if self._balance else share,
+        )
+
+    def _geometric_mean(self, drawn: Sequence[int], context: Context) -> float:
+        """Of the shares that the regions have of their photos."""
+        shares = []
+        for index in drawn:
+            context.check_cancelled()
+            shares.append(self._mask(index).mean())
+        return float(np.exp(np.mean(np.log([share for share in shares if share > 0]))))
+
+    def _mask(self, index: int) -> NDArray[np.bool_]:
+        """(H, W): the pixels of the photo's tiles."""
+        tiles, camera = self._tiles_of(index), self._images[index].camera
+        return tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
+
+    def _tiles_of(self, index: int) -> NDArray[np.bool_]:
+        if index not in self._tiles:
+            self._tiles[index] = _tiles(self._images[index], self._rois)
+        return self._tiles[index]
+
+
+def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
+    """The tiles that the boxes' silhouettes touch, and those next to them.
+
+    The rim is what the SSIM of the outermost pixels looks at, and a seam's width of surroundings.
+    """
+    camera = image.camera
+    rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
+    pixels = np.zeros((rows * TILE, columns * TILE), dtype=bool)
+    for roi in rois:
+        pixels[: camera.height, : camera.width] |= roi.silhouette(camera, image.world_to_camera)
+    touched = pixels.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
+    padded = np.pad(touched, 1)
+    grown: NDArray[np.bool_] = np.zeros_like(touched)
+    for y in range(3):
+        for x in range(3):
+            grown |= padded[y : y + rows, x : x + columns]
+    return grown

@@ -1,0 +1,232 @@
+"""Undistorted photos and their pinholes: geometry, borders, sizes, the cache."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_engine.colmap import undistort
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.colmap.records import CAMERA_MODELS
+from roigs_engine.errors import EngineError, RunFolderError, SceneError
+from roigs_engine.formats.events import Event, StageStarted
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.photos.decode import load_photo
+from tests.engine.synthetic_colmap import Project, camera, write_project
+
+F, FX, FY, CX, CY = 200.0, 200.0, 190.0, 113.0, 97.0  # for photos of 240 x 180 pixels
+DISTORTED = {
+    "SIMPLE_RADIAL": [F, CX, CY, 0.08],
+    "RADIAL": [F, CX, CY, -0.15, 0.05],
+    "OPENCV": [FX, FY, CX, CY, 0.12, -0.04, 0.004, -0.003],
+    "OPENCV_FISHEYE": [FX, FY, CX, CY, 0.05, -0.01, 0.002, 0.001],
+    "FULL_OPENCV": [FX, FY, CX, CY, 0.1, -0.03, 0.002, 0.003, 0.01, 0.02, 0.01, 0.005],
+    "FOV": [FX, FY, CX, CY, 0.6],
+    "SIMPLE_RADIAL_FISHEYE": [F, CX, CY, 0.05],
+    "RADIAL_FISHEYE": [F, CX, CY, 0.05, -0.02],
+    "THIN_PRISM_FISHEYE": [FX, FY, CX, CY, 0.05, -0.02, 0.002, 0.001, 0.003, 0.001, 0.002, 0.001],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [
+        *(FX, FY, CX, CY, 0.05, -0.02, 0.003, 0.001, 0.001, 0.0),
+        *(0.002, 0.001, 0.001, 0.0, 0.002, 0.0),
+    ],
+    "SIMPLE_DIVISION": [F, CX, CY, -0.1],
+    "DIVISION": [FX, FY, CX, CY, -0.1],
+    "SIMPLE_FISHEYE": [F, CX, CY],
+    "FISHEYE": [FX, FY, CX, CY],
+    "EUCM": [FX, FY, CX, CY, 0.5, 1.1],
+}
+PLAIN = {"SIMPLE_PINHOLE", "PINHOLE", "EQUIRECTANGULAR"}
+
+
+def grid() -> np.ndarray:
+    """(P, 3) points on slanted sheets, far enough apart to be told from each other on a photo."""
+    x, y = np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.1, 1.1, 6))
+    return np.stack([x, y, 0.25 * x + 0.1 * y], axis=-1).reshape(-1, 3)
+
+
+def distorted(folder: Path, model: str = "OPENCV", **settings: Any) -> Project:
+    """One photo of dots by a camera of that model."""
+    made = camera(model, 240, 180, DISTORTED[model])
+    return write_project(
+        folder, names=["a.png"], cameras=[made], points=grid(), dots=True, **settings
+    )
+
+
+def dot_errors(scene: SfmScene) -> np.ndarray:
+    """Distances in pixels from where the pinhole projects points to the dots' centres there."""
+    image = scene.images[0]
+    found = image.camera
+    local = scene.points @ image.world_to_camera[:3, :3].T + image.world_to_camera[:3, 3]
+    expected = local[:, :2] / local[:, 2:] * (found.fx, found.fy) + (found.cx, found.cy)
+    photo = load_photo(image)[..., 0].astype(float) - 20
+    radius = max(3, round(5 * found.fx / F))
+    errors = []
+    for x, y in expected:
+        left, top = int(x) - radius, int(y) - radius
+        window = photo[max(top, 0) : top + 2 * radius + 1, max(left, 0) : left + 2 * radius + 1]
+        if window.shape != (2 * radius + 1, 2 * radius + 1) or top < 0 or left < 0:
+            continue
+        weights = window.clip(0) + 1e-9
+        assert weights.max() > 60, "no dot where the pinhole projects a point"
+        rows, columns = np.mgrid[: len(window), : len(window)] + 0.5
+        centre = [(weights * at).sum() / weights.sum() for at in (columns + left, rows + top)]
+        errors.append(np.hypot(centre[0] - x, centre[1] - y))
+    return np.array(errors)
+
+
+def test_every_model_is_covered() -> None:
+    assert set(DISTORTED) | PLAIN == {name for name, _ in CAMERA_MODELS}
+
+
+@pytest.mark.parametrize("model", DISTORTED)
+def test_points_project_to_the_same_features(tmp_path: Path, model: str) -> None:
+    distorted(tmp_path, model)
+    errors = dot_errors(load_colmap(tmp_path))
+    assert len(errors) >= 15
+    assert errors.max() < 0.25
+
+
+@pytest.mark.parametrize("settings", [{"max_side": 120}, {"downscale": 1.3}, {"max_side": 80}])
+def test_the_same_at_smaller_sizes(tmp_path: Path, settings: dict[str, Any]) -> None:
+    """Also where the photo is shrunk before it is undistorted."""
+    distorted(tmp_path)
+    scene = load_colmap(tmp_path, **settings)
+    errors = dot_errors(scene)
+    assert len(errors) >= 15 and errors.max() < 0.25
+    with Image.open(scene.images[0].path) as stored:
+        assert stored.size == (scene.images[0].camera.width, scene.images[0].camera.height)
+    if "max_side" in settings:
+        assert max(stored.size) == settings["max_side"]
+
+
+def test_the_same_on_resampled_photos(tmp_path: Path) -> None:
+    distorted(tmp_path)
+    photo = Image.open(tmp_path / "images/a.png").resize((120, 90), Image.Resampling.BOX)
+    photo.save(tmp_path / "images/a.png")
+    scene = load_colmap(tmp_path)
+    assert scene.images[0].camera.width <= 125
+    assert dot_errors(scene).max() < 0.25
+
+
+@pytest.mark.parametrize("model", DISTORTED)
+@pytest.mark.parametrize("settings", [{}, {"max_side": 80}])
+def test_no_black_borders(tmp_path: Path, model: str, settings: dict[str, Any]) -> None:
+    distorted(tmp_path, model)
+    Image.new("RGB", (240, 180), (200, 200, 200)).save(tmp_path / "images/a.png")
+    assert load_photo(load_colmap(tmp_path, **settings).images[0]).min() >= 198
+
+
+def test_a_fisheye_without_distortion_is_not_taken_for_a_pinhole(tmp_path: Path) -> None:
+    fisheye = camera("OPENCV_FISHEYE", 240, 180, [FX, FY, CX, CY, 0, 0, 0, 0])
+    write_project(tmp_path, names=["a.png"], cameras=[fisheye], points=grid(), dots=True)
+    assert dot_errors(load_colmap(tmp_path)).max() < 0.25
+
+
+def test_several_cameras_of_different_models(tmp_path: Path) -> None:
+    cameras = [
+        camera(width=240, height=180, params=[FX, FY, CX, CY]),
+        camera("SIMPLE_RADIAL", 180, 240, [F, CY, CX, 0.05]),
+        camera("FOV", 240, 180, DISTORTED["FOV"]),
+    ]
+    names = ["a.png", "b/c.png", "d.png", "e.png"]
+    write_project(tmp_path, names=names, cameras=cameras, points=grid(), dots=True, arc=0.6)
+    scene = load_colmap(tmp_path, cache=tmp_path / "cache")
+    assert [image.name for image in scene.images] == names
+    assert len({image.camera for image in scene.images}) == 3
+    for image in scene.images:
+        assert dot_errors(scene.select([image.name])).max() < 0.25
+        assert (image.path.parent == tmp_path / "cache/undistorted") == (image.name[0] not in "ae")
+
+
+def test_a_panorama_is_left_out(tmp_path: Path) -> None:
+    panorama = camera("EQUIRECTANGULAR", 240, 120, [240.0, 120.0])
+    cameras = [camera(width=240, height=180, params=[FX, FY, CX, CY]), panorama]
+    write_project(tmp_path, names=["a.png", "b.png"], cameras=cameras, tracks=False)
+    scene = load_colmap(tmp_path)
+    assert scene.skipped == {"EQUIRECTANGULAR cannot be undistorted": ("b.png",)}
+    (tmp_path / "images/a.png").unlink()
+    with pytest.raises(SceneError, match="EQUIRECTANGULAR cannot be undistorted"):
+        load_colmap(tmp_path)
+
+
+# --- cache ----------------------------------------------------------------------------------------
+
+
+def stages(folder: Path, **settings: Any) -> tuple[SfmScene, list[int]]:
+    """The scene and how many photos each undistortion stage announced."""
+    events: list[Event] = []
+    scene = load_colmap(folder, emit=events.append, **settings)
+    return scene, [event.total for event in events if isinstance(event, StageStarted)]
+
+
+def test_the_cache_is_reused(tmp_path: Path) -> None:
+    distorted(tmp_path)
+    cache = tmp_path / "cache"
+    scene, announced = stages(tmp_path, cache=cache)
+    assert announced == [1]
+    before = scene.images[0].path.stat().st_mtime_ns
+    again, announced = stages(tmp_path, cache=cache)
+    assert announced == []
+    assert again.images[0].path == scene.images[0].path
+    assert again.images[0].path.stat().st_mtime_ns == before
+    assert again.images[0].camera == scene.images[0].camera
+    assert len(list((cache / "undistorted").iterdir())) == 1  # nothing half-written beside it
+
+
+def test_the_cache_follows_photo_camera_and_size(tmp_path: Path) -> None:
+    distorted(tmp_path)
+    cache = tmp_path / "cache"
+    assert stages(tmp_path, cache=cache)[1] == [1]
+    assert stages(tmp_path, cache=cache, max_side=100)[1] == [1]
+    photo = tmp_path / "images/a.png"
+    os.utime(photo, ns=(1, 1))
+    assert stages(tmp_path, cache=cache)[1] == [1]
+    distorted(tmp_path, "FOV", images=None)
+    assert stages(tmp_path, cache=cache)[1] == [1]
+    assert stages(tmp_path, cache=cache)[1] == []
+
+
+def test_cameras_alone(tmp_path: Path) -> None:
+    distorted(tmp_path)
+    scene, announced = stages(tmp_path, max_side=100, pixels=False)
+    assert announced == []
+    assert scene.images[0].path == tmp_path / "images/a.png"
+    assert scene.images[0].camera == load_colmap(tmp_path, max_side=100).images[0].camera
+
+
+def test_a_photo_that_breaks_off_is_left_out(tmp_path: Path) -> None:
+    made = camera("OPENCV", 240, 180, DISTORTED["OPENCV"])
+    write_project(tmp_path, names=["a.jpg", "b.jpg"], cameras=[made])
+    path = tmp_path / "images/b.jpg"
+    path.write_bytes(path.read_bytes()[:-200])
+    scene = load_colmap(tmp_path)
+    assert [image.name for image in scene.images] == ["a.jpg"]
+    assert scene.skipped == {"unreadable": ("b.jpg",)}
+
+
+def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
+    distorted(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(RunFolderError, match="Cannot write"):
+        load_colmap(tmp_path, cache=tmp_path / "file")
+
+
+def test_without_pycolmap_pinholes_still_load(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_project(tmp_path / "plain")
+    distorted(tmp_path / "bent", "SIMPLE_RADIAL")
+    monkeypatch.setitem(__import__("sys").modules, "pycolmap", None)
+    undistort._pycolmap.cache_clear()
+    undistort.undistorted_camera.cache_clear()
+    try:
+        assert len(load_colmap(tmp_path / "plain").images) == 3
+        with pytest.raises(EngineError, match="needs pycolmap"):
+            load_colmap(tmp_path / "bent")
+    finally:
+        undistort._pycolmap.cache_clear()

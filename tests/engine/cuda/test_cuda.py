@@ -1,0 +1,175 @@
+"""On an NVIDIA card: the compiled backend against the float64 reference, and whole trainings.
+
+Every test is skipped by itself, with the reason, where the card or gsplat is missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from roigs_engine.cuda import library
+from roigs_engine.cuda.device import CPU, check_cuda
+from roigs_engine.errors import KernelError
+from roigs_engine.evaluation.metrics import psnr
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.rasterize import rasterize
+from roigs_engine.rasterize.view import render_view
+from roigs_engine.training import photo_order
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.consistency import vouched_for
+from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.optimizer import VisibleAdam
+from roigs_engine.training.trainer import StageData, Trainer
+from tests.engine.rasterize.test_cuda import CASES, SIZE, ring
+from tests.engine.rasterize_cases import (
+    cameras,
+    differentiate,
+    gaussians,
+    gradient_errors,
+    relative_error,
+)
+from tests.engine.synthetic_scene import BOX, make_scene
+
+pytestmark = pytest.mark.cuda
+CARD = torch.device("cuda")
+
+
+@pytest.fixture(autouse=True)
+def _card() -> None:
+    try:
+        check_cuda()
+    except KernelError as error:
+        pytest.skip(str(error))
+
+
+def on_card(values: Any) -> Any:
+    if isinstance(values, torch.Tensor):
+        return values.to(CARD)
+    return [on_card(v) for v in values]
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("raw", [False, True])
+def test_images_and_gradients_are_those_of_the_reference(name: str, raw: bool) -> None:
+    parameters, views = gaussians(300, raw=raw), cameras(*SIZE)
+    options = {"raw": raw, **CASES[name]}
+    truth, true_gradients = differentiate(
+        "reference", torch.float64, parameters, *views, *SIZE, **options
+    )
+    leaves = [p.to(CARD).requires_grad_() for p in parameters]
+    moved = {k: on_card(v) if isinstance(v, torch.Tensor) else v for k, v in options.items()}
+    ours = rasterize(*leaves, *on_card(views), *SIZE, **moved)
+    weights = torch.randn(ours.image.shape, generator=torch.Generator().manual_seed(1))
+    (ours.image * weights.to(CARD)).sum().backward()
+    # gsplat's fast exponential, and the light below 1e-4 that it does not draw
+    assert (ours.image.cpu() - truth.image).abs().max() < 1e-3
+    gradients = [p.grad.cpu() for p in leaves if p.grad is not None]
+    assert max(gradient_errors(gradients, true_gradients).values()) < 5e-3
+    assert relative_error(ours.grad2d.cpu(), truth.grad2d) < 5e-3
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_weights_and_depth_are_those_of_the_reference(masked: bool) -> None:
+    if not library.has_triton():
+        pytest.skip("Triton is not installed.")
+    parameters, views = gaussians(300), cameras(*SIZE)
+    options = {"with_max_weight": True, "with_weight_sum": True, "with_depth": True}
+    region = ring() if masked else None
+    truth = rasterize(*parameters, *views, *SIZE, region=region, backend="reference", **options)
+    region = None if region is None else region.to(CARD)
+    ours = rasterize(*on_card(parameters), *on_card(views), *SIZE, region=region, **options)
+    assert (ours.max_weight.cpu() - truth.max_weight).abs().max() < 1e-3
+    assert relative_error(ours.weight_sum.cpu(), truth.weight_sum) < 1e-3
+    assert relative_error(ours.depth.cpu(), truth.depth) < 1e-3
+
+
+def test_adam_and_loss_are_those_of_the_reference() -> None:
+    generator = torch.Generator().manual_seed(0)
+    first = {"means": torch.randn(5000, 3, generator=generator)}
+    first["sh"] = torch.randn(5000, 16, 3, generator=generator)
+    models = {
+        "auto": VisibleAdam({n: (t.to(CARD), 1e-2) for n, t in first.items()}),
+        "reference": VisibleAdam({n: (t.clone(), 1e-2) for n, t in first.items()}),
+    }
+    models["reference"].backend = "reference"
+    for _ in range(3):
+        visible = torch.rand(5000, generator=generator) < 0.5
+        for name, tensor in first.items():
+            gradient = torch.randn(tensor.shape, generator=generator)
+            gradient[~visible] = 0
+            for model in models.values():
+                parameter = model.parameters[name]
+                parameter.grad = gradient.to(parameter.device)
+        for model in models.values():
+            model.step(visible.to(model.parameters["sh"].device))
+    for name in first:
+        ours, truth = (m.parameters[name].detach().cpu() for m in models.values())
+        assert torch.allclose(ours, truth, atol=1e-5), name
+    image = torch.rand(70, 90, 3, generator=generator)
+    photo = torch.randint(0, 256, (70, 90, 3), dtype=torch.uint8, generator=generator)
+    ours, truth = photo_loss(image.to(CARD), photo.to(CARD)), photo_loss(image, photo)
+    assert float(ours.loss) == pytest.approx(float(truth.loss), abs=1e-5)
+
+
+def test_floaters_are_found_without_triton(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_scene(tmp_path_factory.mktemp("photos"), views=6)
+    model = Gaussians.from_points(scene.points[::3], scene.colors[::3])
+    truth = vouched_for(model, scene.images, [BOX], 3)
+    monkeypatch.setattr(library, "has_triton", lambda: False)
+    found = vouched_for(model.to(CARD), scene.images, [BOX], 3)
+    assert found.device.type == "cuda" and torch.equal(found.cpu(), truth)
+
+
+def test_trainings_end_alike(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Within 0.2 dB; the demo scene's long training is measured by benchmarks/README.md."""
+    scene = make_scene(tmp_path_factory.mktemp("photos"))
+    config = TrainConfig(steps=400, sh_every=100, densify_from=50, densify_until=200)
+    found = []
+    for device in (CPU, CARD):
+        data = StageData(
+            images=scene.images,
+            photos=PhotoCache(scene.images),
+            photo_at=photo_order.shuffled(range(len(scene.images)), 0),
+            extent=scene.extent(),
+        )
+        start = Gaussians.from_points(scene.points[::3], scene.colors[::3])
+        trainer = Trainer(start, replace(data, device=device), config)
+        assert trainer.run()
+        model, scores = trainer.gaussians, []
+        for index, image in enumerate(scene.images):
+            view = render_view(model, image.camera, image.world_to_camera).image.cpu()
+            scores.append(psnr(view, torch.from_numpy(data.photos[index]) / 255))
+        found.append(sum(scores) / len(scores))
+    assert found[0] == pytest.approx(found[1], abs=0.2)
+
+
+def test_a_step_waits_for_the_card_once(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """In gsplat's `isect_tiles`, which reads the number of pairs; nowhere else."""
+    scene = make_scene(tmp_path_factory.mktemp("photos"), views=4)
+    data = StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=photo_order.shuffled(range(4), 0),
+        extent=scene.extent(),
+        device=CARD,
+    )
+    start = Gaussians.from_points(scene.points, scene.colors)
+    trainer = Trainer(start, data, TrainConfig(steps=100, densify_from=90))
+    for _ in range(10):
+        trainer.train_step()
+    torch.cuda.set_sync_debug_mode("warn")
+    try:
+        with pytest.warns(UserWarning, match="synchroniz") as caught:
+            trainer.train_step()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert len([w for w in caught if "synchroniz" in str(w.message)]) == 1

@@ -1,0 +1,338 @@
+"""Choosing a device, and training through the paths that a card uses, on the CPU."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine.cli import main
+from roigs_engine.cuda import device, library
+from roigs_engine.cuda.device import CPU, choose_device
+from roigs_engine.cuda.photos import DevicePhotos
+from roigs_engine.errors import KernelError
+from roigs_engine.formats.events import Message
+from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.ownership import nearest_owner
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.rasterize import rasterize
+from roigs_engine.training import photo_order, trainer
+from roigs_engine.training.checkpoint import save_checkpoint
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.densify import box_owner
+from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.optimizer import VisibleAdam
+from roigs_engine.training.stage import Stage, fingerprint
+from roigs_engine.training.trainer import StageData, Trainer
+from tests.engine.synthetic_scene import BOX, make_scene
+
+CONFIG = TrainConfig(
+    steps=8,
+    densify_from=2,
+    densify_until=6,
+    densify_every=2,
+    grad_threshold=1e-5,
+    contribution_every=0,
+    average_steps=0,
+)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"), views=6)
+
+
+def stage_data(scene: SfmScene) -> StageData:
+    return StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=photo_order.shuffled(range(len(scene.images)), 3),
+        extent=scene.extent(),
+    )
+
+
+def trained(scene: SfmScene, config: TrainConfig = CONFIG) -> Trainer:
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    trainer = Trainer(start, stage_data(scene), config)
+    assert trainer.run()
+    return trainer
+
+
+# --- training ---
+
+
+def without_kernels(patch: pytest.MonkeyPatch) -> None:
+    """What a card runs but for gsplat: loss and Adam in torch."""
+    for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
+        patch.setattr(trainer, name, partial(function, backend="reference"))
+    plain = lambda parameters, **_: VisibleAdam(parameters, backend="reference")  # noqa: E731
+    patch.setattr(trainer, "VisibleAdam", plain)
+
+
+def test_steps_without_kernels_are_those_with_them(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = replace(CONFIG, densify_from=100, contribution_every=1)
+    kernels = trained(scene, config)
+    without_kernels(monkeypatch)
+    plain = trained(scene, config)
+    assert plain.last_loss == pytest.approx(kernels.last_loss, rel=1e-4)
+    assert torch.allclose(plain._stats.weight, kernels._stats.weight, atol=1e-3)
+    for name in NAMES:
+        ours, truth = getattr(plain.gaussians, name), getattr(kernels.gaussians, name)
+        # Quaternions of round Gaussians: Adam steps by the sign of a gradient that is zero.
+        assert (ours - truth).abs().max() < (1e-2 if name == "quats" else 1e-3), name
+
+
+def test_densifying_without_kernels_gives_as_good_a_model(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which Gaussians split depends on the last bit; how many, and how well it fits, does not."""
+    kernels = trained(scene)
+    without_kernels(monkeypatch)
+    plain = trained(scene)
+    assert len(plain.gaussians) == pytest.approx(len(kernels.gaussians), rel=0.05)
+    assert len(plain.gaussians) > 100
+    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=0.1)
+
+
+def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between edits no tensor becomes a number or a list, which on a card would be waited for."""
+    config = replace(CONFIG, steps=20, densify_from=100, densify_every=100)
+    without_kernels(monkeypatch)
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    steps = Trainer(start, stage_data(scene), config)
+    steps.train_step()
+    # The reference rasterizer does read back: a rendering made before stands in for it.
+    image = steps._parameters.means.sum() * 0 + torch.rand(1, 48, 64, 3)
+    count = len(start)
+    output = SimpleNamespace(
+        image=image, visible=torch.ones(1, count) > 0, grad2d=torch.rand(1, count), max_weight=None
+    )
+    monkeypatch.setattr(trainer, "rasterize", lambda *_, **__: output)
+
+    def read(tensor: torch.Tensor, *_: Any) -> None:
+        raise AssertionError("a tensor was read")
+
+    for name in ("__bool__", "__float__", "__int__", "item", "tolist", "nonzero", "__index__"):
+        monkeypatch.setattr(torch.Tensor, name, read)
+    steps.train_step()
+
+
+def test_a_checkpoint_goes_on_on_any_device(scene: SfmScene) -> None:
+    """Its tensors are on the CPU, and are taken to the trainer's device."""
+    state = trained(scene).state_dict()
+    moved = device.on_device({"a": {"b": torch.ones(2), "c": 3}}, torch.device("meta"))
+    assert moved["a"]["b"].device.type == "meta" and moved["a"]["c"] == 3
+    for value in (*state["parameters"].values(), *state["optimizer"]["exp_avg"].values()):
+        assert value.device == CPU
+    assert isinstance(state["loss"], float)
+
+
+def test_the_device_is_no_part_of_a_stage(scene: SfmScene) -> None:
+    data = stage_data(scene)
+    other = replace(data, device=torch.device("cuda"))
+    assert fingerprint(data, CONFIG, "", []) == fingerprint(other, CONFIG, "", [])
+
+
+def test_boxes_own_the_same_on_every_device() -> None:
+    generator = torch.Generator().manual_seed(0)
+    count = 500
+    means = torch.randn(count, 3, generator=generator)
+    zeros = torch.zeros(count)
+    model = Gaussians(
+        means=means,
+        quats=torch.zeros(count, 4),
+        log_scales=means,
+        logit_opacities=zeros,
+        sh=torch.zeros(count, 1, 3),
+    )
+    turn = np.eye(4)
+    turn[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
+    turned = replace(BOX, name="turned", world_to_box=turn, half_extents=np.array([1.0, 0.4, 0.9]))
+    rois: list[OrientedBox] = [BOX, turned]
+    expected = nearest_owner(means.numpy().astype(np.float64), rois)
+    assert set(expected) == {-1, 0, 1}
+    assert box_owner(model, rois).tolist() == expected.tolist()
+
+
+# --- memory ---
+
+
+def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = stage_data(scene)
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    stage = Stage(
+        name="scene",
+        folder=tmp_path / "scene",
+        data=data,
+        config=CONFIG,
+        start=start,
+        fingerprint="f",
+    )
+    before = Trainer(start, data, CONFIG)
+    for _ in range(3):
+        before.train_step()
+    save_checkpoint(stage._checkpoint, before.state_dict(), "f")
+    saved = {path.name: path.read_bytes() for path in stage.folder.iterdir()}
+    draws = 0
+
+    def full(*arguments: Any, **options: Any) -> Any:
+        nonlocal draws
+        draws += 1
+        if draws > 2:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB")
+        return rasterize(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trainer, "rasterize", full)
+        with pytest.raises(KernelError) as caught:
+            stage.run(lambda event: None, lambda: False)
+    said = str(caught.value)
+    assert "memory" in said and "step 5" in said and "64x48" in said and "\n" not in said
+    assert re.search(r"\d+ Gaussians", said) and "--max-side" in said
+    assert {path.name: path.read_bytes() for path in stage.folder.iterdir()} == saved
+    assert stage.run(lambda event: None, lambda: False).gaussians.means.device == CPU
+
+
+# --- photos ---
+
+
+def test_photos_stay_on_the_device_as_far_as_they_fit() -> None:
+    sent: list[int] = []
+
+    class Cache:
+        def __getitem__(self, index: int) -> np.ndarray:
+            return np.full((4, 5, 3), index, dtype=np.uint8)
+
+        def prefetch(self, indices: Any) -> None:
+            pass
+
+    def upload(pixels: np.ndarray) -> Any:
+        sent.append(int(pixels[0, 0, 0]))
+        return lambda: torch.from_numpy(pixels)
+
+    photos = DevicePhotos(Cache(), upload, limit=2 * 60 + 59)
+    for _ in range(3):
+        for index in range(3):
+            photos.prefetch([(index + 1) % 3, (index + 2) % 3])
+            assert photos[index].shape == (4, 5, 3) and int(photos[index][0, 0, 0]) == index
+    assert sorted(sent)[:2] == [0, 1] and set(sent[2:]) == {2}
+
+
+# --- the choice ---
+
+
+def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.version, "cuda", None)
+    said: list[Any] = []
+    assert choose_device("auto", said.append) == CPU
+    assert [type(event) for event in said] == [Message]
+    assert "without CUDA" in said[0].text
+    assert choose_device("cpu", said.append) == CPU and len(said) == 1
+    with pytest.raises(KernelError, match="Install a torch for CUDA"):
+        choose_device("cuda")
+
+
+def test_a_torch_for_cuda_without_a_card(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(KernelError, match="finds no NVIDIA card"):
+        choose_device("cuda")
+
+
+@pytest.mark.parametrize(
+    ("torch_version", "cuda", "hint"),
+    [
+        ("2.13.0+cu130", "13.0", r"pip install gsplat==1\.5\.3.*CUDA toolkit 13\.0"),
+        ("2.4.1+cu124", "12.4", r"1\.5\.3\+pt24cu124"),
+    ],
+)
+def test_a_card_without_gsplat(
+    monkeypatch: pytest.MonkeyPatch, torch_version: str, cuda: str, hint: str
+) -> None:
+    monkeypatch.setattr(torch, "__version__", torch_version)
+    monkeypatch.setattr(torch.version, "cuda", cuda)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    library.gsplat.cache_clear()
+    with pytest.raises(KernelError, match=f"gsplat is not installed.*{hint}"):
+        choose_device("cuda")
+
+
+def test_a_gsplat_that_cannot_compile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its reason in one line; what it prints does not get among the events."""
+    for name, code in (
+        ("__init__", ""),
+        ("cuda/__init__", ""),
+        ("cuda/_backend", "print('compiling')\nraise RuntimeError('no compiler\\nand so on')"),
+    ):
+        path = tmp_path / "gsplat" / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
+        monkeypatch.setitem(sys.modules, name, None)  # so that it is as before when the test ends
+        del sys.modules[name]
+    library.gsplat.cache_clear()
+    with pytest.raises(KernelError, match=r"could not compile its kernels \(no compiler\)"):
+        library.gsplat()
+    (tmp_path / "gsplat/cuda/_backend.py").write_text("_C = None", encoding="utf-8")
+    with pytest.raises(KernelError, match="no CUDA toolkit"):
+        library.gsplat()
+    assert "compiling" not in capsys.readouterr().out
+
+
+def test_the_commands_take_a_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(torch.version, "cuda", None)
+    path = {"cameras": [
+        {"name": "a", "width": 16, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 8.0, "cy": 4.0,
+         "world_to_camera": np.eye(4).tolist()},
+    ]}  # fmt: skip
+    (tmp_path / "path.json").write_text(json.dumps(path), encoding="utf-8")
+    Gaussians.from_points(np.array([[0.0, 0, 3]]), np.zeros((1, 3), np.uint8)).save_ply(
+        tmp_path / "one.ply"
+    )
+    command = ["render", str(tmp_path / "one.ply"), "--path", str(tmp_path / "path.json")]
+    command += ["--out", str(tmp_path / "out")]
+    assert main([*command, "--device", "cpu"]) == 0
+    assert main([*command, "--device", "cuda"]) == 2
+    assert "error: This torch is built without CUDA." in capsys.readouterr().err
+
+
+def test_the_fused_loss_is_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in that has fused-ssim's interface: (1, 3, H, W) twice, the mean comes back."""
+    from roigs_engine.training import losses
+
+    def fused(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        assert x.shape == t.shape == (1, 3, 20, 30) and x.is_contiguous() and t.is_contiguous()
+        return losses.ssim_map(x[0].permute(1, 2, 0), t[0].permute(1, 2, 0)).mean()
+
+    monkeypatch.setattr(losses, "fused_ssim", lambda: fused)
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(1, 20, 30, 3, generator=generator, requires_grad=True)
+    photo = torch.randint(0, 256, (20, 30, 3), dtype=torch.uint8, generator=generator)
+    results = []
+    for backend in ("fused", "reference"):
+        loss = photo_loss(image, photo, backend=backend)
+        (gradient,) = torch.autograd.grad(loss.loss, image)
+        results.append((*loss, gradient))
+    for ours, truth in zip(*results, strict=True):
+        assert torch.allclose(ours, truth, atol=1e-7)

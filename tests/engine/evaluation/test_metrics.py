@@ -1,0 +1,102 @@
+"""PSNR and SSIM over masks: known values, equal images, what lies outside does not count."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter1d
+
+from roigs_engine.evaluation import metrics
+from roigs_engine.training.losses import ssim_map
+
+
+def picture(seed: int = 0, height: int = 40, width: int = 50) -> torch.Tensor:
+    return torch.rand(height, width, 3, generator=torch.Generator().manual_seed(seed))
+
+
+def photo(seed: int = 0) -> torch.Tensor:
+    return (picture(seed) * 255).round().to(torch.uint8)
+
+
+def block(height: int = 40, width: int = 50) -> torch.Tensor:
+    mask = torch.zeros(height, width, dtype=torch.bool)
+    mask[12:25, 20:41] = True
+    return mask
+
+
+def test_psnr_of_a_known_error() -> None:
+    target = torch.full((4, 5, 3), 0.5)
+    assert metrics.psnr(target + 0.1, target) == pytest.approx(20.0, abs=1e-4)
+    assert metrics.psnr(target + 0.01, target) == pytest.approx(40.0, abs=1e-3)
+
+
+def test_psnr_averages_over_pixels_and_channels() -> None:
+    target, image = torch.zeros(2, 2, 3), torch.zeros(2, 2, 3)
+    image[0, 0, 1] = 0.6
+    assert metrics.psnr(image, target) == pytest.approx(-10 * math.log10(0.36 / 12), abs=1e-5)
+    corner = torch.tensor([[True, False], [False, False]])
+    assert metrics.psnr(image, target, corner) == pytest.approx(-10 * math.log10(0.12), abs=1e-5)
+
+
+def test_only_the_mask_counts() -> None:
+    target, mask = picture(), block()
+    image = target.clone()
+    image[~mask] = 1 - image[~mask]
+    assert metrics.psnr(image, target, mask) == metrics.MAX_PSNR
+    assert metrics.psnr(image, target, ~mask) < 15
+
+
+def test_equal_images() -> None:
+    image = picture()
+    assert metrics.psnr(image, image) == metrics.MAX_PSNR
+    assert metrics.ssim(photo() / 255, photo()) == pytest.approx(1.0, abs=1e-6)
+    assert metrics.ssim(photo() / 255, photo(), block()) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_empty_mask_has_no_value() -> None:
+    empty = torch.zeros(40, 50, dtype=torch.bool)
+    assert math.isnan(metrics.psnr(picture(), picture(1), empty))
+    assert math.isnan(metrics.ssim(picture(), photo(1), empty))
+    assert metrics.bounding_box(empty) is None
+
+
+def test_masked_ssim_is_that_of_wang_away_from_the_border() -> None:
+    """Against scipy: 11 x 11 Gaussian window, sigma 1.5, K1 = 0.01, K2 = 0.03."""
+
+    def blur(values: np.ndarray) -> np.ndarray:
+        for axis in (0, 1):
+            values = gaussian_filter1d(values, 1.5, axis=axis, mode="constant", truncate=5 / 1.5)
+        return values
+
+    image, target, mask = picture(2), photo(3), block()
+    a, b = image.double().numpy(), target.double().numpy() / 255
+    mean_a, mean_b = blur(a), blur(b)
+    var_a, var_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
+    cov = blur(a * b) - mean_a * mean_b
+    wang = (2 * mean_a * mean_b + 1e-4) * (2 * cov + 9e-4)
+    wang /= (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
+    assert metrics.ssim(image, target, mask) == pytest.approx(wang[mask.numpy()].mean(), abs=1e-4)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.001, 0.999))
+def test_masked_ssim_is_the_mean_of_the_full_map(seed: int, share: float) -> None:
+    image, target = picture(seed), photo(seed + 1)
+    mask = torch.zeros(40, 50, dtype=torch.bool)
+    rows = torch.arange(40)[:, None] < share * 40
+    columns = torch.arange(50) > (1 - share) * 50
+    mask |= rows & columns
+    mask[0, 0] = True
+    full = ssim_map(image, target).mean(dim=-1)
+    assert metrics.ssim(image, target, mask) == pytest.approx(float(full[mask].mean()), abs=1e-5)
+
+
+def test_bounding_box_stays_in_the_image() -> None:
+    mask = block()
+    assert metrics.bounding_box(mask) == (slice(12, 25), slice(20, 41))
+    assert metrics.bounding_box(mask, 10) == (slice(2, 35), slice(10, 50))

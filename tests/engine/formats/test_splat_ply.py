@@ -1,0 +1,201 @@
+"""The 3DGS PLY: bit for bit there and back, tolerant of what other tools write, clear refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roigs_engine.errors import RunFolderError
+from roigs_engine.formats.splat_ply import read_ply, write_ply
+from roigs_engine.model.gaussians import NAMES, Gaussians
+
+
+def arrays(count: int = 7, bands: int = 16, seed: int = 0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "means": (count, 3),
+        "quats": (count, 4),
+        "log_scales": (count, 3),
+        "logit_opacities": (count,),
+        "sh": (count, bands, 3),
+    }
+    return {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+
+
+def write_foreign(
+    path: Path,
+    values: dict[str, np.ndarray],
+    form: str = "binary_little_endian",
+    kinds: dict[str, tuple[str, str]] | None = None,
+) -> None:
+    """A PLY whose columns are `values`, in their order, float unless `kinds` says otherwise."""
+    kinds = kinds or {}
+    count = len(next(iter(values.values())))
+    lines = ["ply", f"format {form} 1.0", "comment by another tool", f"element vertex {count}"]
+    lines += [f"property {kinds.get(name, ('float', ''))[0]} {name}" for name in values]
+    dtype = np.dtype([(name, kinds.get(name, ("", "<f4"))[1]) for name in values])
+    table = np.zeros(count, dtype)
+    for name, column in values.items():
+        table[name] = column
+    header = "\n".join([*lines, "end_header", ""]).encode()
+    path.write_bytes(header + table.tobytes())
+
+
+def columns(model: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What the layout says the columns hold, written independently of the writer."""
+    out = {axis: model["means"][:, k] for k, axis in enumerate("xyz")}
+    out |= {f"f_dc_{k}": model["sh"][:, 0, k] for k in range(3)}
+    higher = model["sh"].shape[1] - 1
+    for channel in range(3):
+        for band in range(higher):
+            out[f"f_rest_{channel * higher + band}"] = model["sh"][:, 1 + band, channel]
+    out["opacity"] = model["logit_opacities"]
+    out |= {f"scale_{k}": model["log_scales"][:, k] for k in range(3)}
+    return out | {f"rot_{k}": model["quats"][:, k] for k in range(4)}
+
+
+def assert_same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> None:
+    assert set(a) == set(b) == set(NAMES)
+    for name in NAMES:
+        assert a[name].shape == b[name].shape
+        assert a[name].dtype == b[name].dtype == np.float32
+        assert a[name].tobytes() == b[name].tobytes()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 30), st.sampled_from([1, 4, 9, 16]), st.integers(0, 2**32 - 1))
+def test_round_trip_is_bit_exact(
+    tmp_path_factory: pytest.TempPathFactory, count: int, bands: int, seed: int
+) -> None:
+    path = tmp_path_factory.mktemp("ply") / "a b ż.ply"
+    model = arrays(count, bands, seed)
+    write_ply(path, model)
+    assert_same(model, read_ply(path))
+
+
+def test_odd_floats_survive(tmp_path: Path) -> None:
+    model = arrays()
+    model["means"][0] = [np.nan, np.inf, -0.0]
+    model["sh"][1, 3] = np.float32(1e-42)
+    write_ply(tmp_path / "m.ply", model)
+    assert_same(model, read_ply(tmp_path / "m.ply"))
+
+
+def test_layout_is_the_one_that_viewers_read(tmp_path: Path) -> None:
+    model = arrays()
+    write_ply(tmp_path / "m.ply", model)
+    data = (tmp_path / "m.ply").read_bytes()
+    header, rows = data.split(b"end_header\n", 1)
+    names = [line.split()[2] for line in header.decode().splitlines() if "property" in line]
+    wanted = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3))]
+    wanted += [f"f_rest_{k}" for k in range(45)]
+    wanted += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    assert names == wanted
+    table = np.frombuffer(rows, "<f4").reshape(7, 62)
+    for name, column in columns(model).items():
+        assert np.array_equal(table[:, names.index(name)], column), name
+
+
+@pytest.mark.parametrize("bands", [1, 4, 9, 16])
+def test_files_without_normals_and_with_fewer_bands(tmp_path: Path, bands: int) -> None:
+    model = arrays(bands=bands)
+    write_foreign(tmp_path / "m.ply", columns(model))
+    assert_same(model, read_ply(tmp_path / "m.ply"))
+
+
+def test_properties_in_any_order_with_others_between(tmp_path: Path) -> None:
+    model = arrays()
+    shuffled = columns(model)
+    names = list(shuffled)
+    np.random.default_rng(1).shuffle(names)
+    mixed = {"red": np.arange(7), **{name: shuffled[name] for name in names}}
+    mixed["label"] = np.arange(7)
+    kinds = {"red": ("uchar", "u1"), "label": ("int", "<i4")}
+    write_foreign(tmp_path / "m.ply", mixed, kinds=kinds)
+    assert_same(model, read_ply(tmp_path / "m.ply"))
+
+
+def test_windows_line_ends_and_a_later_element(tmp_path: Path) -> None:
+    model, path = arrays(), tmp_path / "m.ply"
+    write_foreign(path, columns(model))
+    header, rows = path.read_bytes().split(b"end_header\n", 1)
+    extra = b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    path.write_bytes((header + extra).replace(b"\n", b"\r\n") + rows + b"\x00")
+    assert_same(model, read_ply(path))
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(RunFolderError) as caught:
+        read_ply(path)
+    assert "\n" not in str(caught.value)
+    assert path.name in str(caught.value)
+    return str(caught.value)
+
+
+def test_truncated_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.ply"
+    write_ply(path, arrays())
+    path.write_bytes(path.read_bytes()[:-5])
+    assert "6 of 7" in refused(path)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
+def test_other_formats_are_refused(tmp_path: Path, form: str) -> None:
+    write_foreign(tmp_path / "m.ply", columns(arrays()), form)
+    assert form in refused(tmp_path / "m.ply")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"ply",
+        b"PK\x03\x04",
+        b"ply\nformat binary_little_endian 1.0\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex x\nproperty float x\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty foo x\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n"
+        b"property float x\nproperty float x\nend_header\n",
+        *(
+            b"ply\nformat binary_little_endian 1.0\n"
+            b"element vertex %s\nproperty float x\nend_header\n" % number
+            for number in (b"9" * 5000, b"9" * 18, b"-1", b"1e3", b"\xc2\xb2", b"1_0")
+        ),
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n"
+        b"element vertex 0\nproperty float y\nend_header\n",
+    ],
+)
+def test_what_is_no_ply_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "m.ply").write_bytes(data)
+    refused(tmp_path / "m.ply")
+
+
+def test_a_compressed_file_is_named(tmp_path: Path) -> None:
+    head = b"ply\nformat binary_little_endian 1.0\nelement chunk 1\nproperty float min_x\n"
+    rows = b"element vertex 1\nproperty uint packed_position\nend_header\n"
+    (tmp_path / "m.ply").write_bytes(head + rows + bytes(8))
+    assert "compressed" in refused(tmp_path / "m.ply")
+
+
+@pytest.mark.parametrize("gone", ["x", "f_dc_2", "f_rest_44", "opacity", "scale_1", "rot_3"])
+def test_missing_property_is_refused(tmp_path: Path, gone: str) -> None:
+    values = columns(arrays())
+    del values[gone]
+    write_foreign(tmp_path / "m.ply", values)
+    refused(tmp_path / "m.ply")
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    refused(tmp_path / "none.ply")
+
+
+def test_model_round_trip(tmp_path: Path) -> None:
+    model = Gaussians.from_arrays(arrays())
+    model.save_ply(tmp_path / "m.ply")
+    back = Gaussians.load_ply(tmp_path / "m.ply")
+    for name, tensor in model.tensors().items():
+        assert tensor.equal(back.tensors()[name])

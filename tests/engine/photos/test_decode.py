@@ -1,0 +1,236 @@
+"""Decoding photos and the bounded cache."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import roigs_engine.photos.decode as images_module
+from roigs_engine.errors import SceneError
+from roigs_engine.machine import machine_memory
+from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.headers import photo_size
+
+
+def posed(path: Path, width: int, height: int) -> PosedImage:
+    return PosedImage(
+        name=path.name,
+        path=path,
+        camera=Camera(width=width, height=height, fx=1.0, fy=1.0, cx=0.0, cy=0.0),
+        world_to_camera=np.eye(4),
+        point_indices=np.empty(0, dtype=np.int64),
+    )
+
+
+def ramp(width: int, height: int) -> np.ndarray:
+    """(H, W, 3) uint8, red rising with x, green with y, blue constant."""
+    y, x = (np.mgrid[:height, :width] + 0.5) / [[[height]], [[width]]]
+    return np.stack([255 * x, 255 * y, np.full_like(x, 90)], axis=-1).round().astype(np.uint8)
+
+
+def test_exact_pixels_at_full_size(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (31, 47, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "写真 [1].png")
+    loaded = load_photo(posed(tmp_path / "写真 [1].png", 47, 31))
+    assert loaded.dtype == np.uint8 and loaded.flags.writeable and loaded.flags.c_contiguous
+    np.testing.assert_array_equal(loaded, pixels)
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+@pytest.mark.parametrize("size", [(640, 427), (321, 214), (200, 133), (77, 51), (20, 13)])
+def test_resampling_keeps_places(tmp_path: Path, suffix: str, size: tuple[int, int]) -> None:
+    """A ramp stays the same ramp, also where JPEG's own reduced decoding is used."""
+    path = tmp_path / f"photo.{suffix}"
+    Image.fromarray(ramp(1283, 857)).save(path, quality=98, subsampling=0)
+    loaded = load_photo(posed(path, *size))
+    assert loaded.shape == (size[1], size[0], 3)
+    inner = np.s_[2:-2, 2:-2]
+    difference = loaded[inner].astype(float) - ramp(*size)[inner]
+    assert np.abs(difference).max() < 4 and np.abs(difference.mean(axis=(0, 1))).max() < 0.8
+
+
+def test_downscaling_averages(tmp_path: Path) -> None:
+    """One-pixel stripes become grey, not a moire."""
+    stripes = np.zeros((300, 400, 3), dtype=np.uint8)
+    stripes[:, ::2] = 255
+    Image.fromarray(stripes).save(tmp_path / "a.png")
+    small = load_photo(posed(tmp_path / "a.png", 60, 45))
+    assert np.abs(small.astype(float) - 127.5).max() < 12
+
+
+@pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "CMYK", "1", "I;16", "YCbCr", "I"])
+def test_pixel_formats(tmp_path: Path, mode: str) -> None:
+    grey = np.linspace(0, 255, 40 * 30).reshape(30, 40).astype(np.uint8)
+    if mode == "I;16":
+        Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "a.png")
+    elif mode == "I":
+        Image.fromarray(grey.astype(np.int32)).save(tmp_path / "a.tif")
+    elif mode == "1":
+        grey = np.where(grey > 127, 255, 0).astype(np.uint8)
+        Image.fromarray(grey).convert("1").save(tmp_path / "a.png")
+    else:
+        suffix = {"CMYK": "tif", "YCbCr": "jpg"}.get(mode, "png")
+        colored = Image.fromarray(grey)
+        if mode == "P":
+            colored.putpalette(bytes(value for level in range(256) for value in [level] * 3))
+        elif mode != "L":
+            colored = colored.convert("RGB").convert(mode)
+        if mode in ("LA", "RGBA"):
+            colored.putalpha(0)  # colour under full transparency counts
+        colored.save(tmp_path / f"a.{suffix}")
+    path = next(tmp_path.iterdir())
+    loaded = load_photo(posed(path, 40, 30))
+    assert np.abs(loaded.astype(int) - grey[..., None]).max() <= 3
+
+
+def test_orientation_is_ignored(tmp_path: Path) -> None:
+    photo = Image.fromarray(ramp(40, 30))
+    exif = photo.getexif()
+    exif[0x0112] = 8
+    photo.save(tmp_path / "a.jpg", exif=exif, quality=98, subsampling=0)
+    assert photo_size(tmp_path / "a.jpg") == (40, 30)
+    loaded = load_photo(posed(tmp_path / "a.jpg", 40, 30))
+    assert np.abs(loaded.astype(int) - ramp(40, 30)).max() < 8
+
+
+@pytest.mark.parametrize("damage", ["missing", "text", "cut", "empty", "folder"])
+def test_unreadable_photos_are_named(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "photo 7.jpg"
+    if damage == "cut":
+        Image.fromarray(ramp(200, 150)).save(path)
+        path.write_bytes(path.read_bytes()[:1500])
+    elif damage == "folder":
+        path.mkdir()
+    elif damage != "missing":
+        path.write_bytes(b"" if damage == "empty" else b"hello")
+    with pytest.raises(SceneError) as caught:
+        load_photo(posed(path, 200, 150))
+    assert "photo 7.jpg" in caught.value.message
+
+
+# --- cache ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> list[PosedImage]:
+    """Six photos of 20 x 10 pixels (600 bytes), photo i filled with the value i."""
+    for index in range(6):
+        Image.new("RGB", (20, 10), (index,) * 3).save(tmp_path / f"{index}.png")
+    return [posed(tmp_path / f"{index}.png", 20, 10) for index in range(6)]
+
+
+@pytest.fixture
+def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the photos as they are decoded."""
+    names: list[str] = []
+
+    def spy(image: PosedImage) -> np.ndarray:
+        names.append(image.name)
+        return load_photo(image)
+
+    monkeypatch.setattr(images_module, "load_photo", spy)
+    return names
+
+
+def test_the_cache_drops_the_least_recently_used(
+    photos: list[PosedImage], decoded: list[str]
+) -> None:
+    with PhotoCache(photos, limit_bytes=1800) as cache:
+        assert len(cache) == 6
+        for index in (0, 1, 2, 0, 3):
+            assert cache[index][0, 0].tolist() == [index] * 3
+        assert cache.kept_bytes == 1800
+        assert decoded == ["0.png", "1.png", "2.png", "3.png"]
+        assert cache[0] is cache[0] and cache[-4] is cache[2]
+        assert len(decoded) == 4
+        assert cache[1][0, 0, 0] == 1
+        assert decoded[-1] == "1.png" and len(decoded) == 5
+
+
+def test_a_cache_too_small_for_one_photo_still_serves(photos: list[PosedImage]) -> None:
+    with PhotoCache(photos, limit_bytes=10) as cache:
+        assert [int(cache[index][0, 0, 0]) for index in range(6)] == list(range(6))
+        assert cache.kept_bytes == 0
+        cache.prefetch(range(6))
+    with pytest.raises(IndexError):
+        cache[6]
+
+
+def test_prefetch_decodes_each_photo_once(photos: list[PosedImage], decoded: list[str]) -> None:
+    with PhotoCache(photos, limit_bytes=12_000) as cache:
+        cache.prefetch([3, 4, 3, 5])
+        for index in (3, 4, 5):
+            assert cache[index][0, 0, 0] == index
+        cache.prefetch([3, 4])
+    assert sorted(decoded) == ["3.png", "4.png", "5.png"]
+
+
+def test_prefetch_works_ahead(photos: list[PosedImage]) -> None:
+    with PhotoCache(photos) as cache:
+        cache.prefetch(range(6))
+        end = time.monotonic() + 10
+        while cache.kept_bytes < 6 * 600 and time.monotonic() < end:
+            time.sleep(0.01)
+        assert cache.kept_bytes == 6 * 600
+
+
+def test_prefetch_does_not_push_out_what_it_fetched(
+    photos: list[PosedImage], decoded: list[str]
+) -> None:
+    with PhotoCache(photos, limit_bytes=2400) as cache:
+        cache.prefetch(range(6))  # half of 2400 bytes: two photos
+        assert cache[0] is cache[0] and cache[1] is cache[1]
+    assert sorted(decoded) == ["0.png", "1.png"]
+
+
+def test_an_unreadable_photo_raises_when_asked_for(photos: list[PosedImage]) -> None:
+    photos[2].path.write_bytes(b"damaged")
+    with PhotoCache(photos) as cache:
+        cache.prefetch(range(4))
+        for _ in range(2):
+            with pytest.raises(SceneError, match=r"2\.png"):
+                cache[2]
+        assert cache[3][0, 0, 0] == 3
+
+
+def test_many_threads_at_once(photos: list[PosedImage]) -> None:
+    wrong: list[int] = []
+
+    def read(seed: int) -> None:
+        for index in np.random.default_rng(seed).integers(0, 6, 300):
+            if cache[int(index)][0, 0, 0] != index:
+                wrong.append(int(index))
+            if index == seed:
+                cache.prefetch(range(6))
+
+    with PhotoCache(photos, limit_bytes=2500) as cache:
+        threads = [threading.Thread(target=read, args=(seed,)) for seed in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+        assert not any(thread.is_alive() for thread in threads)
+        assert cache.kept_bytes <= 2500
+    assert not wrong
+
+
+def test_a_closed_cache_holds_nothing(photos: list[PosedImage]) -> None:
+    cache = PhotoCache(photos)
+    cache.prefetch(range(6))
+    cache.close()
+    cache.close()
+    cache.prefetch(range(6))
+    assert cache.kept_bytes == 0
+    assert cache[4][0, 0, 0] == 4
+    assert cache.kept_bytes == 0
+
+
+def test_machine_memory_is_plausible() -> None:
+    assert 64 << 20 <= machine_memory() < 1 << 50

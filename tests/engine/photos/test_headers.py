@@ -1,0 +1,82 @@
+"""Photo sizes from file headers: what Pillow writes, in the kinds that photos come in."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from roigs_engine.photos.headers import MAX_PIXELS, PhotoError, check_whole, photo_size
+from tests.fuzz.inputs import jpeg_of_claimed_size, png_of_claimed_size
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}, {"dpi": (72, 72), "comment": "a"}])
+def test_jpeg(tmp_path: Path, options: dict[str, object]) -> None:
+    exif = Image.Exif()
+    exif[0x010F] = "maker" * 200
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (321, 123)).save(path, exif=exif, icc_profile=b"\xff\xd8" * 900, **options)
+    assert photo_size(path) == (321, 123)
+
+
+@pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "webp", "ppm"])
+def test_other_kinds(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.new("RGB", (321, 123)).save(path)
+    assert photo_size(path) == (321, 123)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    assert photo_size(path) == ((321, 123) if suffix == "png" else None)
+
+
+@pytest.mark.parametrize("cut", [2, 3, 20, 160])
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_cut_files(tmp_path: Path, suffix: str, cut: int) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.new("RGB", (321, 123)).save(path)
+    data = path.read_bytes()[: 20 if suffix == "png" else cut]
+    path.write_bytes(data)
+    with pytest.raises(PhotoError, match="a\\." + suffix):
+        photo_size(path)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_files_cut_in_their_pixels(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.effect_noise((321, 123), 80).save(path)
+    check_whole(path)
+    data = path.read_bytes()
+    path.write_bytes(data + b"\0" * 200_000)  # a telephone's film
+    check_whole(path)
+    path.write_bytes(data[: len(data) // 2])
+    assert photo_size(path) == (321, 123)
+    with pytest.raises(PhotoError, match="a\\." + suffix):
+        check_whole(path)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    check_whole(path)  # nothing can tell
+
+
+@pytest.mark.parametrize("data", [b"\xff\xd8" + b"\xff" * 50, b"\xff\xd8\xff\xda\0\x02", b"hello"])
+def test_no_photos(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.jpg").write_bytes(data)
+    with pytest.raises(PhotoError):
+        photo_size(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("side", [0, 13_350, 65_500, 1 << 20, (1 << 31) - 1])
+def test_photos_that_claim_to_be_larger_than_any(tmp_path: Path, side: int) -> None:
+    """They are refused by their headers, before anything is made as large as they claim."""
+    path = tmp_path / "a.png"
+    path.write_bytes(png_of_claimed_size(side, side))
+    if 0 < side * side <= MAX_PIXELS:
+        assert photo_size(path) == (side, side)
+        return
+    with pytest.raises(PhotoError, match=f"{side} x {side} pixels"):
+        photo_size(path)
+    if side < 1 << 16:
+        path.write_bytes(jpeg_of_claimed_size(side, side))
+        with pytest.raises(PhotoError, match=f"{side} x {side} pixels"):
+            photo_size(path)

@@ -1,0 +1,137 @@
+"""The compiled rasterizer gives the reference's image and float64 autograd's gradients."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from tests.engine.rasterize_cases import (
+    BACKGROUND,
+    cameras,
+    differentiate,
+    gaussians,
+    gradient_errors,
+    largest_difference,
+    relative_error,
+    render_both,
+)
+
+GRADIENT_TOLERANCE = 1e-4  # relative L2 per parameter
+IMAGE_TOLERANCE = 1e-3
+
+
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_everything_matches(isa: str, raw: bool, coefficients: int) -> None:
+    parameters = gaussians(150, coefficients=coefficients, raw=raw)
+    ours, truth, errors = render_both(
+        parameters,
+        *cameras(61, 43),
+        61,
+        43,
+        raw=raw,
+        background=BACKGROUND,
+        with_depth=True,
+        with_max_weight=True,
+    )
+    assert int(truth.visible.sum()) > 120
+    assert torch.equal(ours.visible, truth.visible)
+    assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE
+    assert largest_difference(ours.alpha, truth.alpha) < IMAGE_TOLERANCE
+    assert largest_difference(ours.depth, truth.depth) < IMAGE_TOLERANCE
+    assert largest_difference(ours.max_weight, truth.max_weight) < IMAGE_TOLERANCE
+    assert relative_error(ours.grad2d, truth.grad2d) < GRADIENT_TOLERANCE
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 40), (16, 16), (17, 5), (64, 33)])
+def test_image_sizes(isa: str, size: tuple[int, int]) -> None:
+    parameters = gaussians(150, coefficients=4)
+    ours, truth, errors = render_both(parameters, *cameras(*size), *size, with_max_weight=True)
+    assert torch.equal(ours.visible, truth.visible)
+    assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE
+    assert largest_difference(ours.max_weight, truth.max_weight) < IMAGE_TOLERANCE
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+def test_many_opaque_layers(isa: str) -> None:
+    """Where blocks end early, what is dropped stays below the tolerance."""
+    parameters = gaussians(1200, coefficients=1, size=0.5)
+    ours, truth, errors = render_both(parameters, *cameras(24, 24), 24, 24)
+    assert float((truth.alpha > 1 - 1e-6).double().mean()) > 0.5
+    assert largest_difference(ours.image, truth.image) < 1e-5
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+def test_shapes_from_dots_to_needles(isa: str) -> None:
+    parameters = gaussians(300, coefficients=1)
+    parameters[2] = torch.tensor(
+        [[1e-9, 1e-9, 1e-9], [1e-5, 1e-5, 3.0], [0.2, 0.2, 1e-8], [30.0, 1e-3, 1e-3], [20, 20, 20]]
+    ).repeat(60, 1)
+    scene = (parameters, *cameras(61, 43), 61, 43)
+    ours, truth, errors = render_both(*scene)
+    assert torch.equal(ours.visible, truth.visible)
+    assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE
+    # What float32 can give here is less than elsewhere; the kernels are not to fall behind it.
+    _, single = differentiate("reference", torch.float32, *scene)
+    _, double = differentiate("reference", torch.float64, *scene)
+    limits = gradient_errors(single, double)
+    for name, error in errors.items():
+        assert error < limits[name] + GRADIENT_TOLERANCE, (name, errors, limits)
+
+
+@pytest.mark.parametrize("region", [(10, 3, 40, 30), (0, 0, 1, 1), (-50, 20, 500, 21)])
+def test_region(region: tuple[int, int, int, int]) -> None:
+    """Tiles that touch the region are drawn in full; the rest is background without gradient."""
+    parameters = gaussians(250, coefficients=4)
+    ours, truth, errors = render_both(
+        parameters,
+        *cameras(61, 43),
+        61,
+        43,
+        region=region,
+        background=BACKGROUND,
+        with_depth=True,
+        with_max_weight=True,
+    )
+    assert torch.equal(ours.visible, truth.visible)
+    assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE
+    assert largest_difference(ours.depth, truth.depth) < IMAGE_TOLERANCE
+    assert largest_difference(ours.max_weight, truth.max_weight) < IMAGE_TOLERANCE
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+    assert torch.equal(ours.image[0, 35, 50], BACKGROUND)
+
+
+@pytest.mark.parametrize("region", [(70, 0, 90, 20), (5, 5, 5, 9), (-9, -9, 0, 0)])
+def test_region_off_the_image(region: tuple[int, int, int, int]) -> None:
+    parameters = gaussians(50, coefficients=1)
+    ours, truth, _ = render_both(
+        parameters, *cameras(61, 43), 61, 43, region=region, background=BACKGROUND
+    )
+    assert torch.equal(ours.image, BACKGROUND.expand(ours.image.shape))
+    assert torch.equal(ours.image, truth.image.float())
+    assert not ours.visible.any() and not truth.visible.any()
+
+
+def test_lower_degree_ignores_the_other_bands() -> None:
+    parameters = gaussians(250)
+    fewer = [*parameters[:4], parameters[4][:, :4].clone()]
+    views, intrinsics = cameras(61, 43)
+    ours, _, errors = render_both(parameters, views, intrinsics, 61, 43, sh_degree=1)
+    same, _, _ = render_both(fewer, views, intrinsics, 61, 43)
+    assert torch.equal(ours.image, same.image)
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_nan_is_not_drawn(isa: str, raw: bool) -> None:
+    sound = gaussians(100, raw=raw)
+    broken = [p.clone() for p in sound]
+    for row, p in enumerate(broken):
+        p[row].view(-1)[0] = float("nan")
+    rest = [p[len(broken) :] for p in sound]
+    ours, truth, _ = render_both(broken, *cameras(40, 40), 40, 40, raw=raw)
+    assert not ours.visible[:, : len(broken)].any()
+    assert torch.equal(ours.visible, truth.visible)
+    alone, _, _ = render_both(rest, *cameras(40, 40), 40, 40, raw=raw)
+    assert torch.equal(ours.image, alone.image)

@@ -1,0 +1,164 @@
+"""Presets and settings: the paper's numbers, ranges, scaling, fair baselines."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import FrozenInstanceError, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roigs_engine.errors import ConfigError
+from roigs_engine.run import stage_configs
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.presets import PRESETS, in_strategy, preset
+from roigs_engine.training.config import TrainConfig, with_steps
+
+
+def test_paper_preset_has_the_papers_numbers() -> None:
+    config = preset("paper")
+    assert (config.scene.steps, config.roi.steps) == (20_000, 30_000)
+    assert config.strategy == "independent"
+    assert config.selection.method == "gp9"
+    assert [config.selection.resolved_count(n) for n in (314, 41, 1)] == [150, 20, 1]
+    assert config.kept_share == 0.5
+    assert config.roi_order == "ordered"
+    assert config.roi_init == "scene"
+    assert config.roi.densify_in_boxes and config.roi.densify_until == 15_000
+    assert config.roi.reset_every == 0 and config.scene.reset_every == 3000
+    assert config.roi.contribution_every > 0
+    assert config.roi.degree(0) == config.roi.sh_degree == 3
+
+
+def test_training_defaults_are_those_of_3dgs() -> None:
+    config = TrainConfig(steps=30_000)
+    assert config.position_rate(0) == pytest.approx(1.6e-4)
+    assert config.position_rate(30_000) == pytest.approx(1.6e-6)
+    assert config.position_rate(15_000) == pytest.approx(1.6e-5)
+    assert (config.densify_from, config.densify_every, config.densify_until) == (500, 100, 15_000)
+    assert (config.grad_threshold, config.split_fraction) == (2e-4, 0.01)
+    assert (config.prune_opacity, config.reset_every, config.ssim_weight) == (0.005, 3000, 0.2)
+
+
+@given(st.integers(0, 20_000))
+def test_rates_fall_and_degrees_rise_with_the_steps(step: int) -> None:
+    config = TrainConfig(steps=10_000)
+    assert config.position_rate(step + 1) <= config.position_rate(step)
+    assert config.position_rate(step) >= config.lr_means_final * (1 - 1e-12)
+    assert config.degree(step) == min(3, step // 1000)
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_presets_are_complete_and_fair(name: str) -> None:
+    config = preset(name)
+    assert config.preset == name
+    assert config.total_steps == config.scene.steps + config.roi.steps
+    total = config.total_steps
+    assert stage_configs.baseline(config) == TrainConfig(
+        steps=total, densify_until=total // 2
+    )  # 3DGS alone
+    assert config.roi.densify_in_boxes
+    assert config.roi.position_rate(config.roi.steps) == pytest.approx(1.6e-6)
+
+
+@pytest.mark.parametrize("name", ["standard", "draft"])
+def test_short_presets_break_the_decay_off_and_begin_anew(name: str) -> None:
+    config, whole = preset(name), stage_configs.baseline(preset(name))
+    steps = config.scene.steps
+    assert config.scene.position_rate(steps) == pytest.approx(whole.position_rate(steps))
+    assert config.roi.position_rate(0) == pytest.approx(whole.position_rate(0))
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+@pytest.mark.parametrize("strategy", ["joint", "independent"])
+def test_the_other_strategy_keeps_steps_tests_and_seed(name: str, strategy: str) -> None:
+    config = replace(preset(name), test_every=5, seed=7)
+    config = replace(config, selection=replace(config.selection, count=9))
+    config = replace(config, scene=replace(config.scene, sh_degree=1))
+    config = replace(config, roi=replace(config.roi, sh_degree=1))
+    other = in_strategy(config, strategy)
+    assert other.selection.count == 9
+    assert (
+        other.scene.sh_degree
+        == other.roi.sh_degree
+        == stage_configs.refine_stage(other).sh_degree
+        == 1
+    )
+    assert other.strategy == strategy
+    assert (other.scene.steps, other.roi.steps) == (config.scene.steps, config.roi.steps)
+    assert (other.test_every, other.seed) == (5, 7)
+    assert other.roi.densify_in_boxes
+
+
+@pytest.mark.parametrize("name", ["standard", "draft"])
+def test_there_and_back_is_the_preset(name: str) -> None:
+    config = preset(name)
+    back = in_strategy(in_strategy(config, "independent"), "joint")
+    assert replace(back, preset=name) == config
+
+
+def test_settings_are_frozen_and_plain_json() -> None:
+    config = preset("draft")
+    with pytest.raises(FrozenInstanceError):
+        config.seed = 1  # type: ignore[misc]
+    assert json.loads(json.dumps(config.to_dict()))["scene"]["steps"] == config.scene.steps
+
+
+@given(st.floats(0.001, 20))
+def test_scaling_keeps_the_share_of_densifying_steps(factor: float) -> None:
+    config = preset("paper").scaled(factor)
+    for stage, before in ((config.scene, 20_000), (config.roi, 30_000)):
+        assert stage.steps == max(1, round(before * factor))
+        assert stage.densify_until == pytest.approx(stage.steps / 2, abs=1)
+
+
+def test_with_steps_changes_the_length_only() -> None:
+    short = with_steps(preset("paper").roi, 3000)
+    assert short == replace(preset("paper").roi, steps=3000, densify_until=1500)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan")])
+def test_a_factor_that_is_not_positive_is_refused(factor: float) -> None:
+    with pytest.raises(ConfigError, match="factor"):
+        preset("draft").scaled(factor)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"strategy": "both"}, "strategy"),
+        ({"roi_init": "nothing"}, "roi_init"),
+        ({"roi_order": "backwards"}, "roi_order"),
+        ({"kept_share": 1.5}, "kept_share"),
+        ({"selected_share": -0.1}, "selected_share"),
+        ({"scene_scale": 0.0}, "scene_scale"),
+        ({"kept_share": float("nan")}, "kept_share"),
+        ({"strategy": "joint", "roi_init": "box"}, "box"),
+        ({"scene": replace(preset("draft").scene, front_photos=4)}, "front_photos"),
+    ],
+)
+def test_values_out_of_range_are_refused_by_name(change: dict[str, object], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        replace(preset("draft"), **change)
+
+
+def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match="draft") as caught:
+        preset("fast")
+    assert "fast" in caught.value.message
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"roi_init": "points"}, {"roi_init": "box"}, {"roi_order": "shuffled"}, {"kept_share": 1.0}],
+)
+def test_the_papers_ablations_are_settings(change: dict[str, object]) -> None:
+    assert isinstance(replace(preset("paper"), **change), RunConfig)
+
+
+@pytest.mark.parametrize("method", ["static", "gp6"])
+def test_the_papers_selection_ablations_are_settings(method: str) -> None:
+    config = preset("paper")
+    changed = replace(config, selection=replace(config.selection, method=method))
+    assert changed.selection.resolved_count(1000) == 150

@@ -1,0 +1,57 @@
+"""What is said of scenes and boxes that train badly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.formats.events import Event, Message
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run.pipeline import Run
+from roigs_engine.run.scene_warnings import cautions
+from tests.engine.run.test_pipeline import tiny
+from tests.engine.synthetic_scene import BOX, make_scene
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"), views=6)
+
+
+def moved(scene: SfmScene, offset: np.ndarray) -> SfmScene:
+    """The scene elsewhere in the world."""
+    back = np.eye(4)
+    back[:3, 3] = -offset
+    images = [replace(i, world_to_camera=i.world_to_camera @ back) for i in scene.images]
+    return replace(scene, images=tuple(images), points=scene.points + offset)
+
+
+def test_a_sound_scene_needs_none(scene: SfmScene) -> None:
+    assert cautions(scene, [BOX]) == []
+    assert cautions(moved(scene, np.array([500.0, -300.0, 0.0])), []) == []
+
+
+def test_a_model_in_geographic_coordinates(scene: SfmScene) -> None:
+    (line,) = cautions(moved(scene, np.array([5e5, 4.5e6, 200.0])), [])
+    assert "4.5e+06 units" in line and "model_transformer" in line
+
+
+def test_a_box_inside_another(scene: SfmScene) -> None:
+    inner = OrientedBox.axis_aligned("inner", [-0.3] * 3, [0.3] * 3)
+    points = np.array([[0.1, 0.1, 0.1], [0.5, 0.5, 0.5]])
+    both = replace(scene, points=points)
+    (line,) = cautions(both, [inner, BOX])
+    assert "«inner» owns none of the 1 points" in line and "--only inner" in line
+    assert cautions(both, [inner]) == []
+
+
+def test_a_run_says_so(scene: SfmScene, tmp_path: Path) -> None:
+    inner = OrientedBox.axis_aligned("inner", [-0.55] * 3, [0.55] * 3)
+    heard: list[Event] = []
+    Run(tmp_path, scene, [inner, BOX], tiny("joint"), emit=heard.append)
+    texts = [e.text for e in heard if isinstance(e, Message) and e.level == "warning"]
+    assert [text for text in texts if "«inner» owns none" in text]

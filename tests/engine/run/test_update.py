@@ -1,0 +1,248 @@
+"""Runs that change: other boxes or photos in one folder, photos given, none kept for tests."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.errors import ConfigError, RunFolderError, Stopped
+from roigs_engine.formats.events import Event, Message, Preview, check_of
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.pipeline import Run
+from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
+from roigs_engine.selection.manual import load_given
+from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
+from tests.engine.run.test_pipeline import plys, tiny
+from tests.engine.synthetic_scene import BOX, make_scene
+
+MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
+SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def production(strategy: str = "joint", **changes: object) -> RunConfig:
+    return tiny(strategy, test_every=0, kept_share=1.0, **changes)
+
+
+def stage(folder: Path, name: str) -> str:
+    return str(
+        json.loads((folder / name / "stage.json").read_text(encoding="utf-8"))["fingerprint"]
+    )
+
+
+def written(folder: Path, name: str) -> tuple[int, int]:
+    """What changes when a stage is trained, but not when it is moved to and fro."""
+    status = (folder / name / "stage.json").stat()
+    return status.st_ino, status.st_mtime_ns
+
+
+# --- no test photos ---
+
+
+def test_without_test_photos_all_are_trained_on(scene: SfmScene, tmp_path: Path) -> None:
+    run = Run(tmp_path, scene, [BOX], production())
+    run.train()
+    assert run.test == () and len(run.train_scene.images) == len(scene.images)
+    assert json.loads((tmp_path / "split.json").read_text(encoding="utf-8")) == {"test": []}
+
+
+# --- photos given by the user ---
+
+
+def test_given_photos_are_used_in_their_order(scene: SfmScene, tmp_path: Path) -> None:
+    given = ["007.png", "002.png", "004.png"]
+    run = Run(tmp_path, scene, [BOX, SECOND], production(), given={"thing": given})
+    chosen = run.selection(BOX)
+    assert (list(chosen.names), chosen.method) == (given, "given")
+    assert list(chosen.scores) == sorted(chosen.scores)
+    stored = json.loads((tmp_path / "selection" / "thing.json").read_text(encoding="utf-8"))
+    assert stored["names"] == given
+    assert run.selection(SECOND).method == "coverage"
+    request = json.loads((tmp_path / "request.json").read_text(encoding="utf-8"))
+    assert request["given"] == {"thing": given}
+    with pytest.raises(RunFolderError, match="given"):
+        Run(tmp_path, scene, [BOX, SECOND], production(), given={"thing": given[:2]})
+
+
+def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> None:
+    config = tiny("joint")
+    test = Run(tmp_path / "a", scene, [BOX], config).test
+    events: list[Event] = []
+    known = replace(scene, skipped={"missing on disk": ("gone.png",)})
+    there = next(image.name for image in scene.images if image.name not in test)
+    given = {"thing": [test[0], there, "gone.png"]}
+    run = Run(tmp_path / "b", known, [BOX], config, given=given, emit=events.append)
+    assert run.selection(BOX).names == (there,)
+    texts = [event.text for event in events if isinstance(event, Message)]
+    assert any("tests" in text and test[0] in text for text in texts)
+    assert any("not usable" in text and "gone.png" in text for text in texts)
+    with pytest.raises(ConfigError, match=r"«nothing\.png»"):
+        Run(tmp_path / "c", scene, [BOX], config, given={"thing": ["nothing.png"]})
+    with pytest.raises(ConfigError, match="None of the 1 photos"):
+        Run(tmp_path / "d", scene, [BOX], config, given={"thing": [test[0]]})
+    assert not (tmp_path / "c").exists() and not (tmp_path / "d").exists()
+
+
+def test_selection_files_as_select_writes_them(scene: SfmScene, tmp_path: Path) -> None:
+    chosen = select_cameras(scene, BOX, SelectionConfig(method="fvs", count=4))
+    (tmp_path / "thing.json").write_text(json.dumps(chosen.to_dict()), encoding="utf-8")
+    assert load_given(tmp_path, [BOX, SECOND]) == {"thing": chosen.names}
+    (tmp_path / "thing.json").write_text('{"names": ["a", "b", "a"]}', encoding="utf-8")
+    assert load_given(tmp_path, [BOX]) == {"thing": ("a", "b")}
+    with pytest.raises(ConfigError, match=r"second\.json"):
+        load_given(tmp_path, [SECOND])
+
+
+def test_other_photos_of_the_same_number_are_another_stage(scene: SfmScene, tmp_path: Path) -> None:
+    one, other = ["001.png", "002.png"], ["001.png", "003.png"]
+    Run(tmp_path, scene, [BOX], production(), given={"thing": one}).train()
+    before = stage(tmp_path, "joint"), stage(tmp_path, "scene")
+    Run(tmp_path, scene, [BOX], production(), given={"thing": other}, update=True).train()
+    assert stage(tmp_path, "joint") != before[0]
+    assert stage(tmp_path, "scene") == before[1]
+
+
+# --- bringing a run up to date ---
+
+
+@pytest.mark.parametrize("strategy", ["joint", "independent"])
+def test_a_moved_box_keeps_the_scene(scene: SfmScene, tmp_path: Path, strategy: str) -> None:
+    config = production(strategy)
+    name = "joint" if strategy == "joint" else "object-thing"
+    Run(tmp_path, scene, [BOX], config).train()
+    first = plys(tmp_path)
+    before = {n: (stage(tmp_path, n), written(tmp_path, n)) for n in ("scene", name)}
+    Run(tmp_path, scene, [MOVED], config, update=True).train()
+    assert written(tmp_path, "scene") == before["scene"][1]
+    assert stage(tmp_path, name) != before[name][0]
+    assert (tmp_path / "older" / f"{name}-{before[name][0][:8]}" / "model.ply").exists()
+    # What a fresh run would have made.
+    Run(tmp_path / "fresh", scene, [MOVED], config).train()
+    for path in ("result.ply", "rois/thing.ply"):
+        assert (tmp_path / path).read_bytes() == (tmp_path / "fresh" / path).read_bytes()
+    # And back: nothing is trained again.
+    Run(tmp_path, scene, [BOX], config, update=True).train()
+    assert written(tmp_path, name) == before[name][1]
+    again = plys(tmp_path)
+    assert {path: again[path] for path in first} == first
+
+
+def test_a_second_box_keeps_the_scene_and_the_first_object(scene: SfmScene, tmp_path: Path) -> None:
+    config = production("independent")
+    Run(tmp_path, scene, [BOX], config).train()
+    before = [written(tmp_path, n) for n in ("scene", "object-thing")]
+    Run(tmp_path, scene, [BOX, SECOND], config, update=True).train()
+    assert [written(tmp_path, n) for n in ("scene", "object-thing")] == before
+    assert (tmp_path / "object-second" / "model.ply").exists()
+    assert (tmp_path / "rois" / "second.ply").exists()
+    Run(tmp_path, scene, [BOX], config, update=True).train()
+    assert not (tmp_path / "rois" / "second.ply").exists()
+
+
+def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path: Path) -> None:
+    asked = 0
+
+    def soon() -> bool:
+        nonlocal asked
+        asked += bool((tmp_path / "scene" / "stage.json").exists())
+        return asked > 25  # the photos are looked at first, once each
+
+    with pytest.raises(Stopped):
+        Run(tmp_path, scene, [BOX], production(), should_stop=soon).train()
+    assert (tmp_path / "joint" / "checkpoint.bin").exists()
+    Run(tmp_path, scene, [MOVED], production(), update=True).train()
+    (kept,) = (tmp_path / "older").glob("joint-*/checkpoint.bin")
+    step = load_checkpoint(kept, checkpoint_fingerprint(kept))["step"]
+    events: list[Event] = []
+    Run(tmp_path, scene, [BOX], production(), update=True, emit=events.append).train()
+    texts = [event.text for event in events if isinstance(event, Message)]
+    assert f"joint: goes on at step {step}." in texts
+    Run(tmp_path / "whole", scene, [BOX], production()).train()
+    result = (tmp_path / "result.ply").read_bytes()
+    assert result == (tmp_path / "whole" / "result.ply").read_bytes()
+
+
+def test_other_points_are_another_start(scene: SfmScene, tmp_path: Path) -> None:
+    Run(tmp_path, scene, [BOX], production()).train()
+    before = stage(tmp_path, "scene")
+    other = replace(scene, colors=255 - scene.colors)
+    with pytest.raises(RunFolderError, match="--update"):
+        Run(tmp_path, other, [BOX], production()).train()
+    Run(tmp_path, other, [BOX], production(), update=True).train()
+    assert stage(tmp_path, "scene") != before
+
+
+def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    Run(tmp_path, scene, [BOX], production()).train()
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    moved = [
+        replace(image, world_to_camera=image.world_to_camera + np.eye(4)[3][:, None] * 0.01)
+        for image in scene.images
+    ]
+    other = replace(scene, images=tuple(moved))
+    with pytest.raises(RunFolderError, match=r"model was .* --update"):
+        Run(tmp_path, other, [BOX], production())
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    Run(tmp_path, other, [BOX], production(), update=True)
+    assert not (tmp_path / "result.ply").exists()
+    assert [path.name for path in (tmp_path / "older").rglob("result.ply")] == ["result.ply"]
+
+
+def test_updating_what_fits_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
+    Run(tmp_path, scene, [BOX], production()).train()
+    Run(tmp_path, scene, [BOX], production(), update=True).train()
+    assert not (tmp_path / "older").exists()
+
+
+# --- previews and stops ---
+
+
+def test_previews_change_nothing(scene: SfmScene, tmp_path: Path) -> None:
+    Run(tmp_path / "a", scene, [BOX], production()).train()
+    events: list[Event] = []
+    Run(
+        tmp_path / "b", scene, [BOX], production(), preview_seconds=1e-6, emit=events.append
+    ).train()
+    shown = [event.path for event in events if isinstance(event, Preview)]
+    assert set(shown) == {str(tmp_path / "b" / "preview.ply")}
+    made = plys(tmp_path / "b")
+    assert made.pop("preview.ply")
+    assert made == plys(tmp_path / "a")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("tracks", [True, False])
+def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> None:
+    scene = replace(scene, has_tracks=tracks)
+    config = SelectionConfig(method=method, count=9)
+    asked = 0
+
+    def count() -> bool:
+        nonlocal asked
+        asked += 1
+        return False
+
+    select_cameras(scene, BOX, config, check=check_of(count))
+    assert asked >= len(scene.images)
+    for stop in (1, asked // 2, asked):
+        left = stop
+
+        def soon() -> bool:
+            nonlocal left
+            left -= 1
+            return left == 0
+
+        with pytest.raises(Stopped):
+            select_cameras(scene, BOX, config, check=check_of(soon))

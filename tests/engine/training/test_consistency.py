@@ -1,0 +1,136 @@
+"""What the photos vouch for, among Gaussians whose place is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine.cuda import library
+from roigs_engine.errors import Stopped
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import PosedImage
+from roigs_engine.training.consistency import vouched_for
+from tests.engine.synthetic_scene import BOX, CAMERA, look_at
+
+DISTANCE = 4.0
+
+
+def ring(count: int) -> list[PosedImage]:
+    """Photos from a circle around the box."""
+    images = []
+    for k in range(count):
+        pose = look_at(eye(k, count) * DISTANCE, np.zeros(3))
+        indices = np.zeros(0, dtype=np.int64)
+        images.append(
+            PosedImage(
+                name=f"{k}.png",
+                path=Path(),
+                camera=CAMERA,
+                world_to_camera=pose,
+                point_indices=indices,
+            )
+        )
+    return images
+
+
+def eye(k: int, count: int = 20) -> np.ndarray:
+    angle = 2 * np.pi * k / count
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+SIDE = ring(20)[:6]  # each alone sees what stands close before it
+
+
+def balls(*places: object, opacity: float = 0.9) -> Gaussians:
+    """A small ball at each place, given as x, y, z."""
+    count = len(places)
+    logit = float(np.log(opacity / (1 - opacity)))
+    arrays = {
+        "means": np.array(places).reshape(count, 3),
+        "quats": np.tile([1.0, 0, 0, 0], (count, 1)),
+        "log_scales": np.full((count, 3), np.log(0.05)),
+        "logit_opacities": np.full(count, logit),
+        "sh": np.zeros((count, 16, 3)),
+    }
+    return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
+
+
+def kept(model: Gaussians, photos: int = 3, images: list[PosedImage] | None = None) -> list[bool]:
+    return vouched_for(model, images or SIDE, [BOX], photos).tolist()
+
+
+def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
+    close, behind = eye(0) * 0.85 * DISTANCE, eye(0) * -2 * DISTANCE
+    to_the_side = np.array([0.0, 0.0, 0.3])
+    model = balls((0, 0, 0), close + to_the_side, behind + to_the_side)
+    assert kept(model) == [True, False, True]
+    assert kept(model, photos=1) == [True, True, True]
+
+
+def test_what_enough_photos_show_before_the_box_stays() -> None:
+    shown_by_three = ring(48)[:3]  # 7.5 degrees apart
+    model = balls(eye(1, 48) * 0.6 * DISTANCE)
+    elsewhere = ring(48)[10:12]  # do not see it
+    assert kept(model, 3, shown_by_three + elsewhere) == [True]
+    assert kept(model, 4, shown_by_three + elsewhere) == [False]
+
+
+def test_what_is_buried_in_the_box_goes_and_what_is_out_of_sight_stays() -> None:
+    shell = balls(*(np.array(eye(k, 40)) * r for k in range(40) for r in (0.3, 0.35, 0.4)))
+    shell = replace(shell, log_scales=shell.log_scales + 1.5, logit_opacities=shell.quats[:, 0] * 9)
+    in_box = Gaussians.concatenate([balls((0, 0, 0)), balls((0, 0, 0.5), opacity=0.003)])
+    model = Gaussians.concatenate([in_box, balls((0, 0, 99)), shell])
+    mask = kept(model)
+    assert mask[:3] == [False, False, True]
+    assert any(mask[3:])
+
+
+def test_a_box_behind_the_camera_has_nothing_before_it() -> None:
+    away = [
+        replace(image, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ image.world_to_camera)
+        for image in SIDE
+    ]
+    assert kept(balls(eye(0) * 1.5 * DISTANCE), 3, away) == [True]
+
+
+def test_a_photo_without_a_box_in_sight_says_nothing_of_what_is_before_one() -> None:
+    looking_past = replace(
+        SIDE[0], world_to_camera=look_at(eye(0) * DISTANCE, np.array([DISTANCE, 9.0, 0.0]))
+    )
+    wall = balls(eye(0) * DISTANCE + np.array([0.0, 1.0, 0.0]))
+    assert kept(wall, 3, [looking_past, *SIDE[3:]]) == [True]
+
+
+def test_of_fewer_photos_all_must_show_it() -> None:
+    model = balls(eye(1, 48) * 0.6 * DISTANCE)
+    assert kept(model, 4, ring(48)[:3]) == [True]
+
+
+def test_every_box_counts() -> None:
+    near = OrientedBox.axis_aligned("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
+    model = balls(eye(0) * 2.8)
+    one_sees_it = [SIDE[0], *ring(20)[4:6]]
+    assert vouched_for(model, one_sees_it, [BOX], 3).tolist() == [False]
+    assert vouched_for(model, one_sees_it, [BOX, near], 3).tolist() == [True]
+
+
+def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The card itself is in test_cuda.py."""
+    card = torch.device("cuda")
+    monkeypatch.setattr(library, "has_triton", lambda: True)
+    assert library.can_weigh(card)
+    monkeypatch.setattr(library, "has_triton", lambda: False)
+    assert not library.can_weigh(card) and library.can_weigh(torch.device("cpu"))
+
+
+def test_it_can_be_stopped() -> None:
+    def stop() -> None:
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        vouched_for(balls((0, 0, 0)), SIDE, [BOX], 3, stop)

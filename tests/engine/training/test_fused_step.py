@@ -1,0 +1,101 @@
+"""Adam's step inside the backward pass: what it refuses, what it leaves alone.
+
+That it has the bits of a step from gradients, at any number of threads, is in
+test_kernels_property.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from roigs_engine.errors import EngineError
+from roigs_engine.rasterize import RenderOutput, rasterize
+from roigs_engine.training.optimizer import VisibleAdam
+from tests.engine.rasterize_cases import NAMES, cameras, gaussians
+
+SIZE = (61, 43)
+
+
+def adam(*, fused: bool = True, dtype: torch.dtype = torch.float32) -> VisibleAdam:
+    """Of Gaussians of which every second one is behind the camera."""
+    tensors = [p.to(dtype) for p in gaussians(300, raw=True)]
+    tensors[0][::2, 2] -= 100.0
+    parameters = zip(NAMES, tensors, strict=True)
+    return VisibleAdam({name: (p, 0.01) for name, p in parameters}, fused=fused)
+
+
+def render(model: VisibleAdam, *, views: int = 1, **options: Any) -> RenderOutput:
+    poses, intrinsics = (t[:views] for t in cameras(*SIZE))
+    given = {"optimizer": model if model.fused else None, **options}
+    return rasterize(*model.parameters.values(), poses, intrinsics, *SIZE, raw=True, **given)
+
+
+def after_a_step(*, fused: bool, weights: Tensor) -> tuple[VisibleAdam, RenderOutput]:
+    """`weights` (H, W, 1) are the gradient of the image."""
+    optimizer = adam(fused=fused)
+    output = render(optimizer)
+    (output.image * weights).sum().backward()
+    if not fused:
+        optimizer.step(output.visible[0])
+    return optimizer, output
+
+
+def test_no_gradient_is_kept_and_rows_out_of_view_stay() -> None:
+    start = adam()
+    optimizer, output = after_a_step(fused=True, weights=torch.ones(*SIZE[::-1], 1))
+    seen = output.visible[0]
+    assert seen.any() and not seen[::2].any()
+    assert optimizer.step_count == 1
+    for name, parameter in optimizer.parameters.items():
+        assert parameter.grad is None
+        before = start.parameters[name]
+        assert torch.equal(parameter[~seen], before[~seen]), name
+        assert not torch.equal(parameter[seen], before[seen]), name
+
+
+def test_broken_rows_are_skipped_as_by_a_step() -> None:
+    weights = torch.ones(*SIZE[::-1], 1)
+    weights[20, 30] = torch.inf
+    fused, _ = after_a_step(fused=True, weights=weights)
+    apart, output = after_a_step(fused=False, weights=weights)
+    visible = int(output.visible.sum())
+    assert 0 < fused.skipped_rows == apart.skipped_rows < len(NAMES) * visible
+    for name, parameter in fused.parameters.items():
+        assert parameter.isfinite().all()
+        assert torch.equal(parameter, apart.parameters[name]), name
+
+
+def test_rendering_alone_takes_no_step() -> None:
+    optimizer = adam()
+    with torch.no_grad():
+        render(optimizer)
+    render(optimizer)
+    assert optimizer.step_count == 0
+
+
+def test_a_backend_that_cannot_fuse_keeps_gradients() -> None:
+    optimizer = adam(dtype=torch.float64)
+    assert not optimizer.fused
+    assert all(parameter.grad is not None for parameter in optimizer.parameters.values())
+
+
+def test_a_second_backward_is_refused() -> None:
+    loss = render(adam()).image.sum()
+    loss.backward(retain_graph=True)
+    with pytest.raises(EngineError, match="only once"):
+        loss.backward()
+
+
+def test_a_step_that_cannot_be_taken_is_refused() -> None:
+    with pytest.raises(EngineError, match="2 cameras"):
+        render(adam(), views=2)
+    with pytest.raises(EngineError, match="reference backend"):
+        render(adam(), backend="reference")
+    with pytest.raises(EngineError, match="reference backend"):
+        render(other := adam(dtype=torch.float64), optimizer=other)
+    with pytest.raises(EngineError, match="not the tensors"):
+        render(adam(), optimizer=adam())

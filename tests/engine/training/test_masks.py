@@ -1,0 +1,112 @@
+"""Steps of the ROI stage that look at the boxes' silhouettes alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine.errors import ConfigError
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.training import photo_order
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.losses import photo_loss
+from roigs_engine.training.masks import Region, Regions
+
+CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
+BOX = OrientedBox.axis_aligned("thing", (-0.3, -0.2, 3.7), (0.3, 0.2, 4.3))
+
+
+def photo(pose: np.ndarray | None = None) -> PosedImage:
+    pose = np.eye(4) if pose is None else pose
+    return PosedImage(
+        name="a.jpg",
+        path=Path("a.jpg"),
+        camera=CAMERA,
+        world_to_camera=pose,
+        point_indices=np.zeros(0, dtype=np.int64),
+    )
+
+
+def test_a_region_is_the_silhouettes_tiles_and_a_rim() -> None:
+    region = Regions([photo()], [BOX], [0])[0]
+    assert region is not None
+    silhouette = BOX.silhouette(CAMERA, np.eye(4))
+    mask = region.mask.numpy()
+    assert mask[silhouette].all()
+    ys, xs = np.nonzero(silhouette)
+    for reach in (-16, 16):  # a whole tile around every pixel of the silhouette
+        assert mask[ys, np.clip(xs + reach, 0, CAMERA.width - 1)].all()
+        assert mask[np.clip(ys + reach, 0, CAMERA.height - 1), xs].all()
+    assert 0 < region.share < 0.6
+    x0, y0, x1, y1 = region.window
+    assert not mask[:y0].any() and not mask[y1:].any()
+    assert not mask[:, :x0].any() and not mask[:, x1:].any()
+    assert torch.equal(region.weights, region.mask[y0:y1, x0:x1].float())
+    assert region.share == pytest.approx(float(region.mask.float().mean()))
+
+
+def test_a_photo_without_a_box_has_no_region() -> None:
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])
+    assert Regions([photo(behind)], [BOX], [0])[0] is None
+
+
+def test_a_pixel_pulls_as_hard_as_in_the_whole_photo() -> None:
+    """The L1 term's gradient in the region is that of the whole photo."""
+    region = Regions([photo()], [BOX], [0])[0]
+    assert region is not None
+    rng = torch.Generator().manual_seed(1)
+    image = torch.rand(CAMERA.height, CAMERA.width, 3, generator=rng, requires_grad=True)
+    target = torch.randint(0, 256, image.shape, generator=rng, dtype=torch.uint8)
+    (whole,) = torch.autograd.grad(photo_loss(image, target, ssim_weight=0).loss, image)
+    part = photo_loss(
+        region.crop(image), region.crop(target), ssim_weight=0, weights=region.weights
+    )
+    (gradient,) = torch.autograd.grad(part.loss * region.pull, image)
+    assert torch.allclose(gradient[region.mask], whole[region.mask], rtol=1e-4)
+    assert not gradient[~region.mask].any()
+
+
+def test_balanced_photos_pull_alike_from_near_and_far() -> None:
+    poses = [np.eye(4) for _ in range(4)]
+    for pose, back in zip(poses, (-3.0, 0.0, 6.0, -20.0), strict=True):  # the last sees no box
+        pose[2, 3] = back
+    photos = [photo(pose) for pose in poses]
+
+    def regions(balance: float, drawn: Sequence[int] = range(4)) -> list[Region]:
+        several = Regions(photos, [BOX], drawn, balance=balance)
+        return [region for k in range(4) if (region := several[k]) is not None]
+
+    shares = np.array([region.share for region in regions(0)])
+    assert len(shares) == 3 and shares[0] > 2 * shares[2]
+    for balance in (0.0, 0.5, 1.0, 1.5):
+        pulls = np.array([region.pull for region in regions(balance)])
+        assert np.log(pulls / shares).mean() == pytest.approx(0, abs=1e-6)
+        assert pulls[0] / pulls[2] == pytest.approx((shares[0] / shares[2]) ** (1 - balance))
+    # Photos that no such step draws have no say.
+    first_two = np.array([region.pull for region in regions(1.0, drawn=[0, 1])])[:2]
+    assert np.log(first_two / shares[:2]).mean() == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("every", [2, 3, 7])
+def test_whole_steps_and_others_draw_from_their_own_source_in_turn(every: int) -> None:
+    drawn = [photo_order.with_whole(lambda k: k, lambda k: 1000 + k, every)(s) for s in range(50)]
+    whole = [d for d in drawn if d < 1000]
+    others = [d - 1000 for d in drawn if d >= 1000]
+    assert whole == list(range(len(whole))) and others == list(range(len(others)))
+    assert [s for s, d in enumerate(drawn) if d < 1000] == list(range(0, 50, every))
+
+
+def test_settings_that_do_not_go_together_are_refused() -> None:
+    config = TrainConfig(steps=10, full_every=4)
+    with pytest.raises(ConfigError, match="contribution_every"):
+        dataclasses.replace(config, contribution_every=100)
+    with pytest.raises(ConfigError, match="photo_balance is -1"):
+        dataclasses.replace(config, photo_balance=-1.0)
+    with pytest.raises(ConfigError, match="full_every is 0"):
+        dataclasses.replace(config, full_every=0)

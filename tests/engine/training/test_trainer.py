@@ -1,0 +1,198 @@
+"""Training: it learns, it stops and goes on bit for bit, its ROI stage stays in the box."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.training import photo_order
+from roigs_engine.training.budget import BoxCapacity
+from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.trainer import StageData, Trainer
+from tests.engine.synthetic_scene import BOX, make_scene
+
+SHORT = TrainConfig(
+    steps=60,
+    sh_every=20,
+    densify_from=10,
+    densify_until=50,
+    densify_every=10,
+    grad_threshold=1e-5,
+    reset_every=30,
+    contribution_every=20,
+)
+RESTING = TrainConfig(steps=20, densify_until=0)
+AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def stage_data(scene: SfmScene, **changes: object) -> StageData:
+    data = StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=photo_order.shuffled(range(len(scene.images)), 3),
+        extent=scene.extent(),
+    )
+    return replace(data, **changes)
+
+
+def first_model(scene: SfmScene) -> Gaussians:
+    return Gaussians.from_points(scene.points[::3], scene.colors[::3])
+
+
+def floater(scene: SfmScene) -> np.ndarray:
+    """A place close before the first camera."""
+    pose = scene.images[0].world_to_camera
+    place: np.ndarray = -0.75 * pose[:3, :3].T @ pose[:3, 3]
+    return place
+
+
+def with_floaters(scene: SfmScene) -> Gaussians:
+    places = np.array([floater(scene), floater(scene) + 0.01])
+    floaters = Gaussians.from_points(places, scene.colors[:2])
+    return Gaussians.concatenate([first_model(scene), floaters])
+
+
+def one_side(scene: SfmScene) -> StageData:
+    """A quarter of the ring of photos: none looks at the others' floaters from behind."""
+    images = scene.images[:4]
+    order = photo_order.shuffled(range(4), 3)
+    return stage_data(scene, images=images, photos=PhotoCache(images), photo_at=order, rois=[BOX])
+
+
+def same_bits(a: Gaussians, b: Gaussians) -> bool:
+    return all(
+        torch.equal(*(getattr(model, n).detach().view(torch.int32) for model in (a, b)))
+        for n in NAMES
+    )
+
+
+def mean_loss(trainer: Trainer, steps: int) -> float:
+    losses = []
+    for _ in range(steps):
+        trainer.train_step()
+        losses.append(trainer.last_loss)
+    return float(np.mean(losses))
+
+
+def test_training_lowers_the_loss(scene: SfmScene) -> None:
+    config = TrainConfig(steps=300, densify_until=0)
+    start_model = Gaussians.from_points(scene.points, scene.colors)
+    trainer = Trainer(start_model, stage_data(scene), config)
+    start = mean_loss(trainer, 12)
+    assert trainer.run()
+    assert mean_loss(trainer, 12) < 0.5 * start
+
+
+@pytest.mark.parametrize(
+    ("config", "stop"),
+    [*((SHORT, stop) for stop in (1, 10, 29, 33, 59)), (AVERAGED, 35), (AVERAGED, 52)],
+)
+def test_resuming_equals_never_stopping(
+    scene: SfmScene, tmp_path: Path, config: TrainConfig, stop: int
+) -> None:
+    whole = Trainer(first_model(scene), stage_data(scene), config)
+    whole.run()
+    half = Trainer(first_model(scene), stage_data(scene), config)
+    assert not half.run(should_stop=lambda: half.step >= stop)
+    save_checkpoint(tmp_path / "checkpoint.bin", half.state_dict(), "same")
+    state = load_checkpoint(tmp_path / "checkpoint.bin", "same")
+    rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), config)
+    rest.load_state_dict(state)
+    assert rest.step == stop
+    assert rest.cpu_seconds == half.cpu_seconds > 0
+    assert rest.run()
+    assert rest.cpu_seconds > half.cpu_seconds
+    assert len(rest.gaussians) == len(whole.gaussians) > 0
+    assert same_bits(rest.gaussians, whole.gaussians)
+
+
+def test_a_stage_ends_with_the_mean_of_its_last_models(scene: SfmScene) -> None:
+    trainer = Trainer(first_model(scene), stage_data(scene), AVERAGED)
+    plain = Trainer(first_model(scene), stage_data(scene), replace(AVERAGED, average_steps=0))
+    seen = []
+    for _ in range(AVERAGED.steps):
+        trainer.train_step()
+        plain.train_step()
+        if plain.step in (40, 50, 60):
+            seen.append(plain.gaussians.detached())
+    for name in NAMES:
+        mean = torch.stack([getattr(model, name) for model in seen]).mean(dim=0)
+        torch.testing.assert_close(getattr(trainer.gaussians, name).detach(), mean)
+    assert not same_bits(trainer.gaussians, plain.gaussians)
+
+
+def test_models_with_other_rows_are_not_averaged(scene: SfmScene) -> None:
+    config = replace(AVERAGED, average_steps=60)  # from before densification ends
+    Trainer(first_model(scene), stage_data(scene), config).run()
+
+
+def test_roi_stage_adds_gaussians_in_the_box_only(scene: SfmScene) -> None:
+    config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
+    config = replace(config, prune_opacity=0.0, lr_means=1e-9, lr_means_final=1e-9)
+    trainer = Trainer(first_model(scene), stage_data(scene, rois=[BOX]), config)
+    inside_before = int(trainer.gaussians.in_box(BOX).sum())
+    outside_before = len(trainer.gaussians) - inside_before
+    trainer.run()
+    inside = int(trainer.gaussians.in_box(BOX).sum())
+    assert inside > inside_before
+    # A child of a split may fall just outside; nothing else may appear there.
+    assert len(trainer.gaussians) - inside <= outside_before + 0.2 * (inside - inside_before)
+
+
+def test_capacity_limits_the_box(scene: SfmScene) -> None:
+    config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
+    start = first_model(scene)
+    limit = int(start.in_box(BOX).sum()) + 5
+    data = stage_data(scene, rois=[BOX], capacities=[BoxCapacity(begin=limit, end=limit)])
+    trainer = Trainer(start, data, config)
+    trainer.run()
+    assert int(trainer.gaussians.in_box(BOX).sum()) <= limit + 5
+
+
+def test_non_contributing_gaussians_are_pruned(scene: SfmScene) -> None:
+    start = first_model(scene)
+    hidden = start.rows(torch.arange(7))
+    hidden.means[:] = torch.tensor([0.0, 0.0, 50.0])
+    config = replace(SHORT, steps=2 * 24 + 2, densify_until=0, contribution_every=24)
+    trainer = Trainer(Gaussians.concatenate([start, hidden]), stage_data(scene), config)
+    trainer.run()
+    assert not bool((trainer.gaussians.means[:, 2] > 40).any())
+    assert len(trainer.gaussians) > 0.5 * len(start)
+
+
+def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
+    left = {}
+    for photos in (0, 3):
+        config = replace(RESTING, front_photos=photos)
+        trainer = Trainer(with_floaters(scene), one_side(scene), config)
+        assert trainer.run()
+        distance = np.linalg.norm(trainer.gaussians.means.detach().numpy() - floater(scene), axis=1)
+        left[photos] = int((distance < 0.1).sum())
+    assert left == {0: 2, 3: 0}
+
+
+def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
+    model, data = with_floaters(scene), one_side(scene)
+    config = replace(RESTING, front_photos=3)
+    whole, stopped = (Trainer(model, data, config) for _ in range(2))
+    whole.run()
+    assert not stopped.run(should_stop=lambda: stopped.step == config.steps)
+    assert len(whole.gaussians) < len(stopped.gaussians) == len(model)
+    state = stopped.state_dict()
+    resumed = Trainer(Gaussians(**state["parameters"]), data, config)
+    resumed.load_state_dict(state)
+    assert resumed.run()
+    assert same_bits(resumed.gaussians, whole.gaussians)
