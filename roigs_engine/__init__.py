@@ -11,7 +11,7 @@ camera selection and everything before training work where torch is not installe
 
 Functions that have the name of their own file are imported from there, because a package cannot
 hold a module and a function of one name: `roigs_engine.rasterize.rasterize`,
-`roigs_engine.evaluate.evaluate`, `roigs_engine.compose.replace`.
+`roigs_engine.evaluation.evaluate.evaluate`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from .rasterize.camera_path import load_camera_path
     from .rasterize.view import render_view
     from .run.config import RunConfig
-    from .run.pipeline import Run
+    from .run.definition import Run, define_run
+    from .run.folder import train_run
     from .run.presets import preset
+    from .run.strategies import plan_run
     from .selection import CameraSelection, SelectionConfig, select_cameras
     from .selection.split import choose_test_views
     from .training.checkpoint import load_checkpoint, save_checkpoint
@@ -58,7 +60,9 @@ _HOMES = {
     "rasterize.camera_path": ("load_camera_path",),
     "rasterize.view": ("render_view",),
     "run.config": ("RunConfig",),
-    "run.pipeline": ("Run",),
+    "run.definition": ("Run", "define_run"),
+    "run.folder": ("train_run",),
+    "run.strategies": ("plan_run",),
     "run.presets": ("preset",),
     "selection": (
         "CameraSelection",
@@ -102,6 +106,9 @@ __all__ = [  # noqa: RUF022 - grouped as a reader meets them
     "load_checkpoint",
     "save_checkpoint",
     "Run",
+    "define_run",
+    "plan_run",
+    "train_run",
     "EngineError",
 ]
 

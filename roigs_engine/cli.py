@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
-from .commands.options_file import with_request_file
+from .commands.options_file import with_options_file
 from .errors import ConfigError, EngineError, Stopped
 from .formats.events import Done, Failed
 
@@ -68,7 +68,7 @@ def build_parser() -> tuple[Parser, dict[str, Parser]]:
         )
         module.add_arguments(commands[name])
         commands[name].add_argument(
-            "--events", action="store_true", help="JSON lines on standard output; reads «stop»"
+            "--events", action="store_true", help="JSON lines on standard output; reads 'stop'"
         )
     return parser, commands
 
@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         args = parser.parse_args(argv)
-        args = with_request_file(parser, commands[args.command], args, argv)
+        args = with_options_file(parser, commands[args.command], args, argv)
         console.watch()
         outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))

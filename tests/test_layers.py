@@ -35,7 +35,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("inspect", "export", "selection", "split", "config"),
         *("cuda", "rasterize", "losses", "optimizer", "metrics", "render"),
         *("averaging", "breaks", "densify", "floaters", "capacity", "spacing", "region"),
-        *("checkpoint", "health", "memory", "cautions"),
+        *("checkpoint", "health", "memory", "scene_warnings"),
         *("compose", "report"),
     ),
     "jobs": ("trainer", "stages", "evaluate", "crops"),

@@ -147,7 +147,7 @@ def test_boxes_whose_files_would_be_the_same(tmp_path: Path, capsys: Any) -> Non
     boxes = [{"name": name, "min": [0, 0, 0], "max": [1, 1, 1]} for name in ("Vase", "vase")]
     (tmp_path / "rois.json").write_text(json.dumps(boxes))
     assert main(["inspect", str(tmp_path), "--rois", str(tmp_path / "rois.json")]) == 2
-    assert "«vase»" in capsys.readouterr().err
+    assert "'vase'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [*OUTSIDE, *NO_NAMES, "ok"])

@@ -32,7 +32,7 @@ ROIS = {
     ]
 }
 ROWS = ["full-scene", "matched", "joint"]
-VARIANT = "roomy:roi.box_capacity=9,selected_share=0.5"
+VARIANT = "roomy:roi.box_budget=9,selected_share=0.5"
 SEEDS = (0, 1)
 
 
@@ -42,7 +42,7 @@ def tiny() -> RunConfig:
     densify = {"densify_every": 2, "densify_until": 15, "reset_every": 0}
     scene = TrainConfig(steps=20, densify_from=2, grad_threshold=9.0, **densify)
     roi = replace(draft.roi, steps=20, grad_threshold=1e-9, average_steps=0, **densify)
-    return replace(draft, scene=scene, roi=replace(roi, box_capacity=0.3), test_every=4)
+    return replace(draft, scene=scene, roi=replace(roi, box_budget=0.3), test_every=4)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -159,7 +159,7 @@ def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: 
     assert set(full_object[:-1]) == {"-"} and full_object[-1] == "0"
     assert "±" in lines["Joint"] and "†" not in lines["Joint"].split("|")[2]
     assert "†" in lines["roomy"] and "±" not in lines["roomy"]
-    assert "roi.box_capacity=9.0,selected_share=0.5" in page
+    assert "roi.box_budget=9.0,selected_share=0.5" in page
     for text in ("Table I:", "Table II:", "Table III:", "Beyond", "torch 2", "tiny", "20 + 20"):
         assert text in page
     record = json.loads((done / "study.json").read_text(encoding="utf-8"))
@@ -267,7 +267,7 @@ def test_main_rows_of_the_first_seed_come_first() -> None:
         ("roi.steps=3", "has no name"),
         ("joint:roi.steps=3", "is a row of the tables"),
         ("a:roi.step=3", "There is no setting"),
-        ("a:roi.steps=many", "cannot be «many»"),
+        ("a:roi.steps=many", "cannot be 'many'"),
         ("a:seed=3", "cannot set"),
         ("a:roi.steps=9999", "the baselines for 5000"),
         ("a:roi", "cannot set"),
@@ -295,7 +295,7 @@ def test_patterns_pick_rows() -> None:
     rows = all_rows("paper")
     names = [row.name for row in wanted(rows, [], ["gp6-*", "joint"])]
     assert names == ["joint", "gp6-48", "gp6-40", "gp6-20"]
-    with pytest.raises(ConfigError, match="No row is named «gp7»"):
+    with pytest.raises(ConfigError, match="No row is named 'gp7'"):
         wanted(rows, [], ["gp7"])
 
 

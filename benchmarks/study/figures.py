@@ -34,7 +34,7 @@ def write_figures(
     try:
         import matplotlib
     except ImportError:
-        text = "No figures: matplotlib is missing. Install the extra «study»."
+        text = "No figures: matplotlib is missing. Install the extra 'study'."
         emit(Message(text=text, level="warning"))
         return {}
     matplotlib.use("Agg")

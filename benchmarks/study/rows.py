@@ -9,7 +9,7 @@ from typing import Any
 
 from roigs_engine.errors import ConfigError
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.presets import SEAM_SHARE, in_strategy, preset
+from roigs_engine.run.presets import REFINE_SHARE, in_strategy, preset
 from roigs_engine.training.config import with_steps
 
 TABLES = ("I", "II", "III")
@@ -59,7 +59,7 @@ class Row:
         if strategy is not None and strategy != config.strategy:
             config = in_strategy(config, strategy)
         if strategy == INDEPENDENT:
-            config = replace(config, seam_share=SEAM_SHARE if self.kind == REFINED else 0.0)
+            config = replace(config, refine_share=REFINE_SHARE if self.kind == REFINED else 0.0)
         config = changed(config, self.changes).scaled(factor)
         return replace(config, seed=seed, selection=replace(config.selection, seed=seed))
 
@@ -123,7 +123,7 @@ def wanted(rows: Sequence[Row], tables: Sequence[str], patterns: Sequence[str]) 
     for pattern in patterns:
         if not any(fnmatchcase(row.name, pattern) for row in rows):
             known = ", ".join(row.name for row in rows)
-            raise ConfigError(f"No row is named «{pattern}».", f"There are: {known}.")
+            raise ConfigError(f"No row is named '{pattern}'.", f"There are: {known}.")
     return [
         row
         for row in rows
@@ -141,23 +141,23 @@ def parse_variant(text: str, preset_name: str) -> Row:
     name, separator, rest = text.partition(":")
     if not separator or not name.replace("-", "").replace("_", "").replace(".", "").isalnum():
         raise ConfigError(
-            f"The variant «{text}» has no name.", "Write NAME:FIELD=VALUE,FIELD=VALUE."
+            f"The variant '{text}' has no name.", "Write NAME:FIELD=VALUE,FIELD=VALUE."
         )
     if any(row.name == name for row in all_rows(preset_name)):
-        raise ConfigError(f"«{name}» is a row of the tables.", "Give the variant another name.")
+        raise ConfigError(f"'{name}' is a row of the tables.", "Give the variant another name.")
     config, changes = preset(preset_name), []
     for part in rest.split(","):
         field, separator, value = (piece.strip() for piece in part.partition("="))
         if not separator or field in FIXED:
             raise ConfigError(
-                f"A variant cannot set «{part}».",
+                f"A variant cannot set '{part}'.",
                 f"Write FIELD=VALUE; {', '.join(FIXED)} stay as they are.",
             )
         changes.append((field, _parsed(config, field, value)))
     steps, own = changed(config, changes).total_steps, config.total_steps
     if steps > own:
         raise ConfigError(
-            f"The variant «{name}» trains for {steps} steps, the baselines for {own}.",
+            f"The variant '{name}' trains for {steps} steps, the baselines for {own}.",
             "Give it as many or fewer.",
         )
     return Row(name=name, kind=VARIANT, tables=(BEYOND,), rank=1, changes=tuple(changes))
@@ -185,7 +185,7 @@ def _parsed(config: Any, name: str, text: str) -> Any:
     for part in name.split("."):
         known = [field.name for field in fields(place)] if is_dataclass(place) else []
         if part not in known:
-            raise ConfigError(f"There is no setting «{name}».", f"There are: {', '.join(known)}.")
+            raise ConfigError(f"There is no setting '{name}'.", f"There are: {', '.join(known)}.")
         place = getattr(place, part)
     try:
         if isinstance(place, bool):
@@ -196,4 +196,4 @@ def _parsed(config: Any, name: str, text: str) -> Any:
             return type(place)(text)
     except (KeyError, ValueError):
         pass
-    raise ConfigError(f"«{name}» cannot be «{text}».", f"It is {place!r} in the preset.")
+    raise ConfigError(f"'{name}' cannot be '{text}'.", f"It is {place!r} in the preset.")

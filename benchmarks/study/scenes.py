@@ -32,7 +32,7 @@ def parse_scenes(texts: Sequence[str]) -> list[StudyScene]:
     names = [scene.name for scene in scenes]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"Two scenes are named «{name}».", "Rename the folder of one.")
+            raise ConfigError(f"Two scenes are named '{name}'.", "Rename the folder of one.")
     return scenes
 
 

@@ -72,7 +72,7 @@ class Study:
         results: everything recorded.
         rows: that the tables show.
         tables: which of I, II, III.
-        own: the preset's strategy, whose result is «ours».
+        own: the preset's strategy, whose result is 'ours'.
         head: facts for the top of the page.
         figures: name -> path from the page.
     """
@@ -294,7 +294,7 @@ def _escaped(cell: str) -> str:
 
 
 def _place(place: tuple[str, str]) -> str:
-    return f"{place[0]}, «{place[1]}»"
+    return f"{place[0]}, '{place[1]}'"
 
 
 def _headings(columns: Sequence[Column]) -> list[str]:

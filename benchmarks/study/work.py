@@ -20,7 +20,7 @@ from roigs_engine.formats.files import read_json, write_json
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.names import safe_name
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.archive import put_away, take_back
+from roigs_engine.run.archive import archive, restore
 
 Item = tuple[StudyScene, int, Row]
 
@@ -103,10 +103,10 @@ class Work:
         )
         request = bench.request(row)
         if path.exists() and (before := read_json(path).get("request")) != request:
-            put_away(path, _digest(before))
+            archive(path, _digest(before))
             text = f"{title}: settings, photos or boxes have changed; the earlier one is in older/."
             self.console.emit(Message(text=text, level="warning"))
-        take_back(path, _digest(request))
+        restore(path, _digest(request))
         if path.exists():
             return False
         self.console.emit(Message(text=title))

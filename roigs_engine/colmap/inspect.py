@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
+from ..model.visibility import observations
 
 FIRST_NAMES = 5
 
@@ -42,28 +44,23 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
     }
 
 
-def inspect_roi(scene: SfmScene, roi: OrientedBox) -> dict[str, Any]:
+def inspect_roi(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> dict[str, Any]:
     """One box in figures.
 
-    Keys: `name`; `sides` (3 lengths, world units); `points` (inside); `photos` (that observe at
-    least one point inside; without tracks: whose image the box's silhouette meets);
+    Keys: `name`; `sides` (3 lengths, world units); `points` (inside); `photos` (that see the box,
+    by the rule that selection uses: `model.visibility`);
     `median_area` (of those photos, share of the image that the silhouette covers, 0 to 1);
     `nearest`, `farthest` (distance of those photos' cameras from the box's centre, world units;
     0 when there are none); `cameras_inside` (of those photos).
     """
-    inside = roi.contains(scene.points)
-    photos = [image for image in scene.images if inside[image.point_indices].any()]
-    if not scene.has_tracks:
-        photos = list(scene.images)
+    seen = observations(scene, roi, context)
+    photos = seen.images
     areas = [roi.projected_area(image.camera, image.world_to_camera) for image in photos]
-    if not scene.has_tracks:
-        photos = [image for image, area in zip(photos, areas, strict=True) if area > 0]
-        areas = [area for area in areas if area > 0]
     distances = [float(np.linalg.norm(image.centre - roi.centre)) for image in photos]
     return {
         "name": roi.name,
         "sides": (2 * roi.half_extents).tolist(),
-        "points": int(inside.sum()),
+        "points": len(seen.points),
         "photos": len(photos),
         "median_area": float(np.median(areas)) if areas else 0.0,
         "nearest": min(distances, default=0.0),
@@ -88,7 +85,7 @@ def format_inspection(record: dict[str, Any]) -> str:
         lines.append(f"skipped  {entry['count']} {reason}: {', '.join(entry['first'])}{more}")
     for roi in record["rois"]:
         sides = " x ".join(f"{side:.3g}" for side in roi["sides"])
-        lines.append(f"ROI «{roi['name']}», {sides}")
+        lines.append(f"Box '{roi['name']}', {sides}")
         lines.append(
             f"         {_many(roi['points'], 'point')} inside, seen on "
             f"{_many(roi['photos'], 'photo')}, covering {100 * roi['median_area']:.1f} % of one "

@@ -15,6 +15,7 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import RunFolderError, SceneError
 from ..formats.events import StageStarted
+from ..model.rotations import rotation_entries
 from ..model.scene import FAR, Camera, Float64, PosedImage
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, check_whole, photo_size
@@ -53,11 +54,7 @@ def _pose(image: ModelImage) -> Float64 | None:
         return None
     w, x, y, z = image.quaternion / norm
     pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    pose[:3, :3] = np.reshape(rotation_entries(w, x, y, z), (3, 3))
     pose[:3, 3] = image.translation
     return pose
 
@@ -163,8 +160,8 @@ class PhotoLoader:
         folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
         total = len(self._plans)
         made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
-        report = ignore if made else emit
-        report(StageStarted(stage="undistort", total=total))
+        context = replace(context, emit=QUIET.emit) if made else context
+        context.emit(StageStarted(stage="undistort", total=total))
         started = time.monotonic()
         pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="undistort")
         try:
@@ -176,7 +173,7 @@ class PhotoLoader:
                 except PhotoError:
                     self.skipped[UNREADABLE].append(image.name)
                     del self.posed[key]
-                report(step_done("undistort", step, total, started))
+                context.progress("undistort", step, total, started)
         finally:
             pool.shutdown(cancel_futures=True)
         return self.posed

@@ -65,8 +65,8 @@ def load_colmap(
     skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
     for reason, names in skipped.items():
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
-        level = "info" if reason == UNPOSED else "warning"
-        context.info(f"Photos left out, {reason}: {len(names)} ({first}).", level=level)
+        say = context.info if reason == UNPOSED else context.warn
+        say(f"Photos left out, {reason}: {len(names)} ({first}).")
     observed = _observations(model, ids, context)
     used = {image.name: observed.get(image_id, NO_IDS) for image_id, image in posed.items()}
     return SfmScene(
@@ -187,7 +187,7 @@ def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]])
     if not model.images:
         return SceneError("The model holds no posed photos.", "Run COLMAP's mapper to its end.")
     counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
-    first = ", ".join(f"«{photo_name(image):.60}»" for image in model.images[:3])
+    first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
     return SceneError(
         f"None of the model's {len(model.images)} photos can be used ({counts}).",
         f"Looked in {photos.folder} for {first}: give the photos' folder with --images.",

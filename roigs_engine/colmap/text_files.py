@@ -34,7 +34,7 @@ def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
     try:
         return parse(line.split(maxsplit=fields))
     except (ValueError, IndexError) as error:
-        raise ValueError(f"at «{line[:60]}»: {error}") from error
+        raise ValueError(f"at '{line[:60]}': {error}") from error
 
 
 def read_cameras(data: bytes) -> dict[int, ModelCamera]:

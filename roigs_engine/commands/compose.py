@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read, replace, write."""
-    from ..model.compose import replace
+    from ..model.compose import merge
     from ..model.gaussians import Gaussians
 
     by_name = {roi.name: roi for roi in boxes(args)}
@@ -42,10 +42,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
                 f"--object {text} names no ROI.", f"Write ROI=FILE; ROIs: {', '.join(by_name)}."
             )
         if name in objects:
-            raise RoiError(f"--object names «{name}» twice.", "Give one file for each ROI.")
+            raise RoiError(f"--object names '{name}' twice.", "Give one file for each ROI.")
         objects[name] = Gaussians.load_ply(Path(path))
     pairs = [(by_name[name], model) for name, model in objects.items()]
-    composed = replace(Gaussians.load_ply(args.scene_ply), pairs)
+    composed = merge(Gaussians.load_ply(args.scene_ply), pairs)
     composed.save_ply(args.out)
     console.print(f"{len(composed):,} Gaussians in {args.out}")
     return {"result": str(args.out)}

@@ -12,7 +12,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TextIO
 
-from ..errors import RunFolderError, Stopped
+from ..context import Context
+from ..errors import RunFolderError
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ class Console:
     """Takes events and shows them; knows whether somebody asked to stop.
 
     Args:
-        json_lines: write one JSON line per event on standard output, and take «stop» or the end of
+        json_lines: write one JSON line per event on standard output, and take 'stop' or the end of
             standard input as a request to stop; otherwise a progress bar on standard error.
     """
 
@@ -44,10 +45,10 @@ class Console:
         """Whether a stop was asked for."""
         return self._stop.is_set()
 
-    def check(self) -> None:
-        """Raise `Stopped` if a stop was asked for."""
-        if self._stop.is_set():
-            raise Stopped
+    @property
+    def context(self) -> Context:
+        """For the work of a command: events are shown here, and stops come from here."""
+        return Context(emit=self.emit, should_stop=self.should_stop)
 
     def log_to(self, folder: Path) -> None:
         """Also append every event as a JSON line to `folder`/events.jsonl.
@@ -127,7 +128,7 @@ class Console:
                 self.close_bar()
                 self._write(f"error: {message} {hint}".rstrip(), sys.stderr)
             case Done(stopped=True):
-                self._line("Stopped; the same command goes on from here.")
+                self._line("Stopped. The same command resumes from here.")
             case Done():
                 self.close_bar()
             case Preview():
@@ -166,7 +167,7 @@ class Console:
         self._line("Stopping after this step; once more to leave at once.")
 
     def _read_input(self) -> None:
-        """Until «stop» or the end. Read past `sys.stdin`, whose lock would hold up the exit."""
+        """Until 'stop' or the end. Read past `sys.stdin`, whose lock would hold up the exit."""
         rest = b""
         while True:
             try:

@@ -13,7 +13,7 @@ from .options import (
     add_roi_options,
     add_scene_options,
     boxes,
-    device,
+    context_on_device,
     load_scene,
 )
 
@@ -46,6 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Render the test photos with every model and compare."""
+    import torch
+
     from ..evaluation.crops import write_crops
     from ..evaluation.evaluate import evaluate
     from ..evaluation.report import format_markdown, write_report
@@ -57,25 +59,24 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
     unknown = sorted(set(test) - {image.name for image in scene.images})
     if unknown:
-        raise ConfigError(f"The split names «{unknown[0]}», which the scene does not have.")
-    place, models = device(args, console), []
+        raise ConfigError(f"The split names '{unknown[0]}', which the scene does not have.")
+    context, models = context_on_device(args, console), []
     for text in args.model:
         name, separator, path = text.partition("=")
         if not separator:
             raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
-        loaded = Gaussians.load_ply(Path(path)).to(place)
+        loaded = Gaussians.load_ply(Path(path)).to(torch.device(context.device))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
         models,
         scene,
         test,
         rois,
-        emit=console.emit,
-        check=console.check,
+        context=context,
         baseline=models[0].name,
     )
     write_report(evaluation, args.out)
-    write_crops(evaluation, models, scene, rois, args.out, check=console.check)
+    write_crops(evaluation, models, scene, rois, args.out, context=context)
     console.print(format_markdown(evaluation))
     return {"report": str(args.out / "report.md"), "pictures": str(args.out / "crops")}
 
@@ -84,5 +85,5 @@ def _split(path: Path) -> list[str]:
     record = read_json(path)
     names = record.get("test") if isinstance(record, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ConfigError(f"{path} holds no list «test» of photo names.")
+        raise ConfigError(f"{path} holds no list 'test' of photo names.")
     return names

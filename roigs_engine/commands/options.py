@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from ..context import Context
 from ..errors import ConfigError, RoiError
 from ..formats.names import first_taken
 from ..model.roi import OrientedBox, load_rois, parse_roi
@@ -15,9 +15,6 @@ from ..run.config import INITS, ORDERS, STRATEGIES, RunConfig
 from ..run.presets import PRESETS, in_strategy, preset
 from ..selection import METHODS
 from .console import Console
-
-if TYPE_CHECKING:
-    import torch
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
@@ -90,15 +87,20 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="the CPU or an NVIDIA card (default: auto, the card where gsplat can use it)",
+        help="the CPU or an NVIDIA GPU (default: auto, the GPU where gsplat can use it)",
     )
 
 
-def device(args: argparse.Namespace, console: Console) -> torch.device:
-    """The device of `add_device_option`; KernelError when it cannot be had."""
+def context_on_device(args: argparse.Namespace, console: Console) -> Context:
+    """The console's context with the device of `add_device_option`.
+
+    Raises:
+        KernelError: the device cannot be had.
+    """
     from ..cuda.device import choose_device
 
-    return choose_device(args.device, console.emit)
+    context = console.context
+    return replace(context, device=str(choose_device(args.device, context)))
 
 
 def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = None) -> SfmScene:
@@ -120,8 +122,7 @@ def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = 
         downscale=args.downscale,
         max_side=args.max_side,
         pixels=cache is not None,
-        emit=console.emit,
-        check=console.check,
+        context=console.context,
     )
 
 
@@ -136,10 +137,10 @@ def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBo
     names = [roi.name for roi in rois]
     taken = first_taken(names)
     if taken is not None:
-        raise RoiError(f"Two ROIs are named «{taken}».", "Give each its own name.")
+        raise RoiError(f"Two ROIs are named '{taken}'.", "Give each its own name.")
     for name in args.only:
         if name not in names:
-            raise RoiError(f"There is no ROI «{name}».", f"There are: {', '.join(names)}.")
+            raise RoiError(f"There is no box '{name}'.", f"There are: {', '.join(names)}.")
     if args.only:
         rois = [roi for roi in rois if roi.name in args.only]
     if required and not rois:

@@ -13,7 +13,7 @@ from ..formats.files import read_json
 NOT_KEYS = {"help", "events"}  # what a command does with its output is not of the request
 
 
-def with_request_file(
+def with_options_file(
     parser: argparse.ArgumentParser,
     command: argparse.ArgumentParser,
     args: argparse.Namespace,
@@ -38,14 +38,14 @@ def with_request_file(
         if name not in options or name in NOT_KEYS:
             known = ", ".join(sorted(set(options) - NOT_KEYS))
             raise ConfigError(
-                f"The request {path} has an unknown key «{key:.60}».", f"Known: {known}."
+                f"The request {path} has an unknown key '{key:.60}'.", f"Known: {known}."
             )
         if value is not None:  # null: as if it were not there
-            values[name] = _typed(options[name], value, f"«{key}» in {path}")
+            values[name] = _typed(options[name], value, f"'{key}' in {path}")
     for group in command._mutually_exclusive_groups:
         names = [action.dest for action in group._group_actions]
         if len(both := [name for name in names if name in values]) > 1:
-            raise ConfigError(f"The request {path} has both «{both[0]}» and «{both[1]}».")
+            raise ConfigError(f"The request {path} has both '{both[0]}' and '{both[1]}'.")
         if any(getattr(args, name) != command.get_default(name) for name in names):
             values = {key: value for key, value in values.items() if key not in names}
     scene = values.pop("scene")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from .console import Console
-from .options import add_device_option, device
+from .options import add_device_option, context_on_device
 
 HELP = "draw a PLY from COLMAP cameras or along a camera path"
 EXAMPLES = """\
@@ -32,13 +32,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Draw every camera to a PNG."""
+    import torch
+
     from ..kernels.library import set_threads
     from ..model.gaussians import Gaussians
     from ..rasterize.camera_path import load_camera_path
     from ..rasterize.sequence import render_sequence
     from .options import load_scene
 
-    gaussians = Gaussians.load_ply(args.ply).to(device(args, console))
+    context = context_on_device(args, console)
+    gaussians = Gaussians.load_ply(args.ply).to(torch.device(context.device))
     if args.path:
         if args.threads is not None:
             set_threads(args.threads)
@@ -48,8 +51,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
     unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
     if unknown:
-        raise ConfigError(f"There is no camera «{unknown[0]}» in {args.path or args.scene}.")
+        raise ConfigError(f"There is no camera '{unknown[0]}' in {args.path or args.scene}.")
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
-    render_sequence(gaussians, cameras, args.out, console.emit, console.check)
+    render_sequence(gaussians, cameras, args.out, context)
     return {"pictures": str(args.out)}

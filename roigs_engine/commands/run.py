@@ -13,6 +13,7 @@ from .options import run_config
 HELP = "do everything: select, train, compare with baselines, evaluate"
 EXAMPLES = """\
   python -m roigs_engine run garden --rois garden/rois.json --max-side 640 --run-dir runs/garden
+  python -m roigs_engine run garden --rois garden/rois.json --run-dir runs/garden --dry-run
   python -m roigs_engine run garden --rois garden/rois.json --run-dir runs/all --compare all"""
 
 
@@ -29,19 +30,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Train and evaluate; a folder that holds part of it is gone on with."""
-    from ..evaluation.crops import write_crops
-    from ..evaluation.evaluate import evaluate
-    from ..evaluation.report import format_markdown, write_report
-
+    """Train and evaluate; an unfinished run resumes."""
     if run_config(args).test_every == 0:
         raise ConfigError("--test-every 0 keeps no photo to compare on.", "Use `train` with it.")
     compare = COMPARISONS if "all" in args.compare else args.compare
-    check = console.check
-    with train.open_run(args, console) as work:
+    if args.dry_run:
+        return train.show_plan(args, console, compare)
+    import torch
+
+    from ..evaluation.crops import write_crops
+    from ..evaluation.evaluate import evaluate
+    from ..evaluation.report import format_markdown, write_report
+    from ..run.folder import train_opened
+
+    with train.opened_run(args, console) as (work, context):
+        trained = train_opened(
+            work, compare, context, update=args.update, preview_seconds=args.preview_seconds
+        )
+        device = torch.device(context.device)
+        models = [model.evaluated().to(device) for model in trained]
         scene, rois = work.scene, work.rois
-        models = [model.evaluated().to(work.device) for model in work.train(compare)]
-        evaluation = evaluate(models, scene, work.test, rois, emit=console.emit, context=context)
+        evaluation = evaluate(models, scene, work.test, rois, context=context)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
     console.print(format_markdown(evaluation))

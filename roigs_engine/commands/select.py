@@ -34,10 +34,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if args.test_every is not None:
         from ..selection.split import choose_test_views
 
-        scene = scene.without(set(choose_test_views(scene, rois, args.test_every, console.check)))
+        scene = scene.without(set(choose_test_views(scene, rois, args.test_every, console.context)))
     outputs = {}
     for roi in rois:
-        selection = select_cameras(scene, roi, config, console.emit, console.check)
+        selection = select_cameras(scene, roi, config, console.context)
         console.print(format_selection(selection))
         if args.out:
             path = args.out / f"{roi.name}.json"

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..context import Context
 from ..errors import ConfigError
 from ..formats.files import remove_leftovers
 from ..formats.lock import locked
-from ..selection.manual import load_given
+from ..selection.manual import load_manual
 from .console import Console
 from .options import (
     add_device_option,
@@ -21,17 +23,18 @@ from .options import (
     add_selection_options,
     add_training_options,
     boxes,
-    device,
+    context_on_device,
     load_scene,
     run_config,
 )
 
 if TYPE_CHECKING:
-    from ..run.pipeline import Run
+    from ..run.definition import Run
 
 HELP = "train the scene and its boxes to one PLY"
 EXAMPLES = """\
   python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/garden
+  python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/garden --dry-run
   python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/paper --preset paper"""
 
 
@@ -55,8 +58,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--update",
         action="store_true",
-        help="a folder made for another request is brought up to date: what still fits is kept,"
-        " the rest moved to its folder «older»",
+        help="bring a folder made for other settings up to date: what still fits is kept, the rest"
+        " moved to its folder 'archive'",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print the plan (stages, photos, steps, memory, minutes) and train nothing",
     )
     parser.add_argument(
         "--preview-seconds",
@@ -73,47 +81,68 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Train, or resume the run that is in the folder."""
+    if args.dry_run:
+        return show_plan(args, console)
+    from ..run.folder import train_opened
+
+    with opened_run(args, console) as (run, context):
+        train_opened(run, (), context, update=args.update, preview_seconds=args.preview_seconds)
+    return {"result": str(args.run_dir / "result.ply"), "rois": str(args.run_dir / "rois")}
+
+
 @contextmanager
-def open_run(args: argparse.Namespace, console: Console) -> Iterator[Run]:
-    """The run that the options describe, begun or gone on with; its events go to its folder too.
+def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run, Context]]:
+    """The run that the options describe, its folder opened and locked while the block lasts.
 
-    Its folder is locked as long as the block lasts.
+    Its events go to the folder too.
     """
-    from ..run.pipeline import Run
-    from ..run.provenance import session
+    from ..run.folder import open_folder
+    from ..run.memory import run_memory
+    from ..run.provenance import recorded
 
-    rois, config = boxes(args), run_config(args)
-    given = load_given(args.selection, rois) if args.selection else {}
+    with locked(args.run_dir):
+        remove_leftovers(args.run_dir)
+        context = _context(args, console)
+        run = _defined(args, console, context, cache=args.run_dir / "cache")
+        open_folder(run, context, update=args.update)
+        console.log_to(args.run_dir)
+        for message in run_memory(run, context).messages():
+            console.emit(message)
+        with recorded(args.run_dir, run.config.seed, context.device):
+            yield run, context
+
+
+def show_plan(
+    args: argparse.Namespace, console: Console, compare: Sequence[str] = ()
+) -> dict[str, str]:
+    """Print what the options would do; nothing is trained or written."""
+    from ..run.dry_run import describe_plan
+
+    context = _context(args, console)
+    run = _defined(args, console, context, cache=None)
+    console.print(describe_plan(run, compare, context, update=args.update))
+    return {}
+
+
+def _context(args: argparse.Namespace, console: Console) -> Context:
+    """The context of the options, which are checked here."""
     if not 0 <= args.preview_seconds < math.inf:
         raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
     if args.image_cache is not None and not 0 <= args.image_cache < math.inf:
         raise ConfigError(f"--image-cache is {args.image_cache}.", "Use 0 or more megabytes.")
-    with locked(args.run_dir):
-        remove_leftovers(args.run_dir)
-        place = device(args, console)
-        scene = load_scene(args, console, args.run_dir / "cache")
-        work = Run(
-            args.run_dir,
-            scene,
-            rois,
-            config,
-            given=given,
-            update=args.update,
-            preview_seconds=args.preview_seconds,
-            image_cache=None if args.image_cache is None else int(1e6 * args.image_cache),
-            device=place,
-            emit=console.emit,
-            should_stop=console.should_stop,
-        )
-        console.log_to(args.run_dir)
-        for message in work.memory.messages():
-            console.emit(message)
-        with session(args.run_dir, config.seed, str(place)):
-            yield work
+    memory = None if args.image_cache is None else int(1e6 * args.image_cache)
+    return replace(context_on_device(args, console), photo_memory=memory)
 
 
-def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Train, or go on with the run that is in the folder."""
-    with open_run(args, console) as work:
-        work.train()
-    return {"result": str(args.run_dir / "result.ply"), "rois": str(args.run_dir / "rois")}
+def _defined(
+    args: argparse.Namespace, console: Console, context: Context, cache: Path | None
+) -> Run:
+    """The run of the options; `cache` is where undistorted photos go, None: only cameras matter."""
+    from ..run.definition import define_run
+
+    rois, config = boxes(args), run_config(args)
+    manual = load_manual(args.selection, rois) if args.selection else {}
+    scene = load_scene(args, console, cache)
+    return define_run(args.run_dir, scene, rois, config, manual=manual, context=context)

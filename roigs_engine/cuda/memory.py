@@ -17,7 +17,7 @@ def memory_explained(doing: Callable[[], str], advice: Callable[[], str]) -> Ite
     """Turns torch's out-of-memory error into one line.
 
     Args:
-        doing: what goes on, with its numbers; said after «is full».
+        doing: what goes on, with its numbers; said after 'is full'.
         advice: what to change.
 
     Raises:

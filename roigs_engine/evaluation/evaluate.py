@@ -74,15 +74,13 @@ def evaluate(
         for store, sample in zip(samples, measured, strict=True):
             if sample is not None:
                 store[image.name] = sample
-        context.emit(
-            step_done(
-                "evaluate",
-                step,
-                len(images),
-                started,
-                psnr=max(whole.values()),
-                gaussians=max(len(model.gaussians) for model in models),
-            )
+        context.progress(
+            "evaluate",
+            step,
+            len(images),
+            started,
+            psnr=max(whole.values()),
+            gaussians=max(len(model.gaussians) for model in models),
         )
     tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
     names = tuple(image.name for image in images)
@@ -102,7 +100,7 @@ def _checked(
         raise ConfigError("There is no model to evaluate.")
     unknown = set(test) - {image.name for image in scene.images}
     if unknown:
-        raise SceneError(f"Test photo «{min(unknown)}» is not in the scene.")
+        raise SceneError(f"Test photo '{min(unknown)}' is not in the scene.")
     if not test:
         raise SceneError("No photo is held out for testing.", "Set test_every.")
     return list(scene.select(set(test)).images)

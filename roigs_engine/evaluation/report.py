@@ -29,7 +29,7 @@ def format_markdown(evaluation: Evaluation) -> str:
     count = len(evaluation.test_views)
     lines = [f"# Evaluation on {count} held-out photo{'' if count == 1 else 's'}", ""]
     for scores in evaluation.rois:
-        lines += [f"## ROI «{_text(scores.roi)}»", "", *_table(scores.rows), ""]
+        lines += [f"## box '{_text(scores.roi)}'", "", *_table(scores.rows), ""]
         lines += [f"- {line}" for line in _notes(scores, evaluation)]
         lines.append("")
     lines += [
@@ -93,7 +93,7 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
            if scores.left_out else "")
     ]  # fmt: skip
     large = [view.object_pixels for view in views if view.object_pixels >= MIN_OBJECT]
-    mask = f"silhouette pixels whose expected depth in «{scores.object_mask_from}» is in the box"
+    mask = f"silhouette pixels whose expected depth in '{scores.object_mask_from}' is in the box"
     few = len(views) - len(large)
     if large:
         left = f"; {few} with fewer than {MIN_OBJECT} left out of the column" if few else ""
@@ -112,7 +112,7 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
             notes.append(f"{what}: {', '.join(flagged)}.")
     peaks = [f"{row.model} {row.peak_view}" for row in scores.rows if row.peak_view is not None]
     if peaks:
-        notes.append(f"Peak gain over «{evaluation.baseline}», on: {'; '.join(peaks)}.")
+        notes.append(f"Peak gain over '{evaluation.baseline}', on: {'; '.join(peaks)}.")
     stages = [
         f"{row.model} = " + " + ".join(f"{name} {spent:,.0f}" for name, spent in row.stages.items())
         for row in scores.rows

@@ -127,14 +127,14 @@ def plan_views(
         if size >= least
     }
     if not views:
-        context.warn(f"No test photo shows ROI «{roi.name}»: no scores.")
+        context.warn(f"No test photo shows box '{roi.name}': no scores.")
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]
     if len(set(names)) < len(names):
-        raise ConfigError(f"Two models of ROI «{roi.name}» share a name ({', '.join(names)}).")
+        raise ConfigError(f"Two models of box '{roi.name}' share a name ({', '.join(names)}).")
     if mask_from is not None and mask_from not in names:
         raise ConfigError(
-            f"No model of ROI «{roi.name}» is named «{mask_from}», which the object's mask needs.",
+            f"No model of box '{roi.name}' is named '{mask_from}', which the object's mask needs.",
             f"There are: {', '.join(names)}.",
         )
     return BoxPlan(

@@ -39,7 +39,7 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class Message:
-    """Something a person should know: level is «info» or «warning»."""
+    """Something a person should know: level is 'info' or 'warning'."""
 
     text: str
     level: str = "info"

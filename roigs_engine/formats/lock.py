@@ -109,7 +109,7 @@ def _lock(file: BinaryIO) -> None:
 
 
 def _holder(path: Path) -> str:
-    """«, process N», when the file says so."""
+    """', process N', when the file says so."""
     with suppress(OSError, ValueError, TypeError, KeyError):
         return f", process {int(json.loads(path.read_text(encoding='utf-8'))['pid'])}"
     return ""

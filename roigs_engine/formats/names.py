@@ -33,7 +33,7 @@ DEVICES = {
 }
 
 
-def names_a_file(name: str) -> bool:
+def is_file_name(name: str) -> bool:
     """Whether files can be called like that on every system."""
     return (
         0 < len(name) <= MAX_NAME

@@ -122,11 +122,11 @@ def _parse_header(path: Path, data: bytes) -> tuple[int, np.dtype[Any], int]:
                 count = _count(path, words[2])
         elif words[:1] == ["property"] and in_vertex:
             if len(words) != 3 or words[1] not in SCALARS or words[2] in fields:
-                raise RunFolderError(f"{path}: cannot read «{line.strip()}».")
+                raise RunFolderError(f"{path}: cannot read '{line.strip()}'.")
             fields[words[2]] = SCALARS[words[1]]
     if form != "binary_little_endian":
         raise RunFolderError(
-            f"{path} is a PLY in the format «{form}».", "Save it as binary little-endian."
+            f"{path} is a PLY in the format '{form}'.", "Save it as binary little-endian."
         )
     if count < 0 or not fields:
         raise RunFolderError(f"{path} has no vertex element.")
@@ -136,5 +136,5 @@ def _parse_header(path: Path, data: bytes) -> tuple[int, np.dtype[Any], int]:
 def _count(path: Path, word: str) -> int:
     """The number of rows that a header announces."""
     if not re.fullmatch("[0-9]{1,18}", word):
-        raise RunFolderError(f"{path}: «{word:.20}» is no number of vertices.")
+        raise RunFolderError(f"{path}: '{word:.20}' is no number of vertices.")
     return int(word)

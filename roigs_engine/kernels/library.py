@@ -12,13 +12,9 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..errors import KernelError
 from . import build
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 ISA_VARIABLE = "ROIGS_ISA"
 PACKAGE_FOLDER = build.SOURCE_FOLDER / "lib"
@@ -54,17 +50,6 @@ def set_threads(count: int | None) -> None:
 def threads() -> int:
     """How many threads the kernels use."""
     return int(load().roigs_threads())
-
-
-def pointer(tensor: Tensor | None) -> int | None:
-    """The address of a CPU tensor's first element, for an argument of type c_void_p; None: null.
-
-    The caller answers for shape, type and strides, and keeps the tensor alive during the call.
-    """
-    if tensor is None:
-        return None
-    assert tensor.is_cpu, "kernels take tensors in main memory"
-    return tensor.data_ptr()
 
 
 def available(folder: Path) -> list[str]:

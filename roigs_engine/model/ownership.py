@@ -1,6 +1,13 @@
-"""Which box owns a position: the one rule of the project."""
+"""Which box owns a position or a Gaussian: the one place that decides.
+
+A box owns what lies in it. Where boxes overlap, the one whose centre is nearest, in units of its
+half extents, owns it.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,12 +15,14 @@ from numpy.typing import NDArray
 from .roi import OrientedBox
 from .scene import Float64
 
+if TYPE_CHECKING:
+    from torch import Tensor
 
-def nearest_owner(points: Float64, rois: list[OrientedBox]) -> NDArray[np.int64]:
-    """(N, 3) -> (N,) index of the box each position belongs to, -1 for none.
+    from .gaussians import Gaussians
 
-    Overlapping boxes: the box whose centre is nearest in box units owns the point.
-    """
+
+def nearest_owner(points: Float64, rois: Sequence[OrientedBox]) -> NDArray[np.int64]:
+    """(N, 3) world positions -> (N,) index of the box that owns each, -1 for none."""
     owner = np.full(len(points), -1, dtype=np.int64)
     best = np.full(len(points), np.inf)
     for index, roi in enumerate(rois):
@@ -23,3 +32,21 @@ def nearest_owner(points: Float64, rois: list[OrientedBox]) -> NDArray[np.int64]
         mine = (np.abs(local) <= 1).all(axis=1) & (distance < best)
         owner[mine], best[mine] = index, distance[mine]
     return owner
+
+
+def owners(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
+    """(N,) index of the box that owns each Gaussian's centre, -1 for none; on the model's device.
+
+    Worked out on the CPU whatever the device, so that all of them agree on every Gaussian.
+    """
+    import torch
+
+    centres = gaussians.means.detach().cpu().double().numpy()
+    return torch.from_numpy(nearest_owner(centres, rois)).to(gaussians.means.device)
+
+
+def count_owned(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> list[int]:
+    """How many Gaussians each box owns."""
+    centres = gaussians.means.detach().cpu().double().numpy()
+    owner = nearest_owner(centres, rois)
+    return [int((owner == index).sum()) for index in range(len(rois))]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
-from ..formats.names import MAX_NAME, first_taken, names_a_file
+from ..formats.rois import RoiRecord, read_rois, roi_record
 from .scene import FAR, Camera, Float64
 from .silhouette import convex_hull, fill_convex
 
@@ -39,13 +38,22 @@ class OrientedBox:
     def __post_init__(self) -> None:
         numbers = np.concatenate([self.world_to_box.ravel(), self.half_extents])
         if not (np.abs(numbers) < FAR).all():  # nor is it for NaN
-            raise RoiError(f"ROI «{self.name}» holds a number that is not finite or far too large.")
+            raise RoiError(f"Box '{self.name}' holds a number that is not finite or far too large.")
         if not (self.half_extents > 0).all():
             sides = " x ".join(f"{2 * side:g}" for side in self.half_extents)
             raise RoiError(
-                f"ROI «{self.name}» is empty: its sides are {sides}.",
+                f"Box '{self.name}' is empty: its sides are {sides}.",
                 "Make every side longer than zero (min < max).",
             )
+
+    @classmethod
+    def from_record(cls, record: RoiRecord) -> OrientedBox:
+        """The box that a file describes."""
+        return cls(
+            name=record.name,
+            world_to_box=record.world_to_box,
+            half_extents=record.half_extents,
+        )
 
     @classmethod
     def axis_aligned(cls, name: str, low: Any, high: Any) -> OrientedBox:
@@ -149,63 +157,13 @@ class OrientedBox:
 
 
 def roi_from_dict(record: Any) -> OrientedBox:
-    """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
-
-    Raises:
-        RoiError: a key is missing or a value has the wrong shape.
-    """
-    if not isinstance(record, dict) or not isinstance(record.get("name"), str):
-        raise RoiError("A ROI must be an object with a «name» and «min»/«max» corners.")
-    name = record["name"]
-    if not names_a_file(name):
-        raise RoiError(
-            f"ROI name «{name:.{MAX_NAME}}» cannot be used in file names.",
-            f"Use at most {MAX_NAME} letters, digits, spaces, - and _.",
-        )
-    try:
-        if "min" in record:
-            low = np.asarray(record["min"], dtype=float).reshape(3)
-            high = np.asarray(record["max"], dtype=float).reshape(3)
-            with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
-                return OrientedBox.axis_aligned(name, low, high)
-        transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
-        half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
-    except (KeyError, ValueError, TypeError, OverflowError) as error:
-        raise RoiError(
-            f"ROI «{name}» is malformed ({error}).",
-            "Give «min» and «max» with three numbers each, or «world_to_box» and «half_extents».",
-        ) from error
-    rotation = transform[:3, :3]
-    with np.errstate(all="ignore"):
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
-    if not rigid:
-        raise RoiError(
-            f"ROI «{name}»: world_to_box is not a rotation and a translation.",
-            "Put the box's size into half_extents.",
-        )
-    return OrientedBox(name=name, world_to_box=transform, half_extents=half_extents)
+    """A box from a record of `rois.json`; RoiError where it is malformed."""
+    return OrientedBox.from_record(roi_record(record))
 
 
 def load_rois(path: Path) -> list[OrientedBox]:
-    """All boxes of a `rois.json`: `{"rois": [...]}` or a bare list.
-
-    Raises:
-        RoiError: the file is unreadable, holds no box, or two boxes share a name.
-    """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
-    except (ValueError, RecursionError) as error:
-        raise RoiError(f"{path} is not JSON ({error}).") from error
-    records = document.get("rois") if isinstance(document, dict) else document
-    if not isinstance(records, list) or not records:
-        raise RoiError(f"{path} holds no ROI.", 'It needs a list «rois» of {"name", "min", "max"}.')
-    rois = [roi_from_dict(record) for record in records]
-    taken = first_taken(roi.name for roi in rois)
-    if taken is not None:
-        raise RoiError(f"Two ROIs in {path} are named «{taken}».", "Give each its own name.")
-    return rois
+    """All boxes of a `rois.json`; RoiError where it cannot be used."""
+    return [OrientedBox.from_record(record) for record in read_rois(path)]
 
 
 def parse_roi(text: str) -> OrientedBox:
@@ -215,7 +173,7 @@ def parse_roi(text: str) -> OrientedBox:
         values = np.array([float(number) for number in numbers.split(",")])
         corners = values.reshape(2, 3)
     except ValueError as error:
-        raise RoiError(f"Cannot read ROI «{text}».", "Write NAME=x0,y0,z0,x1,y1,z1.") from error
+        raise RoiError(f"Cannot read box '{text}'.", "Write NAME=x0,y0,z0,x1,y1,z1.") from error
     if not separator:
-        raise RoiError(f"ROI «{text}» has no name.", "Write NAME=x0,y0,z0,x1,y1,z1.")
+        raise RoiError(f"Box '{text}' has no name.", "Write NAME=x0,y0,z0,x1,y1,z1.")
     return roi_from_dict({"name": name, "min": corners[0], "max": corners[1]})

@@ -108,7 +108,7 @@ class SfmScene:
         images: posed photos, sorted by name.
         points: (P, 3) world positions.
         colors: (P, 3) uint8 sRGB.
-        skipped: reason -> names of the photos left out («missing on disk», «without a pose»).
+        skipped: reason -> names of the photos left out ('missing on disk', 'without a pose').
         has_tracks: False when the model stores no 2D-3D observations.
     """
 

@@ -72,15 +72,9 @@ class Candidates:
         return np.searchsorted(self.obs_view, np.arange(len(self) + 1)).astype(np.int64)
 
 
-def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
-    """The photos that see the box and their observations of the points in it.
-
-    Raises:
-        RoiError: no point lies in the box, or no photo observes one that does.
-    """
+def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
+    """The photos that see the box, and the points in it that each of them observes; maybe none."""
     rows = np.flatnonzero(roi.contains(scene.points)) if len(scene.points) else np.zeros(0, int)
-    if len(rows) == 0:
-        raise _empty_box(scene, roi)
     images = sorted(scene.images, key=lambda image: image.name)
     flags: tuple[str, ...] = ()
     if scene.has_tracks:
@@ -92,20 +86,32 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
             " sparse points and testing their depth.",
         )
     kept = [index for index, points in enumerate(seen) if len(points)]
-    if not kept:
-        raise RoiError(
-            f"No photo sees any of the {len(rows)} points in ROI «{roi.name}»"
-            f" ({len(images)} photos searched).",
-            "Keep photos of the object out of the test set, or move or enlarge the box.",
-        )
     return Candidates(
         roi=roi,
         images=tuple(images[index] for index in kept),
         points=scene.points[rows],
         obs_view=np.repeat(np.arange(len(kept)), [len(seen[index]) for index in kept]),
-        obs_point=np.concatenate([seen[index] for index in kept]),
+        obs_point=np.concatenate([np.empty(0, np.int64), *(seen[index] for index in kept)]),
         flags=flags,
     )
+
+
+def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
+    """As `observations`, of which there must be some.
+
+    Raises:
+        RoiError: no point lies in the box, or no photo observes one that does.
+    """
+    found = observations(scene, roi, context)
+    if len(found.points) == 0:
+        raise _empty_box(scene, roi)
+    if not found.images:
+        raise RoiError(
+            f"No photo sees any of the {len(found.points)} points in box '{roi.name}'"
+            f" ({len(scene.images)} photos searched).",
+            "Keep photos of the object out of the test set, or move or enlarge the box.",
+        )
+    return found
 
 
 def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> tuple[str, ...]:
@@ -188,7 +194,7 @@ def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
     finite = scene.points[np.isfinite(scene.points).all(axis=1)] if len(scene.points) else None
     sides = " x ".join(f"{2 * side:.4g}" for side in roi.half_extents)
     centre = _position(roi.centre)
-    message = f"No sparse point lies in ROI «{roi.name}» (sides {sides}, centre {centre})."
+    message = f"No sparse point lies in box '{roi.name}' (sides {sides}, centre {centre})."
     if finite is None or len(finite) == 0:
         return RoiError(
             f"{message} The model has no points at all.",

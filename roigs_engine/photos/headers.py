@@ -2,7 +2,7 @@
 
 JPEG and PNG, which nearly all photos are, are read here: looking at a scene needs no Pillow.
 Where Pillow opens a photo, it is told which kinds there may be: left to itself it looks at the
-content alone, and would start Ghostscript for an EPS file that is called «photo.jpg».
+content alone, and would start Ghostscript for an EPS file that is called 'photo.jpg'.
 """
 
 from __future__ import annotations

@@ -13,17 +13,17 @@ import torch
 from torch import Tensor
 
 from ..errors import EngineError
-from ..training.optimizer import VisibleAdam
 from .inputs import (
+    BackwardStep,
+    RenderInputs,
     RenderOutput,
-    RenderRequest,
     background_colour,
+    check_backward_step,
     check_inputs,
-    check_optimizer,
     check_pixel_weights,
     used_sh_degree,
 )
-from .tiles import worked_tiles
+from .tiles import active_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
 
@@ -48,8 +48,8 @@ def rasterize(
     with_max_weight: bool = False,
     with_weight_sum: bool = False,
     pixel_weights: Tensor | None = None,  # (C, H, W)
-    region: tuple[int, int, int, int] | Tensor | None = None,
-    optimizer: VisibleAdam | None = None,
+    mask: tuple[int, int, int, int] | Tensor | None = None,
+    backward_step: BackwardStep | None = None,
     backend: str = "auto",
 ) -> RenderOutput:
     """Renders N Gaussians for C cameras; `image` is differentiable in the first five arguments.
@@ -71,11 +71,12 @@ def rasterize(
         with_weight_sum: also return the sum over pixels of each Gaussian's blending weights.
         pixel_weights: what each pixel counts in `weight_sum`, for example 1 inside a mask and 0
             outside for the Gaussians' votes; None: 1.
-        region: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16
+        mask: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16
             tiles that touch it are worked on, forward and backward; other pixels hold the
             background.
-        optimizer: made with the first five arguments: `backward()`, once, takes its step on the
-            Gaussians that the camera sees, and gives no gradient. One camera, cpu backend.
+        backward_step: an optimizer's step on the first five arguments, handed in: `backward()`,
+            once, takes it on the Gaussians that the camera sees, and gives no gradient. One
+            camera, cpu backend.
         backend: "reference", "cpu", "cuda", or "auto" (the compiled one of the tensors' device for
             float32, else the reference).
 
@@ -98,10 +99,10 @@ def rasterize(
         native = all(p.dtype == torch.float32 for p in parameters)
         compiled = native and means.device.type in ("cpu", "cuda")
         backend = means.device.type if compiled else "reference"
-    if optimizer is not None:
-        check_optimizer(optimizer, parameters, len(viewmats), backend)
-    tiles, tile_mask = worked_tiles(width, height, region)
-    request = RenderRequest(
+    if backward_step is not None:
+        check_backward_step(backward_step, parameters, len(viewmats), backend)
+    tiles, tile_mask = active_tiles(width, height, mask)
+    inputs = RenderInputs(
         means=means,
         quats=quats,
         scales=scales,
@@ -120,18 +121,18 @@ def rasterize(
         pixel_weights=pixel_weights,
         tiles=tiles,
         tile_mask=None if tile_mask is None else tile_mask.to(means.device),
-        optimizer=optimizer,
+        backward_step=backward_step,
     )
     if backend == "reference":
         from . import reference
 
-        return reference.render(request)
+        return reference.render(inputs)
     if backend == "cpu":
         from . import cpu
 
-        return cpu.render(request)
+        return cpu.render(inputs)
     if backend == "cuda":
         from . import cuda
 
-        return cuda.render(request)
+        return cuda.render(inputs)
     raise EngineError(f"rasterize: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")

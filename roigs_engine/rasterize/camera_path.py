@@ -25,7 +25,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     Raises:
         ConfigError: the file is unreadable or malformed; the message names the camera.
     """
-    hint = "See «camera path file» in the documentation of `render`."
+    hint = "See 'camera path file' in the documentation of `render`."
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
@@ -34,7 +34,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
         raise ConfigError(f"{path} is not JSON ({error}).", hint) from error
     records = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(records, list) or not records:
-        raise ConfigError(f"{path} holds no list «cameras».", hint)
+        raise ConfigError(f"{path} holds no list 'cameras'.", hint)
     cameras = []
     for index, record in enumerate(records):
         try:
@@ -46,7 +46,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     names = [safe_name(name).casefold() for name, _, _ in cameras]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"{path}: two cameras are named «{name}».", "Give each its own name.")
+            raise ConfigError(f"{path}: two cameras are named '{name}'.", "Give each its own name.")
     return cameras
 
 

@@ -1,14 +1,13 @@
 """The rasterizer on compiled kernels, as one differentiable torch function.
 
 Projection, colours, sorting and blending are one function to autograd: what the stages hand on to
-each other stays in a `View` on the C++ side, whose memory is used again from step to step. See
+each other stays in a `KernelView` on the C++ side, whose memory is reused from step to step. See
 kernels/roigs.h for the interface and the order of calls.
 """
 
 from __future__ import annotations
 
 import ctypes
-import functools
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,91 +16,26 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..errors import EngineError, KernelError
-from ..kernels import library
-from ..kernels.library import pointer
-from ..training.optimizer import VisibleAdam
-from .inputs import RenderOutput, RenderRequest
+from ..kernels import bindings
+from ..kernels.bindings import pointer
+from .inputs import BackwardStep, RenderInputs, RenderOutput
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 
-_OUT_OF_MEMORY, _TOO_MANY_INTERSECTIONS = -1, -2  # roigs.h: Failure
 
-
-class _Gaussians(ctypes.Structure):
-    """roigs.h: struct Gaussians."""
-
-    _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("means", "quats", "scales", "opacities", "sh")),
-        ("count", ctypes.c_int64),
-        ("sh_coefficients", ctypes.c_int32),
-        ("sh_degree", ctypes.c_int32),
-        ("raw", ctypes.c_int32),
-    ]
-
-
-class _Gradients(ctypes.Structure):
-    """roigs.h: struct Gradients."""
-
-    _fields_ = [(n, ctypes.c_void_p) for n in ("means", "quats", "scales", "opacities", "sh")]
-
-
-class _Camera(ctypes.Structure):
-    """roigs.h: struct Camera."""
-
-    _fields_ = [
-        ("world_to_camera", ctypes.c_float * 12),
-        ("position", ctypes.c_float * 3),
-        ("focal_and_centre", ctypes.c_float * 4),
-        ("background", ctypes.c_float * 3),
-        ("size", ctypes.c_int32 * 2),
-        ("tiles", ctypes.c_int32 * 4),
-        ("tile_mask", ctypes.c_void_p),
-    ]
-
-
-class _Outputs(ctypes.Structure):
-    """roigs.h: struct Outputs."""
-
-    _fields_ = [
-        (name, ctypes.c_void_p)
-        for name in ("image", "alpha", "depth", "max_weight", "weight_sum", "pixel_weights")
-    ]
-
-
-@functools.cache
-def _kernels() -> ctypes.CDLL:
-    kernels = library.load()
-    address, image = ctypes.c_void_p, ctypes.c_void_p
-    signatures: dict[str, tuple[Any, list[Any]]] = {
-        "roigs_view_create": (address, []),
-        "roigs_view_destroy": (None, [address]),
-        "roigs_project": (ctypes.c_int64, [address, address, address, address]),
-        "roigs_bin": (ctypes.c_int64, [address]),
-        "roigs_render": (ctypes.c_int64, [address, address]),
-        "roigs_pair_evaluations": (ctypes.c_int64, [address]),
-        "roigs_render_backward": (ctypes.c_int64, [address, image, image]),
-        "roigs_project_backward": (None, [address, address, address, address]),
-        "roigs_project_backward_adam": (ctypes.c_int64, [address, address, address, address]),
-    }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(kernels, name)
-        function.restype, function.argtypes = result, arguments
-    return kernels
-
-
-class View:
+class KernelView:
     """What a rendering leaves for its backward pass, on the C++ side.
 
     Idle views are kept: memory that is used again costs no page faults, which would take longer
     than some of the stages.
     """
 
-    _idle: ClassVar[list[View]] = []
+    _idle: ClassVar[list[KernelView]] = []
     _MOST_IDLE: ClassVar[int] = 2
     _address: int | None = None
 
     def __init__(self) -> None:
-        self._kernels = _kernels()
+        self._kernels = bindings.kernels()
         self._address = self._kernels.roigs_view_create()
 
     def __del__(self) -> None:
@@ -109,7 +43,7 @@ class View:
             self._kernels.roigs_view_destroy(self._address)
 
     @classmethod
-    def take(cls) -> View:
+    def take(cls) -> KernelView:
         """The view given back last, whose memory the caches may still hold; or a new one."""
         try:
             return cls._idle.pop()
@@ -124,9 +58,9 @@ class View:
     def call(self, name: str, *arguments: Any) -> int:
         """Calls a kernel on this view; raises KernelError for its failures."""
         result = getattr(self._kernels, name)(self._address, *arguments)
-        if result == _OUT_OF_MEMORY:
+        if result == bindings.OUT_OF_MEMORY:
             raise KernelError("There is not enough memory to render this view.", _SMALLER)
-        if result == _TOO_MANY_INTERSECTIONS:
+        if result == bindings.TOO_MANY_INTERSECTIONS:
             raise KernelError("More than 2^31 Gaussians and tiles meet in this view.", _SMALLER)
         return int(result or 0)
 
@@ -135,7 +69,7 @@ class _Lease:
     """Views that wait for a backward pass; gives them back when the graph is dropped without."""
 
     def __init__(self) -> None:
-        self.views: list[View] = []
+        self.views: list[KernelView] = []
 
     def __del__(self) -> None:
         for view in self.views:
@@ -147,9 +81,9 @@ _SMALLER = "Render a smaller image, or Gaussians that are fewer or smaller."
 
 @dataclass(frozen=True, kw_only=True)
 class _Cameras:
-    """A request's cameras and options in the kernels' form."""
+    """A inputs's cameras and options in the kernels' form."""
 
-    structures: list[_Camera]
+    structures: list[bindings.Camera]
     width: int
     height: int
     sh_degree: int
@@ -159,40 +93,40 @@ class _Cameras:
     with_max_weight: bool
     with_weight_sum: bool
     pixel_weights: Tensor | None
-    optimizer: VisibleAdam | None
+    backward_step: BackwardStep | None
 
 
-def render(request: RenderRequest) -> RenderOutput:
-    """Renders all cameras of a request; see `rasterize`. Raises KernelError."""
-    for name, tensor in zip(_Gradients._fields_, request.parameters, strict=True):
+def render(inputs: RenderInputs) -> RenderOutput:
+    """Renders all cameras of a inputs; see `rasterize`. Raises KernelError."""
+    for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
         if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
             raise KernelError(
                 f"rasterize: {name[0]} is {tensor.dtype} on {tensor.device}.",
                 "The cpu backend takes float32 tensors on the CPU.",
             )
-    if request.means.shape[0] > _MOST_GAUSSIANS:
+    if inputs.means.shape[0] > _MOST_GAUSSIANS:
         raise KernelError(
-            f"rasterize: {request.means.shape[0]} Gaussians are too many.",
+            f"rasterize: {inputs.means.shape[0]} Gaussians are too many.",
             f"Render {_MOST_GAUSSIANS} at once at most.",
         )
-    tile_mask = request.tile_mask
+    tile_mask = inputs.tile_mask
     tile_mask = None if tile_mask is None else tile_mask.to("cpu", torch.uint8).contiguous()
-    pixel_weights = request.pixel_weights
+    pixel_weights = inputs.pixel_weights
     cameras = _Cameras(
-        structures=_camera_structures(request, tile_mask),
-        width=request.width,
-        height=request.height,
-        sh_degree=request.sh_degree,
-        raw=request.raw,
+        structures=_camera_structures(inputs, tile_mask),
+        width=inputs.width,
+        height=inputs.height,
+        sh_degree=inputs.sh_degree,
+        raw=inputs.raw,
         tile_mask=tile_mask,
-        with_depth=request.with_depth,
-        with_max_weight=request.with_max_weight,
-        with_weight_sum=request.with_weight_sum,
+        with_depth=inputs.with_depth,
+        with_max_weight=inputs.with_max_weight,
+        with_weight_sum=inputs.with_weight_sum,
         pixel_weights=None if pixel_weights is None else pixel_weights.contiguous(),
-        optimizer=request.optimizer,
+        backward_step=inputs.backward_step,
     )
     image, alpha, visible, grad2d, depth, max_weight, weight_sum = _Rasterize.apply(  # type: ignore[no-untyped-call]
-        cameras, *request.parameters
+        cameras, *inputs.parameters
     )
     return RenderOutput(
         image=image.permute(0, 2, 3, 1),  # planar inside: what the kernels and the loss work on
@@ -205,26 +139,26 @@ def render(request: RenderRequest) -> RenderOutput:
     )
 
 
-def _camera_structures(request: RenderRequest, tile_mask: Tensor | None) -> list[_Camera]:
-    background = request.background.tolist()
+def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[bindings.Camera]:
+    background = inputs.background.tolist()
     structures = []
-    for view, K in zip(request.viewmats.tolist(), request.Ks.tolist(), strict=True):
-        camera = _Camera()
+    for view, K in zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True):
+        camera = bindings.Camera()
         camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
         # Python's floats are float64: this is a difference of numbers that may be large
         camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
-        camera.size[:] = [request.width, request.height]
-        camera.tiles[:] = request.tiles
+        camera.size[:] = [inputs.width, inputs.height]
+        camera.tiles[:] = inputs.tiles
         camera.tile_mask = pointer(tile_mask)
         structures.append(camera)
     return structures
 
 
-def _gaussians(cameras: _Cameras, parameters: list[Tensor]) -> _Gaussians:
+def _gaussians(cameras: _Cameras, parameters: list[Tensor]) -> bindings.Gaussians:
     means, sh = parameters[0], parameters[4]
-    return _Gaussians(
+    return bindings.Gaussians(
         *(pointer(p) for p in parameters),
         means.shape[0],
         sh.shape[1],
@@ -252,9 +186,9 @@ class _Rasterize(torch.autograd.Function):
         ctx.cameras, ctx.lease, ctx.grad2d = cameras, _Lease(), grad2d
         packed = [p.contiguous() for p in parameters]
         for c in range(views):
-            view = View.take()
+            view = KernelView.take()
             _prepare(view, cameras, c, packed, visible[c])
-            outputs = _Outputs(
+            outputs = bindings.Outputs(
                 pointer(image[c]),
                 pointer(alpha[c]),
                 None if depth is None else pointer(depth[c]),
@@ -284,19 +218,19 @@ class _Rasterize(torch.autograd.Function):
         packed = [p.contiguous() for p in parameters]
         gaussians = _gaussians(ctx.cameras, packed)
         views, ctx.lease.views = ctx.lease.views, []
-        if ctx.cameras.optimizer is not None:
+        if ctx.cameras.backward_step is not None:
             _step(ctx, views, gaussians, image, image_gradient)
             return (None,) * (1 + len(parameters))
         targets = [
             _gradient_target(p, needed)
             for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
         ]
-        gradients = _Gradients(*(pointer(buffer) for buffer, _ in targets))
+        gradients = bindings.Gradients(*(pointer(buffer) for buffer, _ in targets))
         for c, image_gradient_c in enumerate(image_gradient):
             if views:
                 view = views[c]
             else:  # a second backward through the same graph: the first has given the views back
-                view, visible = View.take(), torch.zeros(len(packed[0]), dtype=torch.bool)
+                view, visible = KernelView.take(), torch.zeros(len(packed[0]), dtype=torch.bool)
                 _prepare(view, ctx.cameras, c, packed, visible)
             view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
             view.call(
@@ -310,14 +244,18 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _step(
-    ctx: Any, views: list[View], gaussians: _Gaussians, image: Tensor, image_gradient: Tensor
+    ctx: Any,
+    views: list[KernelView],
+    gaussians: bindings.Gaussians,
+    image: Tensor,
+    image_gradient: Tensor,
 ) -> None:
-    """The backward pass of one camera that ends in a step of its optimiser."""
+    """The backward pass of one camera that ends in an optimizer's step."""
     if not views:
-        raise EngineError("rasterize: with an optimizer, backward() can be called only once.")
+        raise EngineError("rasterize: with a backward step, backward() can be called only once.")
     view = views[0]
     view.call("roigs_render_backward", pointer(image), pointer(image_gradient))
-    ctx.cameras.optimizer.step_by(
+    ctx.cameras.backward_step.take(
         lambda adam: view.call(
             "roigs_project_backward_adam",
             ctypes.byref(gaussians),
@@ -329,7 +267,7 @@ def _step(
 
 
 def _prepare(
-    view: View, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
+    view: KernelView, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
 ) -> None:
     """Projects and bins for camera `c`."""
     gaussians = _gaussians(cameras, parameters)

@@ -21,11 +21,11 @@ from torch import Tensor
 
 from ..cuda import library
 from ..errors import KernelError
-from .inputs import BLUR, NEAR, TILE, RenderOutput, RenderRequest
+from .inputs import BLUR, NEAR, TILE, RenderInputs, RenderOutput
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Splats:
+class ProjectedGaussians:
     """All N Gaussians as one camera sees them; gsplat leaves rows of radius 0 unwritten."""
 
     radii: Tensor  # (1, N, 2) int32 px, 0 for what is culled
@@ -46,35 +46,35 @@ class Statistics:
     sums: Tensor | None  # (N,)
 
 
-def render(request: RenderRequest) -> RenderOutput:
-    """Renders all cameras of a request; see `rasterize`.
+def render(inputs: RenderInputs) -> RenderOutput:
+    """Renders all cameras of a inputs; see `rasterize`.
 
     Raises:
         KernelError: tensors of another type, or gsplat cannot be used.
     """
-    if any(p.dtype != torch.float32 for p in request.parameters):
+    if any(p.dtype != torch.float32 for p in inputs.parameters):
         raise KernelError("rasterize: the cuda backend takes float32 tensors only.")
-    means = request.means.detach()
-    cameras, count = len(request.viewmats), len(means)
+    means = inputs.means.detach()
+    cameras, count = len(inputs.viewmats), len(means)
     zeros = torch.zeros(cameras, count, device=means.device)
     statistics = Statistics(
         visible=torch.zeros_like(zeros, dtype=torch.bool),
         grad2d=zeros,
-        largest=torch.zeros_like(means[:, 0]) if request.with_max_weight else None,
-        sums=torch.zeros_like(means[:, 0]) if request.with_weight_sum else None,
+        largest=torch.zeros_like(means[:, 0]) if inputs.with_max_weight else None,
+        sums=torch.zeros_like(means[:, 0]) if inputs.with_weight_sum else None,
     )
-    left, top, right, bottom = request.tiles
+    left, top, right, bottom = inputs.tiles
     if count and right > left and bottom > top:
-        frames = [_draw(request, c, statistics) for c in range(cameras)]
+        frames = [_draw(inputs, c, statistics) for c in range(cameras)]
     else:
-        frames = [_nothing(request)] * cameras
+        frames = [_nothing(inputs)] * cameras
     image, alpha, depth = (_stack(part) for part in zip(*frames, strict=True))
     return RenderOutput(
         image=image,
         alpha=alpha,
         visible=statistics.visible,
         grad2d=statistics.grad2d,
-        depth=depth if request.with_depth else None,
+        depth=depth if inputs.with_depth else None,
         max_weight=statistics.largest,
         weight_sum=statistics.sums,
     )
@@ -85,25 +85,25 @@ def _stack(parts: tuple[Tensor, ...]) -> Tensor:
     return parts[0][None] if len(parts) == 1 else torch.stack(parts)
 
 
-def _nothing(request: RenderRequest) -> tuple[Tensor, Tensor, Tensor]:
+def _nothing(inputs: RenderInputs) -> tuple[Tensor, Tensor, Tensor]:
     """Background, alpha and depth without Gaussians; a function of them to autograd."""
-    size = request.height, request.width
-    image = request.background.expand(*size, 3) + sum(p[:0].sum() for p in request.parameters)
-    blank = request.background.new_zeros(size)
+    size = inputs.height, inputs.width
+    image = inputs.background.expand(*size, 3) + sum(p[:0].sum() for p in inputs.parameters)
+    blank = inputs.background.new_zeros(size)
     return image, blank, blank
 
 
 def _draw(
-    request: RenderRequest, camera: int, statistics: Statistics
+    inputs: RenderInputs, camera: int, statistics: Statistics
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Image (H, W, 3), alpha (H, W) and depth (H, W) of one camera; adds to the statistics."""
     gsplat = library.gsplat()
-    splats = _project(gsplat, request, camera)
-    _watch(splats.means2d, statistics.grad2d[camera], request)
+    splats = _project(gsplat, inputs, camera)
+    _watch(splats.means2d, statistics.grad2d[camera], inputs)
     # The tiles are cut out after the projection, so that their Gaussians look as in the whole.
-    left, top, right, bottom = request.tiles
+    left, top, right, bottom = inputs.tiles
     x0, y0 = left * TILE, top * TILE
-    width, height = min(right * TILE, request.width) - x0, min(bottom * TILE, request.height) - y0
+    width, height = min(right * TILE, inputs.width) - x0, min(bottom * TILE, inputs.height) - y0
     means2d = splats.means2d
     if x0 or y0:
         means2d = torch.stack((means2d[..., 0] - x0, means2d[..., 1] - y0), dim=-1)
@@ -112,9 +112,9 @@ def _draw(
         means2d=means2d, radii=splats.radii, depths=splats.depths, tile_size=TILE, **grid
     )
     offsets = gsplat.isect_offset_encode(isect_ids=pairs, n_images=1, **grid)
-    mask = request.tile_mask
-    colours, background = splats.colours, request.background
-    if request.with_depth:
+    mask = inputs.tile_mask
+    colours, background = splats.colours, inputs.background
+    if inputs.with_depth:
         colours = torch.cat([colours, splats.depths[..., None].detach()], dim=-1)
         background = torch.cat([background, background.new_zeros(1)])
     image, alpha = gsplat.rasterize_to_pixels(
@@ -135,35 +135,35 @@ def _draw(
         drawn = mask.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:height, :width]
         alpha = torch.where(drawn, alpha, 0)
     depth = alpha
-    if request.with_depth:
+    if inputs.with_depth:
         depth = image[..., 3].detach() / torch.where(alpha > 0, alpha, 1)
         image = image[..., :3]
     statistics.visible[camera] = touched[0] > 0
     if statistics.largest is not None or statistics.sums is not None:
         _weigh(
-            request, camera, splats, means2d, (offsets[0], ids), (x0, y0, width, height), statistics
+            inputs, camera, splats, means2d, (offsets[0], ids), (x0, y0, width, height), statistics
         )
     place = slice(y0, y0 + height), slice(x0, x0 + width)
-    return tuple(_placed(part, place, request) for part in (image, alpha, depth))  # type: ignore[return-value]
+    return tuple(_placed(part, place, inputs) for part in (image, alpha, depth))  # type: ignore[return-value]
 
 
-def _project(gsplat: Any, request: RenderRequest, camera: int) -> Splats:
+def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussians:
     """Projects and colours all Gaussians; takes out those with values that are not finite."""
     # Through views, so that what is taken out can be taken out of the gradients as well.
-    means, quats, scales, opacities, sh = (p.view_as(p) for p in request.parameters)
+    means, quats, scales, opacities, sh = (p.view_as(p) for p in inputs.parameters)
     small = (means, quats, scales, opacities)
-    if request.raw:
+    if inputs.raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
-    view = request.viewmats[camera].to(means)
+    view = inputs.viewmats[camera].to(means)
     radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
         means=means,
         covars=None,
         quats=quats,
         scales=scales,
         viewmats=view[None],
-        Ks=request.Ks[camera].to(means)[None],
-        width=request.width,
-        height=request.height,
+        Ks=inputs.Ks[camera].to(means)[None],
+        width=inputs.width,
+        height=inputs.height,
         eps2d=BLUR,
         near_plane=NEAR,
         opacities=opacities,
@@ -174,7 +174,7 @@ def _project(gsplat: Any, request: RenderRequest, camera: int) -> Splats:
         pose = view.double()  # a difference of numbers that may be large
         eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)
     colours = gsplat.spherical_harmonics(
-        degrees_to_use=request.sh_degree, dirs=means - eye, coeffs=sh, masks=drawn[0]
+        degrees_to_use=inputs.sh_degree, dirs=means - eye, coeffs=sh, masks=drawn[0]
     )
     colours = (colours + 0.5).clamp(min=0.0)[None]
     with torch.no_grad():
@@ -183,7 +183,7 @@ def _project(gsplat: Any, request: RenderRequest, camera: int) -> Splats:
     for parameter in small:  # that of sh is the basis times a colour's: zero already
         if parameter.requires_grad:
             parameter.register_hook(_without(culled))  # type: ignore[no-untyped-call]
-    return Splats(
+    return ProjectedGaussians(
         radii=radii * drawn[..., None],
         means2d=means2d,
         depths=depths,
@@ -202,11 +202,11 @@ def _without(culled: Tensor) -> Any:
     return clean
 
 
-def _watch(means2d: Tensor, grad2d: Tensor, request: RenderRequest) -> None:
+def _watch(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
     """Has `backward` write the scaled norm of dL / d(means2d) (1, N, 2) into `grad2d` (N,)."""
     if not means2d.requires_grad:
         return
-    half_width, half_height = 0.5 * request.width, 0.5 * request.height
+    half_width, half_height = 0.5 * inputs.width, 0.5 * inputs.height
 
     def write(gradient: Tensor) -> None:
         x, y = gradient[0].unbind(-1)
@@ -216,9 +216,9 @@ def _watch(means2d: Tensor, grad2d: Tensor, request: RenderRequest) -> None:
 
 
 def _weigh(
-    request: RenderRequest,
+    inputs: RenderInputs,
     camera: int,
-    splats: Splats,
+    splats: ProjectedGaussians,
     means2d: Tensor,  # (1, N, 2) px from the cut's corner
     lists: tuple[Tensor, Tensor],  # offsets of the tiles' lists, and these
     cut: tuple[int, int, int, int],  # x0, y0, width, height in pixels
@@ -234,7 +234,7 @@ def _weigh(
     from .cuda_weights import blending_weights
 
     x0, y0, width, height = cut
-    counts = request.pixel_weights
+    counts = inputs.pixel_weights
     if counts is not None:
         counts = counts[camera, y0 : y0 + height, x0 : x0 + width]
     blending_weights(
@@ -245,18 +245,18 @@ def _weigh(
         lists[1],
         width,
         height,
-        mask=request.tile_mask,
+        mask=inputs.tile_mask,
         pixel_weights=counts,
         largest=statistics.largest,
         sums=statistics.sums,
     )
 
 
-def _placed(part: Tensor, place: tuple[slice, slice], request: RenderRequest) -> Tensor:
+def _placed(part: Tensor, place: tuple[slice, slice], inputs: RenderInputs) -> Tensor:
     """What was drawn of a rectangle, in the whole picture; around it background or zeros."""
-    size = request.height, request.width
+    size = inputs.height, inputs.width
     if part.shape[:2] == size:
         return part
-    whole = part.new_zeros(size) if part.dim() == 2 else request.background.expand(*size, 3).clone()
+    whole = part.new_zeros(size) if part.dim() == 2 else inputs.background.expand(*size, 3).clone()
     whole[place] = part
     return whole

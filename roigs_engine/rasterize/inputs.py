@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from ..errors import EngineError
-from ..training.optimizer import VisibleAdam
 
 TILE = 16
 """Side of a pixel tile; culling, binning and `region` work in whole tiles."""
@@ -33,6 +34,25 @@ FRUSTUM_MARGIN = 0.3
 
 SH_SIZES = (1, 4, 9, 16)
 """Numbers of SH coefficients per colour for degrees 0 to 3."""
+
+
+class BackwardStep(Protocol):
+    """An optimizer's step that the backward pass takes in place of giving gradients.
+
+    The rasterizer knows nothing of the optimizer but this.
+    """
+
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """The tensors it updates, in the order of `rasterize`'s first five arguments."""
+        ...
+
+    def take(self, kernel: Callable[[Any], int]) -> None:
+        """Take the step by a kernel, which gets the address of a `bindings.Adam`.
+
+        The kernel returns how many rows it skipped because a gradient was not finite.
+        """
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +81,7 @@ class RenderOutput:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RenderRequest:
+class RenderInputs:
     """The arguments of `rasterize` after its checks; all tensors on one device."""
 
     means: Tensor  # (N, 3)
@@ -82,7 +102,7 @@ class RenderRequest:
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
     tile_mask: Tensor | None  # (rows, columns) bool, which of them to work on; None: all
-    optimizer: VisibleAdam | None  # takes its step in the backward pass; None: gradients
+    backward_step: BackwardStep | None  # taken by the backward pass; None: gradients
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -131,22 +151,22 @@ def check_inputs(
         )
 
 
-def check_optimizer(
-    optimizer: VisibleAdam, parameters: tuple[Tensor, ...], cameras: int, backend: str
+def check_backward_step(
+    step: BackwardStep, parameters: tuple[Tensor, ...], cameras: int, backend: str
 ) -> None:
-    """Raises EngineError unless a backward pass can take this optimiser's step."""
-    trained = tuple(optimizer.parameters.values())
+    """Raises EngineError unless a backward pass can take this step."""
+    trained = step.tensors
     if len(trained) != len(parameters) or any(
         a is not b for a, b in zip(trained, parameters, strict=True)
     ):
         raise EngineError(
-            "rasterize: the optimizer's parameters are not the tensors to render.",
+            "rasterize: the backward step's tensors are not the tensors to render.",
             "Pass the tensors it was made with, in the order of rasterize's arguments.",
         )
     if cameras != 1 or backend != "cpu":
         raise EngineError(
-            f"rasterize: no optimizer step with {cameras} cameras on the {backend} backend.",
-            "Pass one camera and float32 tensors on the CPU, or call VisibleAdam.step.",
+            f"rasterize: no backward step with {cameras} cameras on the {backend} backend.",
+            "Pass one camera and float32 tensors on the CPU, or call the optimizer's step.",
         )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..model.rotations import rotation_matrices
 from .inputs import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -19,8 +20,8 @@ from .inputs import (
     FRUSTUM_MARGIN,
     NEAR,
     TILE,
+    RenderInputs,
     RenderOutput,
-    RenderRequest,
 )
 
 PIXELS_AT_ONCE = 1 << 14
@@ -28,7 +29,7 @@ PIXELS_AT_ONCE = 1 << 14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Splats:
+class ProjectedGaussians:
     """The V Gaussians one camera can see, front to back."""
 
     index: Tensor  # (V,) row of the input
@@ -39,55 +40,55 @@ class Splats:
     depth: Tensor  # (V,)
 
 
-def render(request: RenderRequest) -> RenderOutput:
-    """Renders all cameras of a request; see `rasterize`."""
-    means = request.means
-    cameras, n = request.viewmats.shape[0], means.shape[0]
+def render(inputs: RenderInputs) -> RenderOutput:
+    """Renders all cameras of a inputs; see `rasterize`."""
+    means = inputs.means
+    cameras, n = inputs.viewmats.shape[0], means.shape[0]
     image, alpha, depth = [], [], []
     visible = torch.zeros(cameras, n, dtype=torch.bool, device=means.device)
     grad2d = torch.zeros(cameras, n, dtype=torch.float32, device=means.device)
     max_weight, weight_sum = means.new_zeros(n), means.new_zeros(n)
     for c in range(cameras):
-        splats = project(request, c)
+        splats = project(inputs, c)
         visible[c, splats.index] = True
-        watch_mean2d(splats, grad2d[c], request.width, request.height)
-        colours, opacity, depths, largest, sums = blend(request, splats, c)
+        watch_mean2d(splats, grad2d[c], inputs.width, inputs.height)
+        colours, opacity, depths, largest, sums = blend(inputs, splats, c)
         image.append(colours)
         alpha.append(opacity)
         depth.append(depths)
         max_weight[splats.index] = torch.maximum(max_weight[splats.index], largest)
         weight_sum[splats.index] += sums
     # zero, but a function of the parameters: `backward` works where nothing was drawn, too
-    nothing = sum(p[:0].sum() for p in request.parameters)
+    nothing = sum(p[:0].sum() for p in inputs.parameters)
     return RenderOutput(
         image=torch.stack(image) + nothing,
         alpha=torch.stack(alpha),
         visible=visible,
         grad2d=grad2d,
-        depth=torch.stack(depth) if request.with_depth else None,
-        max_weight=max_weight if request.with_max_weight else None,
-        weight_sum=weight_sum if request.with_weight_sum else None,
+        depth=torch.stack(depth) if inputs.with_depth else None,
+        max_weight=max_weight if inputs.with_max_weight else None,
+        weight_sum=weight_sum if inputs.with_weight_sum else None,
     )
 
 
-def project(request: RenderRequest, camera: int) -> Splats:
+def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
     """Projects all Gaussians and keeps those that reach a tile, ordered by depth."""
     with torch.no_grad():
-        everything = torch.arange(request.means.shape[0], device=request.means.device)
-        fields = project_all(request, camera, everything)
+        everything = torch.arange(inputs.means.shape[0], device=inputs.means.device)
+        fields = project_all(inputs, camera, everything)
         usable = (fields[4] > NEAR) & (fields[2] > ALPHA_MIN)
         for field in fields:
             usable &= torch.isfinite(field if field.ndim == 1 else field.sum(dim=1))
         index = usable.nonzero()[:, 0]
         mean2d, covariance, opacity = (f[index] for f in fields[:3])
-        size = (request.width, request.height)
-        tiles = tiles_to_work_on(request)
+        size = (inputs.width, inputs.height)
+        tiles = tiles_to_work_on(inputs)
         index = index[reaches_a_tile(mean2d, covariance, opacity, tiles, size)]
         index = index[torch.sort(fields[4][index], stable=True).indices]
     # Projected again from the kept rows alone: a culled row's NaN or overflow, multiplied by a
     # zero gradient, would still poison the backward pass.
-    mean2d, covariance, opacity, colour, depth = project_all(request, camera, index)
-    return Splats(
+    mean2d, covariance, opacity, colour, depth = project_all(inputs, camera, index)
+    return ProjectedGaussians(
         index=index,
         mean2d=mean2d,
         covariance=covariance,
@@ -97,17 +98,19 @@ def project(request: RenderRequest, camera: int) -> Splats:
     )
 
 
-def project_all(request: RenderRequest, camera: int, index: Tensor) -> tuple[Tensor, ...]:
+def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tensor, ...]:
     """mean2d (V, 2), covariance (V, 3), opacity (V,), colour (V, 3), depth (V,) of some rows."""
-    means, quats, scales, opacities, sh = (p[index] for p in request.parameters)
-    if request.raw:
+    means, quats, scales, opacities, sh = (p[index] for p in inputs.parameters)
+    if inputs.raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
-    view, K = request.viewmats[camera].to(means), request.Ks[camera].to(means)
+    view, K = inputs.viewmats[camera].to(means), inputs.Ks[camera].to(means)
     rotation, translation = view[:3, :3], view[:3, 3]
     t = means @ rotation.T + translation  # (V, 3) camera frame
     mean2d = (t[:, :2] / t[:, 2:]) * K.diagonal()[:2] + K[:2, 2]
-    M = rotation_matrices(quats) * scales[:, None, :]  # (V, 3, 3); Sigma = M M^T, 3DGS eq. 6
-    U = jacobian(t, K, request.width, request.height) @ rotation @ M  # (V, 2, 3)
+    M = (
+        rotation_matrices(quats / quats.norm(dim=-1, keepdim=True)) * scales[:, None, :]
+    )  # (V, 3, 3); Sigma = M M^T, 3DGS eq. 6
+    U = jacobian(t, K, inputs.width, inputs.height) @ rotation @ M  # (V, 2, 3)
     covariance = torch.stack(
         [
             (U[:, 0] * U[:, 0]).sum(-1) + BLUR,
@@ -118,7 +121,7 @@ def project_all(request: RenderRequest, camera: int, index: Tensor) -> tuple[Ten
     )  # Sigma' = J W Sigma W^T J^T, 3DGS eq. 5
     eye = -rotation.T @ translation
     direction = torch.nn.functional.normalize(means - eye, dim=-1, eps=0.0)
-    used = (request.sh_degree + 1) ** 2
+    used = (inputs.sh_degree + 1) ** 2
     colour = torch.einsum("vk,vkc->vc", sh_basis(direction)[:, :used], sh[:, :used])
     return mean2d, covariance, opacities, (colour + 0.5).clamp(min=0.0), t[:, 2]
 
@@ -137,17 +140,6 @@ def jacobian(t: Tensor, K: Tensor, width: int, height: int) -> Tensor:
     zero = torch.zeros_like(z)
     rows = [fx / z, zero, -fx * x / z**2, zero, fy / z, -fy * y / z**2]
     return torch.stack(rows, dim=-1).reshape(-1, 2, 3)
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """(V, 3, 3) rotations of quaternions (V, 4), wxyz of any length."""
-    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
 
 
 def sh_basis(direction: Tensor) -> Tensor:
@@ -203,53 +195,53 @@ def reaches_a_tile(
     return (least < torch.log(opacity / ALPHA_MIN)).any(dim=0)
 
 
-def tiles_to_work_on(request: RenderRequest) -> Tensor:
+def tiles_to_work_on(inputs: RenderInputs) -> Tensor:
     """(tiles, 2) column and row of each."""
-    left, top, right, bottom = request.tiles
+    left, top, right, bottom = inputs.tiles
     wanted = torch.ones(bottom - top, right - left, dtype=torch.bool)
-    if request.tile_mask is not None:
-        wanted = request.tile_mask.cpu()
+    if inputs.tile_mask is not None:
+        wanted = inputs.tile_mask.cpu()
     return wanted.nonzero().flip(1) + torch.tensor([left, top])
 
 
-def pixels_to_work_on(request: RenderRequest) -> tuple[Tensor, Tensor]:
+def pixels_to_work_on(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
     """Rows and columns of the pixels in the tiles to work on, (P,) each, row by row."""
-    wanted = torch.zeros(request.height, request.width, dtype=torch.bool)
-    for column, row in (TILE * tiles_to_work_on(request)).tolist():
+    wanted = torch.zeros(inputs.height, inputs.width, dtype=torch.bool)
+    for column, row in (TILE * tiles_to_work_on(inputs)).tolist():
         wanted[row : row + TILE, column : column + TILE] = True
-    rows, columns = wanted.nonzero().to(request.means.device).unbind(1)
+    rows, columns = wanted.nonzero().to(inputs.means.device).unbind(1)
     return rows, columns
 
 
 def blend(
-    request: RenderRequest, splats: Splats, camera: int
+    inputs: RenderInputs, splats: ProjectedGaussians, camera: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Blends front to back (3DGS eq. 3).
 
     Returns image (H, W, 3), alpha (H, W), depth (H, W), and each splat's largest weight and sum
     of weights, (V,) each.
     """
-    image = request.background.expand(request.height, request.width, 3).clone()
+    image = inputs.background.expand(inputs.height, inputs.width, 3).clone()
     alpha, depth = image.new_zeros(image.shape[:2]), image.new_zeros(image.shape[:2])
     largest, weight_sum = (image.new_zeros(len(splats.index)) for _ in range(2))
-    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in pixels_to_work_on(request))
+    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in pixels_to_work_on(inputs))
     for place in zip(*chunks, strict=True):
         weights, left = blending_weights(splats, torch.stack(place[::-1], -1).to(image) + 0.5)
-        image[place] = weights @ splats.colour + left[:, None] * request.background
+        image[place] = weights @ splats.colour + left[:, None] * inputs.background
         with torch.no_grad():
             total = 1 - left
             alpha[place] = total
             depth[place] = weights @ splats.depth / torch.where(total > 0, total, 1.0)
             counts = torch.ones_like(left)
-            if request.pixel_weights is not None:
-                counts = request.pixel_weights[camera][place]
+            if inputs.pixel_weights is not None:
+                counts = inputs.pixel_weights[camera][place]
             weight_sum += counts @ weights
             if len(place[0]):
                 largest = torch.maximum(largest, weights.amax(dim=0))
     return image, alpha, depth, largest, weight_sum
 
 
-def blending_weights(splats: Splats, pixels: Tensor) -> tuple[Tensor, Tensor]:
+def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor, Tensor]:
     """For pixel centres (P, 2): weights (P, V), and the transmittance that is left (P,).
 
     A weight is alpha_i prod_{j<i} (1 - alpha_j).
@@ -262,7 +254,7 @@ def blending_weights(splats: Splats, pixels: Tensor) -> tuple[Tensor, Tensor]:
     return a * before[:, :-1], before[:, -1]
 
 
-def watch_mean2d(splats: Splats, grad2d: Tensor, width: int, height: int) -> None:
+def watch_mean2d(splats: ProjectedGaussians, grad2d: Tensor, width: int, height: int) -> None:
     """Has `backward` write the scaled norm of dL / d(mean2d) into a row of `grad2d` (N,)."""
     if not splats.mean2d.requires_grad:
         return

@@ -9,23 +9,23 @@ from ..errors import EngineError
 from .inputs import TILE
 
 
-def worked_tiles(
-    width: int, height: int, region: tuple[int, int, int, int] | Tensor | None
+def active_tiles(
+    width: int, height: int, mask: tuple[int, int, int, int] | Tensor | None
 ) -> tuple[tuple[int, int, int, int], Tensor | None]:
     """The tiles to work on: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
 
-    `region` is as in `rasterize`. Raises EngineError: a mask that does not fit the image.
+    `mask` is as in `rasterize`. Raises EngineError: a mask that does not fit the image.
     """
-    if not isinstance(region, Tensor):
-        return tile_rectangle(width, height, region), None
-    if region.dtype != torch.bool or tuple(region.shape) != (height, width):
+    if not isinstance(mask, Tensor):
+        return tile_rectangle(width, height, mask), None
+    if mask.dtype != torch.bool or tuple(mask.shape) != (height, width):
         raise EngineError(
-            f"rasterize: region is {region.dtype} of shape {tuple(region.shape)}.",
+            f"rasterize: mask is {mask.dtype} of shape {tuple(mask.shape)}.",
             f"Pass a bool mask of shape {(height, width)}, or x0, y0, x1, y1.",
         )
     columns, rows = -(-width // TILE), -(-height // TILE)
-    padded = region.new_zeros(rows * TILE, columns * TILE)
-    padded[:height, :width] = region
+    padded = mask.new_zeros(rows * TILE, columns * TILE)
+    padded[:height, :width] = mask
     touched = padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
     ys, xs = touched.any(dim=1).nonzero()[:, 0], touched.any(dim=0).nonzero()[:, 0]
     if not len(ys):
@@ -35,13 +35,13 @@ def worked_tiles(
 
 
 def tile_rectangle(
-    width: int, height: int, region: tuple[int, int, int, int] | None
+    width: int, height: int, mask: tuple[int, int, int, int] | None
 ) -> tuple[int, int, int, int]:
-    """The tiles (x0, y0, x1, y1; end exclusive) that touch a pixel region, or all of them."""
+    """The tiles (x0, y0, x1, y1; end exclusive) that touch a pixel mask, or all of them."""
     columns, rows = -(-width // TILE), -(-height // TILE)
-    if region is None:
+    if mask is None:
         return 0, 0, columns, rows
-    x0, y0, x1, y1 = (int(v) for v in region)
+    x0, y0, x1, y1 = (int(v) for v in mask)
     if x1 <= x0 or y1 <= y0:
         return 0, 0, 0, 0
     left, top = max(x0, 0) // TILE, max(y0, 0) // TILE

@@ -1,7 +1,7 @@
-"""What a run made for another request: kept in `older/` of its folder, and taken back when asked.
+"""What a run made for other settings: kept in `archive/` of its folder, and restored when asked.
 
 Names there end in the first eight digits of a fingerprint, so that a run can go to and fro between
-requests without anything being deleted or made twice.
+settings without anything being deleted or made twice.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pathlib import Path
 
 from ..errors import RunFolderError
 
-FOLDER, PARTS = "older", "results"
+FOLDER, PARTS = "archive", "results"
 
 
-def put_away(folder: Path, fingerprint: str) -> None:
-    """Move a folder to `older` beside it, if it is there.
+def archive(folder: Path, fingerprint: str) -> None:
+    """Move a folder or file to `archive` beside it, if it is there.
 
     Raises:
         RunFolderError: it cannot be moved.
@@ -27,23 +27,23 @@ def put_away(folder: Path, fingerprint: str) -> None:
         _move(folder, _free(_place(folder, fingerprint)))
 
 
-def take_back(folder: Path, fingerprint: str) -> None:
-    """Move what was put away of `folder` under that fingerprint back, unless something is there."""
+def restore(folder: Path, fingerprint: str) -> None:
+    """Move what was archived of `folder` under that fingerprint back, unless something is there."""
     place = _place(folder, fingerprint)
     if place.exists() and not folder.exists():
         _move(place, folder)
 
 
-def put_away_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
-    """Move those of `names` that are in `folder` to a folder of their own in `folder`/older."""
+def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
+    """Move those of `names` that are in `folder` to a folder of their own in `folder`/archive."""
     place = _free(_place(folder / PARTS, fingerprint))
     for name in names:
         if (folder / name).exists():
             _move(folder / name, place / name)
 
 
-def take_back_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
-    """Move what was put away by `put_away_parts` under that fingerprint back."""
+def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
+    """Move what `archive_parts` archived under that fingerprint back."""
     place = _place(folder / PARTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():
@@ -69,5 +69,5 @@ def _move(source: Path, target: Path) -> None:
     except OSError as error:
         raise RunFolderError(
             f"Cannot move {source} to {target} ({error.strerror or error}).",
-            "Close what has it open.",
+            "Close the programs that have it open.",
         ) from error

@@ -39,7 +39,7 @@ class RunConfig:
         roi_order: `ordered` follows the selection and cycles (paper); `shuffled` draws epochs.
         selected_share: in the joint stage (and the seam stage) share of the steps that look at
             boxes which draw a selected photo; the others draw any training photo that sees a box.
-        seam_share: independent only; share of the ROI stage's steps that the composed model gets
+        refine_share: independent only; share of the ROI stage's steps that the composed model gets
             instead of the objects. 0: composition is the end (paper).
         test_every: every n-th ROI-visible photo, by distance, is kept for the tests.
         seed: of everything random.
@@ -55,7 +55,7 @@ class RunConfig:
     roi_init: str = "scene"
     roi_order: str = "ordered"
     selected_share: float = 0.5
-    seam_share: float = 0.0
+    refine_share: float = 0.0
     test_every: int = 8
     seed: int = 0
 
@@ -66,18 +66,18 @@ class RunConfig:
             ("roi_order", self.roi_order, ORDERS),
         ):
             if value not in allowed:
-                raise ConfigError(f"{name} is «{value}».", f"Use one of {', '.join(allowed)}.")
+                raise ConfigError(f"{name} is '{value}'.", f"Use one of {', '.join(allowed)}.")
         for name, share in (
             ("kept_share", self.kept_share),
             ("selected_share", self.selected_share),
-            ("seam_share", self.seam_share),
+            ("refine_share", self.refine_share),
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
-        if self.scene.front_photos:
+        if self.scene.min_views:
             raise ConfigError(
-                f"scene.front_photos is {self.scene.front_photos}; the Scene-GS knows no boxes.",
-                "Set roi.front_photos instead.",
+                f"scene.min_views is {self.scene.min_views}; the Scene-GS knows no boxes.",
+                "Set roi.min_views instead.",
             )
         if not 0 < self.scene_scale <= 1:
             raise ConfigError(
@@ -87,7 +87,7 @@ class RunConfig:
             raise ConfigError(f"The seed is {self.seed}.", "Use a number from 0 to 4294967295.")
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
-                "roi_init «box» throws the surroundings away, which `joint` needs.",
+                "roi_init 'box' throws the surroundings away, which `joint` needs.",
                 "Use the strategy `independent` with it.",
             )
 
@@ -110,6 +110,6 @@ class RunConfig:
         return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
 
     @property
-    def seam_steps(self) -> int:
+    def refine_steps(self) -> int:
         """Steps of the seam stage; 0: there is none."""
-        return round(self.seam_share * self.roi.steps) if self.strategy == "independent" else 0
+        return round(self.refine_share * self.roi.steps) if self.strategy == "independent" else 0

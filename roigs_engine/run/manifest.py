@@ -7,33 +7,37 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..context import Context
+from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.files import read_json, write_json
-from .archive import put_away_parts, take_back_parts
+from .archive import archive_parts, restore_parts
 
-# What follows from a request as a whole, and not from one stage.
+NAME = "manifest.json"
+FORMER_NAME = "request.json"  # until 0.1.0
+# What follows from a manifest as a whole, and not from one stage.
 RESULTS = (
-    *("result.ply", "surroundings.ply", "rois", "coarse"),
+    *("result.ply", "background.ply", "rois", "coarse"),
     *("report.md", "report.json", "crops", "selection"),
 )
 
 
-def claim(folder: Path, request: dict[str, Any], *, update: bool, context: Context) -> None:
-    """Write the request to `folder`, or check that it is the one the folder was made for.
+def claim(
+    folder: Path, manifest: dict[str, Any], *, update: bool, context: Context = QUIET
+) -> None:
+    """Write the manifest to `folder`, or check that it is the one the folder was made for.
 
-    With `update`, the results of another request make room for those of this one.
+    With `update`, the results of another manifest are archived, and those of this one restored.
 
     Raises:
-        RunFolderError: the folder was made for another request.
+        RunFolderError: the folder was made for other settings, or by an earlier version.
     """
-    path = folder / "request.json"
+    path, now = folder / NAME, from_json(manifest)
+    check_version(folder)
     if not path.exists():
-        write_json(path, request)
+        write_json(path, now)
         return
     before = read_json(path)
-    # JSON has no tuples: compare what would be read back.
-    difference = _difference(before, _plain(request))
+    difference = _difference(before, now)
     if not difference:
         return
     if not update:
@@ -41,22 +45,29 @@ def claim(folder: Path, request: dict[str, Any], *, update: bool, context: Conte
             f"{folder} holds another run ({difference}).",
             "Add --update to bring it up to date, or choose another --run-dir.",
         )
-    put_away_parts(folder, RESULTS, _digest(before))
-    take_back_parts(folder, RESULTS, _digest(_plain(request)))
-    write_json(path, request)
+    archive_parts(folder, RESULTS, _digest(before))
+    restore_parts(folder, RESULTS, _digest(now))
+    write_json(path, now)
     context.info(f"{folder} is brought up to date ({difference}).")
 
 
-def _digest(request: Any) -> str:
-    """Hash of a request as it comes back from JSON."""
-    return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
+def check_version(folder: Path) -> None:
+    """Raise RunFolderError if an earlier version of the engine made the folder."""
+    if (folder / FORMER_NAME).exists() and not (folder / NAME).exists():
+        raise RunFolderError(
+            f"{folder} was made by an earlier version, whose runs cannot be resumed.",
+            "Choose another --run-dir; the results in this one stay as they are.",
+        )
 
 
-def _plain(value: Any) -> Any:
-    """The value as it comes back from JSON."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+def from_json(value: Any) -> Any:
+    """The value as it comes back from JSON, which has no tuples."""
+    return json.loads(json.dumps(value))
+
+
+def _digest(manifest: Any) -> str:
+    """Hash of a manifest as it comes back from JSON."""
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def _difference(before: Any, now: Any, path: str = "") -> str:

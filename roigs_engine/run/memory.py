@@ -1,4 +1,4 @@
-"""What a run will need of the machine's memory, said before it begins; giving back what is freed.
+"""What a run will need of the machine's memory, said before it begins.
 
 The constants were measured with `python -m benchmarks.memory` (docs/reliability.md).
 """
@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.events import Message
 from ..machine import machine_memory
 from ..model.scene import PosedImage
 from ..training.config import TrainConfig
 from .config import RunConfig
+from .definition import Run
 
 ENGINE = 260 << 20  # bytes of Python, torch and the kernels
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
@@ -70,6 +72,11 @@ class MemoryPlan:
             )
             found.append(Message(text=text, level="warning"))
         return found
+
+
+def run_memory(run: Run, context: Context = QUIET) -> MemoryPlan:
+    """`plan_memory` of a run."""
+    return plan_memory(run.scene.images, len(run.scene.points), run.config, context.photo_memory)
 
 
 def plan_memory(

@@ -10,7 +10,7 @@ from ..selection.config import SelectionConfig
 from ..training.config import TrainConfig, with_steps
 from .config import RunConfig
 
-SEAM_SHARE = 0.2  # of the ROI stage, where a composition is refined (docs/results.md)
+REFINE_SHARE = 0.2  # of the ROI stage, where a composition is refined (docs/results.md)
 
 
 def paper_recipe() -> RunConfig:
@@ -70,11 +70,11 @@ def joint_recipe(
             densify_until=roi_steps // 3,
             densify_in_boxes=True,
             grad_threshold=8e-5,
-            box_capacity=2.2,
+            box_budget=2.2,
             full_every=4,
-            photo_balance=1.0,
+            view_weighting=1.0,
             reset_every=0,
-            front_photos=4,
+            min_views=4,
             average_steps=roi_steps // 10,
         ),
         roi_order="shuffled",
@@ -97,7 +97,7 @@ def preset(name: str) -> RunConfig:
         ConfigError: there is none.
     """
     if name not in PRESETS:
-        raise ConfigError(f"There is no preset «{name}».", f"Use one of {', '.join(PRESETS)}.")
+        raise ConfigError(f"There is no preset '{name}'.", f"Use one of {', '.join(PRESETS)}.")
     return PRESETS[name]()
 
 
@@ -116,7 +116,7 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
         other = replace(
             other,
             preset=label,
-            seam_share=SEAM_SHARE,
+            refine_share=REFINE_SHARE,
             scene=with_steps(other.scene, config.scene.steps),
             roi=with_steps(other.roi, config.roi.steps),
         )

@@ -1,7 +1,7 @@
-"""`run.json`: with what, on what and for how long the engine has worked in a run folder.
+"""`provenance.json`: which versions, machine and time the results of a run folder come from.
 
-One entry for each time it did, so that a result can be traced after the program or the machine has
-changed. Nothing of the environment, of names of users or machines, or of paths is in it.
+One entry for each time the engine worked there, so that a result can be traced after the program or
+the machine has changed. It holds no environment variables, user or machine names, or paths.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from ..formats.files import read_json, write_json
 from ..kernels import library
 from ..machine import chip, machine_memory
 
-NAME = "run.json"
+NAME = "provenance.json"
 PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
 
 
 @contextmanager
-def session(folder: Path, seed: int, device: str) -> Iterator[None]:
-    """Note in `folder`/run.json that a run is worked on while the block lasts, and how that ended.
+def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
+    """Record in `folder`/provenance.json that the block worked there, and how it ended.
 
     Raises:
-        RunFolderError: the file cannot be written, or is none of ours.
+        RunFolderError: the file cannot be written, or is not the engine's.
     """
     path = folder / NAME
-    sessions = _earlier(path)
+    entries = _earlier(path)
     now: dict[str, Any] = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "ended": "killed",  # unless something better is written in its place
@@ -51,7 +51,7 @@ def session(folder: Path, seed: int, device: str) -> Iterator[None]:
         "device": device,
         "seed": seed,
     }
-    write_json(path, {"sessions": [*sessions, now]})
+    write_json(path, {"entries": [*entries, now]})
     began = time.monotonic()
     try:
         yield
@@ -70,16 +70,16 @@ def session(folder: Path, seed: int, device: str) -> Iterator[None]:
         now["stages"] = _stages(folder)
         with suppress(RunFolderError):  # what ended the block is more important
             # Forcing it to the disk would force a checkpoint just written there too: a stop waits.
-            write_json(path, {"sessions": [*sessions, now]}, durable=False)
+            write_json(path, {"entries": [*entries, now]}, durable=False)
 
 
 def _earlier(path: Path) -> list[Any]:
     if not path.exists():
         return []
     record = read_json(path)
-    if not isinstance(record, dict) or not isinstance(record.get("sessions"), list):
+    if not isinstance(record, dict) or not isinstance(record.get("entries"), list):
         raise RunFolderError(f"{path} is not the engine's.", "Delete it, or choose another folder.")
-    return list(record["sessions"])
+    return list(record["entries"])
 
 
 def _version(name: str) -> str:

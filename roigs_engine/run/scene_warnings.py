@@ -1,4 +1,4 @@
-"""What will train badly, though it can be trained: said before it begins."""
+"""Warnings before training: what can be trained, but will train badly."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..model.scene import SfmScene
 MAX_REACH = 1e4  # sizes of the scene from its origin; farther off float32 blurs what is in it
 
 
-def cautions(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
+def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
     """Sentences about a scene to be trained and its boxes; none when all is well."""
     return [*_far_from_its_origin(scene), *_without_points_of_their_own(scene, list(rois))]
 
@@ -35,7 +35,7 @@ def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> li
         inside = int(roi.contains(scene.points).sum())
         if inside and not (owner == index).any():
             found.append(
-                f"ROI «{roi.name}» owns none of the {inside:,} points in it: they are nearer to the"
-                f" centre of another ROI. Move them apart, or train it alone (--only {roi.name})."
+                f"Box '{roi.name}' owns none of the {inside:,} points in it: they are nearer to the"
+                f" centre of another box. Move them apart, or train it alone (--only {roi.name})."
             )
     return found

@@ -34,17 +34,17 @@ def matched_baseline(config: RunConfig) -> TrainConfig:
 
 def object_stage(config: RunConfig) -> TrainConfig:
     """An Object-GS: the ROI stage's steps without those of the joint refinement."""
-    return with_steps(config.roi, config.roi.steps - config.seam_steps)
+    return with_steps(config.roi, config.roi.steps - config.refine_steps)
 
 
 def refine_stage(config: RunConfig) -> TrainConfig:
     """The joint refinement of a composed model: the joint stage's settings, no new Gaussians."""
     return replace(
         joint_recipe("", config.scene.steps, config.roi.steps).roi,
-        steps=config.seam_steps,
+        steps=config.refine_steps,
         sh_degree=config.roi.sh_degree,
         sh_start=config.roi.sh_degree,
         densify_until=0,
-        box_capacity=0.0,
-        average_steps=config.seam_steps // 2,
+        box_budget=0.0,
+        average_steps=config.refine_steps // 2,
     )

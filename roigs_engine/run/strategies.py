@@ -1,112 +1,264 @@
-"""The models that a strategy makes of a run's stages, in the order of a table."""
+"""Strategies and baselines: functions of a run's photos that return plans."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import starmap
 
-from ..evaluation.views import EvaluatedModel
-from ..model.gaussians import Gaussians
-from ..training.stage import StageResult
-
-if TYPE_CHECKING:
-    from .pipeline import Run
+from ..context import QUIET, Context
+from ..errors import SceneError
+from ..model.roi import OrientedBox
+from ..model.scene import PosedImage
+from ..training.budget import box_budgets
+from ..training.config import TrainConfig
+from ..training.photo_order import PhotoOrder
+from ..training.view_spacing import detail_spacing, rates_for_spacing, view_spacing
+from . import stage_configs
+from .config import STRATEGIES
+from .definition import Run
+from .photo_sets import PhotoSets
+from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage, result_of
+from .presets import in_strategy
 
 BASELINE = "Full Scene"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainedModel:
-    """A model and the stages behind it.
+def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) -> Plan:
+    """The plan of a run: its strategy, its result last, and what it is compared with.
 
-    Attributes:
-        name: of its row, unique among the rows of a box.
-        gaussians: the model.
-        stages: that serve all boxes alike.
-        by_roi: box -> the stage that serves it alone.
+    Args:
+        run: what to train.
+        compare: of `config.COMPARISONS`: baselines, and the other strategy.
+        context: selecting photos takes time, emits warnings and can be stopped.
+
+    Raises:
+        SceneError: no photo is left to train a stage on.
+        RoiError: no photo sees a box.
     """
+    photos = PhotoSets(run, context)
+    plan = Plan()
+    if "full-scene" in compare:
+        plan += full_scene(photos)
+    if "full-object" in compare:
+        plan += full_objects(photos)
+    for name in STRATEGIES:
+        if name in compare and name != run.config.strategy:
+            other = replace(run, config=in_strategy(run.config, name))
+            plan += strategy(PhotoSets(other, context), folder=name)
+    return plan + strategy(photos)
 
-    name: str
-    gaussians: Gaussians
-    stages: Sequence[StageResult] = ()
-    by_roi: dict[str, StageResult] = field(default_factory=dict)
 
-    @classmethod
-    def of_stage(cls, name: str, stage: StageResult, roi: str = "") -> TrainedModel:
-        """What a stage ended with, for one box or for all."""
-        if roi:
-            return cls(name=name, gaussians=stage.gaussians, by_roi={roi: stage})
-        return cls(name=name, gaussians=stage.gaussians, stages=[stage])
+def full_scene(photos: PhotoSets) -> Plan:
+    """Baseline: standard 3DGS on all training photos, as many steps as both stages."""
+    config = stage_configs.baseline(photos.run.config)
+    stage = _stage("full-scene", photos, photos.images, config)
+    return Plan(models=(PlannedModel.of_stage(BASELINE, stage),))
 
-    @property
-    def rois(self) -> tuple[str, ...] | None:
-        """The boxes that get a row for it; None: all, as some stage serves all."""
-        return None if self.stages else tuple(self.by_roi)
 
-    @property
-    def all_stages(self) -> list[StageResult]:
-        """Every stage behind it."""
-        return [*self.stages, *self.by_roi.values()]
+def full_objects(photos: PhotoSets) -> Plan:
+    """Baseline of each box: standard 3DGS on every photo that sees it."""
+    config = stage_configs.baseline(photos.run.config)
+    models = []
+    for roi in photos.run.rois:
+        stage = _stage(f"full-object-{roi.name}", photos, photos.seen(roi), config)
+        models.append(PlannedModel.of_stage("Full Object", stage, roi.name))
+    return Plan(models=tuple(models))
 
-    def stages_for(self, roi: str) -> list[StageResult]:
-        """The stages that this model needs if the box is the only one."""
-        return [*self.stages, *([self.by_roi[roi]] if roi in self.by_roi else [])]
 
-    def evaluated(self) -> EvaluatedModel:
-        """Its row, which took the time of all its stages."""
-        return EvaluatedModel(
-            name=self.name,
-            gaussians=self.gaussians,
-            seconds=sum(stage.seconds for stage in self.all_stages),
-            rois=self.rois,
-            stages={stage.name: stage.seconds for stage in self.all_stages},
+def matched(photos: PhotoSets, ours: PlannedModel) -> Plan:
+    """Baseline: Full Scene with as many Gaussians in each box as our model has there.
+
+    It densifies in the boxes more readily than the ROI stage, so what it loses to our model is
+    not for want of Gaussians.
+    """
+    run = photos.run
+    config = stage_configs.matched_baseline(run.config)
+    stage = _stage("matched-scene", photos, photos.images, config, rois=run.rois)
+    stage = replace(stage, matched=ours.source)
+    return Plan(models=(PlannedModel.of_stage("Matched", stage),))
+
+
+def strategy(photos: PhotoSets, *, folder: str = "", coarse: Stage | None = None) -> Plan:
+    """The plan of the run's own strategy.
+
+    Args:
+        photos: of the run.
+        folder: where its stages and files lie, below the run's folder.
+        coarse: a Scene-GS to start from instead of the run's own.
+    """
+    scene = coarse or scene_stage(photos, folder)
+    make = _joint if photos.run.config.strategy == "joint" else _independent
+    models = make(photos, scene, folder)
+    return Plan(
+        models=models,
+        outputs=(Output(folder=folder, model=models[-1], coarse=scene),),
+        selections={folder: photos.selections()},
+    )
+
+
+def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:
+    """Scene-GS (paper, sec. II-B): all photos but those reserved for the boxes."""
+    config, held = photos.run.config, photos.reserved()
+    kept = tuple(image for image in photos.images if image.name not in held)
+    if not kept:
+        raise SceneError(
+            "Every photo is reserved for a box: none is left to train the scene on.",
+            "Raise --kept-share (1 keeps all), or select fewer photos (--count).",
         )
+    images = tuple(image.scaled(config.scene_scale) for image in kept)
+    return _stage(_path(folder, "scene"), photos, images, config.scene)
 
 
-def full_scene(run: Run) -> TrainedModel:
-    """The baseline that all is compared with."""
-    return TrainedModel.of_stage(BASELINE, run.full_scene())
+def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:
+    """One stage for all boxes: all photos and the selected ones, densified in the boxes (ours)."""
+    run = photos.run
+    joint = _stage(
+        _path(folder, "joint"),
+        photos,
+        photos.images,
+        run.config.roi,
+        rois=run.rois,
+        start=_roi_start(run, scene, run.rois),
+        order=_mixed_order,
+    )
+    return (
+        PlannedModel.of_stage("Scene-GS (joint)", scene),
+        PlannedModel(name="Joint", source=result_of(joint), stages=(scene, joint)),
+    )
 
 
-def full_objects(run: Run) -> list[TrainedModel]:
-    """The Full Object of each box."""
-    return [
-        TrainedModel.of_stage("Full Object", run.full_object(roi), roi.name) for roi in run.rois
-    ]
-
-
-def own_models(run: Run) -> list[TrainedModel]:
-    """The models of the run's strategy, its result last."""
-    return _joint(run) if run.config.strategy == "joint" else _independent(run)
-
-
-def _joint(run: Run) -> list[TrainedModel]:
-    scene, joint = run.scene_stage(), run.joint_stage()
-    return [
-        TrainedModel.of_stage("Scene-GS (joint)", scene),
-        TrainedModel(name="Joint", gaussians=joint.gaussians, stages=[scene, joint]),
-    ]
-
-
-def _independent(run: Run) -> list[TrainedModel]:
-    scene = run.scene_stage()
-    objects = {roi.name: run.object_stage(roi) for roi in run.rois}
-    in_order = list(objects.values())
-    composed = run.composed(scene, in_order)
+def _independent(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:
+    """The paper's way: an Object-GS for each box, then composition; refined if it says so."""
+    run = photos.run
+    objects = {roi.name: _object_stage(photos, scene, roi, folder) for roi in run.rois}
+    composed = Source(kind=MERGE, inputs=(scene, *objects.values()), rois=run.rois)
     models = [
-        TrainedModel.of_stage("Scene-GS", scene),
-        *(TrainedModel.of_stage("Object-GS", stage, roi) for roi, stage in objects.items()),
-        TrainedModel(name="Composition", gaussians=composed, stages=[scene], by_roi=objects),
+        PlannedModel.of_stage("Scene-GS", scene),
+        *(PlannedModel.of_stage("Object-GS", stage, roi) for roi, stage in objects.items()),
+        PlannedModel(name="Composition", source=composed, stages=(scene,), by_roi=objects),
     ]
-    if run.config.seam_steps:
-        seam = run.seam_stage(scene, in_order)
+    if run.config.refine_steps:
+        refined = _refine_stage(photos, composed, folder)
         models.append(
-            TrainedModel(
+            PlannedModel(
                 name="Composition, refined",
-                gaussians=seam.gaussians,
-                stages=[scene, seam],
+                source=result_of(refined),
+                stages=(scene, refined),
                 by_roi=objects,
             )
         )
-    return models
+    return tuple(models)
+
+
+def _object_stage(photos: PhotoSets, scene: Stage, roi: OrientedBox, folder: str) -> Stage:
+    """Object-GS of one box (paper, sec. II-B): its selected photos, densified in the box."""
+    run = photos.run
+    by_name = {image.name: image for image in photos.images}
+    return _stage(
+        _path(folder, f"object-{roi.name}"),
+        photos,
+        tuple(by_name[name] for name in photos.selection(roi).names),
+        stage_configs.object_stage(run.config),
+        rois=(roi,),
+        start=_roi_start(run, scene, (roi,)),
+        order=_in_order if run.config.roi_order == "ordered" else _shuffled_order,
+    )
+
+
+def _refine_stage(photos: PhotoSets, composed: Source, folder: str) -> Stage:
+    """The composition trained on as a whole (ours): inside and outside come to meet."""
+    return _stage(
+        _path(folder, "refine"),
+        photos,
+        photos.images,
+        stage_configs.refine_stage(photos.run.config),
+        rois=photos.run.rois,
+        start=composed,
+        order=_mixed_order,
+    )
+
+
+Order = Callable[[PhotoSets, Sequence[PosedImage], TrainConfig], PhotoOrder]
+
+
+def _shuffled_order(
+    photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig
+) -> PhotoOrder:
+    """Every photo as often."""
+    return PhotoOrder(kind="shuffled", count=len(images), seed=photos.run.config.seed)
+
+
+def _in_order(photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig) -> PhotoOrder:
+    """One after another, as they stand (paper, sec. III-A)."""
+    return PhotoOrder(kind="ordered", count=len(images))
+
+
+def _mixed_order(
+    photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig
+) -> PhotoOrder:
+    """Selected photos more often than others."""
+    selected = photos.selected()
+    every = tuple(range(len(images)))
+    return PhotoOrder(
+        kind="mixed",
+        count=len(images),
+        seed=photos.run.config.seed,
+        selected=tuple(row for row, image in enumerate(images) if image.name in selected),
+        drawn=every if config.full_every == 1 else photos.rows_seeing(images),
+        share=photos.run.config.selected_share,
+        full_every=config.full_every,
+    )
+
+
+def _stage(
+    name: str,
+    photos: PhotoSets,
+    images: tuple[PosedImage, ...],
+    config: TrainConfig,
+    *,
+    rois: Sequence[OrientedBox] = (),
+    start: Source | None = None,
+    order: Order = _shuffled_order,
+) -> Stage:
+    """A stage; what follows from its photos and boxes is worked out here."""
+    run = photos.run
+    if config.lr_shN_spacing:
+        around = [(photos.seen(roi), roi) for roi in rois]
+        spacing, detail = (max(starmap(f, around)) for f in (view_spacing, detail_spacing))
+        config = rates_for_spacing(config, spacing, detail)
+    margins = tuple(roi.scaled(config.box_margin) for roi in rois)
+    return Stage(
+        name=name,
+        images=images,
+        config=config,
+        start=start or _points(run),
+        order=order(photos, images, config),
+        rois=margins,
+        budgets=box_budgets(images, margins, config, photos.context),
+        seeing=() if config.full_every == 1 else photos.rows_seeing(images),
+        extent=run.extent,
+        seed=run.config.seed,
+    )
+
+
+def _points(run: Run) -> Source:
+    scene = run.train_scene
+    digest = hashlib.sha256(scene.points.tobytes() + scene.colors.tobytes()).hexdigest()
+    return Source(kind=POINTS, digest=digest)
+
+
+def _roi_start(run: Run, scene: Stage, rois: Sequence[OrientedBox]) -> Source:
+    """What a ROI stage starts from: the Scene-GS, or an ablation's choice."""
+    match run.config.roi_init:
+        case "points":
+            return _points(run)
+        case "box":
+            return Source(kind=CROP, inputs=(scene,), rois=tuple(rois))
+        case _:
+            return result_of(scene)
+
+
+def _path(folder: str, stage: str) -> str:
+    return f"{folder}/{stage}" if folder else stage

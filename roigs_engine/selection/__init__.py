@@ -11,7 +11,6 @@ name order, ties go by name, and everything random has a seed. Nothing here need
 from __future__ import annotations
 
 from ..context import QUIET, Context
-from ..formats.events import Message
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import Candidates, find_candidates, visible_images
@@ -47,8 +46,7 @@ def select_cameras(
         scene: the model, test photos already taken out (`SfmScene.without`).
         roi: the box.
         config: method and settings.
-        context: gets one warning for each degenerate case met.
-        context: asked between photos whether to stop.
+        context: gets one warning for each degenerate case met; asked whether to stop.
 
     Raises:
         RoiError: no point lies in the box, or no photo sees one that does.
@@ -109,10 +107,10 @@ def _order(
 def _count_flags(roi: OrientedBox, config: SelectionConfig, candidates: int) -> tuple[str, ...]:
     """Sentences about too few candidates."""
     if candidates == 1:
-        return (f"Only one photo sees ROI «{roi.name}»: an object cannot be rebuilt from it.",)
+        return (f"Only one photo sees box '{roi.name}': an object cannot be rebuilt from it.",)
     if config.count is not None and candidates < config.count:
         return (
-            f"Only {candidates} photos see ROI «{roi.name}», {config.count} were asked for:"
+            f"Only {candidates} photos see box '{roi.name}', {config.count} were asked for:"
             " all of them are used.",
         )
     return ()

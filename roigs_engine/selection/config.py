@@ -29,8 +29,8 @@ class SelectionConfig:
         count: photos to choose; None for min(150, ceil(share x candidates)).
         share: see `count`; the paper's is 0.48.
         seed: of `random`, of the gp's optimiser restarts and of `gp_refresh`'s samples.
-        acquisition: the gp's, «ucb» or «ei».
-        beta: weight of the standard deviation in «ucb», >= 0.
+        acquisition: the gp's, 'ucb' or 'ei'.
+        beta: weight of the standard deviation in 'ucb', >= 0.
         gp_refresh: measure the present gain of up to 32 unselected photos at every step and fit
             the gp on those, instead of on the gains (gone stale) of the photos already chosen.
         gp_refit_every: picks between two optimisations of the gp's hyper-parameters.
@@ -50,11 +50,11 @@ class SelectionConfig:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ConfigError(
-                f"Unknown selection method «{self.method}».", f"Use one of {', '.join(METHODS)}."
+                f"Unknown selection method '{self.method}'.", f"Use one of {', '.join(METHODS)}."
             )
         if self.acquisition not in ACQUISITIONS:
             raise ConfigError(
-                f"Unknown acquisition «{self.acquisition}».", f"Use {' or '.join(ACQUISITIONS)}."
+                f"Unknown acquisition '{self.acquisition}'.", f"Use {' or '.join(ACQUISITIONS)}."
             )
         if self.count is not None and self.count < 1:
             raise ConfigError(f"Cannot select {self.count} photos.", "Set count to 1 or more.")

@@ -39,7 +39,7 @@ class StaticFeatures:
             return ()
         more = f" and {len(names) - INSIDE_NAMED} more" if len(names) > INSIDE_NAMED else ""
         return (
-            f"{len(names)} cameras stand inside ROI «{candidates.roi.name}»"
+            f"{len(names)} cameras stand inside box '{candidates.roi.name}'"
             f" ({', '.join(names[:INSIDE_NAMED])}{more}): the box counts as filling their image.",
         )
 

@@ -34,7 +34,7 @@ from .score import DensityOccupancy
 SEEDS = 5
 # Unselected photos measured at each step with `gp_refresh`.
 REFRESHED = 32
-# «ei» improves on the best gain of this many latest picks: older gains are out of reach.
+# 'ei' improves on the best gain of this many latest picks: older gains are out of reach.
 EI_WINDOW = 5
 RESTARTS = 1
 # A feature whose standard deviation is below this share of its size (or below this) is constant.

@@ -19,7 +19,7 @@ METHOD = "given"
 NAMED = 3  # photos named in a warning
 
 
-def load_given(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[str, ...]]:
+def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[str, ...]]:
     """Box -> the photos listed in `folder`/ROI.json, for the boxes that have such a file.
 
     Of a file only `names` is looked at; a photo that is named twice counts once.
@@ -40,12 +40,12 @@ def load_given(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[str
         record = read_json(path)
         names = record.get("names") if isinstance(record, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError(f"{path} holds no list «names» of photo names.")
+            raise ConfigError(f"{path} holds no list 'names' of photo names.")
         given[roi] = tuple(dict.fromkeys(names))
     return given
 
 
-def check_given(
+def usable_manual(
     names: Sequence[str], scene: SfmScene, test: Sequence[str], roi: str, context: Context = QUIET
 ) -> tuple[str, ...]:
     """The given photos of a box that can be trained on.
@@ -68,7 +68,7 @@ def check_given(
     for name in names:
         if name not in there and name not in unusable:
             raise ConfigError(
-                f"The selection of ROI «{roi}» names «{name}», which the scene does not have."
+                f"The selection of box '{roi}' names '{name}', which the scene does not have."
             )
     for reason, left_out in (
         ("kept for the tests", [name for name in names if name in held]),
@@ -76,18 +76,18 @@ def check_given(
     ):
         if left_out:
             first = ", ".join(left_out[:NAMED]) + (", …" if len(left_out) > NAMED else "")
-            text = f"Of the photos given for ROI «{roi}», {len(left_out)} are {reason} ({first})."
+            text = f"Of the photos given for box '{roi}', {len(left_out)} are {reason} ({first})."
             context.warn(text)
     usable = tuple(name for name in names if name in there and name not in held)
     if not usable:
         raise ConfigError(
-            f"None of the {len(names)} photos given for ROI «{roi}» can be trained on.",
+            f"None of the {len(names)} photos given for box '{roi}' can be trained on.",
             "Give others, or none to have them selected.",
         )
     return usable
 
 
-def given_selection(
+def manual_selection(
     scene: SfmScene, roi: OrientedBox, names: Sequence[str], context: Context = QUIET
 ) -> CameraSelection:
     """The given photos as a selection, scored as the methods but `coverage` are.

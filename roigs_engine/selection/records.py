@@ -36,8 +36,8 @@ class CameraSelection:
             would give, else density x occupancy of the points in the box (both 0 to 1).
         candidates: every photo that sees the box, in name order.
         flags: sentences about degenerate cases met.
-        features: candidate -> «distance» (world units, to the box's centre), «area» (share of the
-            image that the box covers), «keypoints» (points in the box that the photo sees).
+        features: candidate -> 'distance' (world units, to the box's centre), 'area' (share of the
+            image that the box covers), 'keypoints' (points in the box that the photo sees).
     """
 
     roi: str

@@ -25,7 +25,7 @@ def format_selection(selection: CameraSelection) -> str:
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = [
-        f"ROI «{selection.roi}»: {len(selection.names)} of {len(selection.candidates)} photos that"
+        f"Box '{selection.roi}': {len(selection.names)} of {len(selection.candidates)} photos that"
         f" see it, chosen by {selection.method}"
     ]
     for row in rows:

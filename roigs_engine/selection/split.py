@@ -42,7 +42,7 @@ def choose_test_views(
         views = seen_by[roi.name] = _by_distance(scene, roi, context)
         if len(views) < 2:
             raise SceneError(
-                f"ROI «{roi.name}» is seen by {len(views)} photo(s): none can be held out.",
+                f"Box '{roi.name}' is seen by {len(views)} photo(s): none can be held out.",
                 "Check where the box is, or add photos of the object.",
             )
         if index == 0:
@@ -54,7 +54,7 @@ def choose_test_views(
     for name, views in seen_by.items():
         if chosen.issuperset(views):
             raise SceneError(
-                f"All {len(views)} photos that see ROI «{name}» would be held out for testing.",
+                f"All {len(views)} photos that see box '{name}' would be held out for testing.",
                 "Hold out fewer photos (a larger test_every), or add photos of the object.",
             )
     return tuple(image.name for image in scene.images if image.name in chosen)

@@ -1,9 +1,9 @@
 """How many Gaussians a box may come to hold in the ROI stage, and how fast (ours; paper: no limit).
 
-A box that few photos see, or that is small in them, must not get so many that it learns those
-photos by heart; one that fills the photos must not make the model larger than the plain one. The
-limit grows with the pixels that the photos show of the box, but more slowly: photos overlap, so
-twice the pixels are not twice the surface. Factor and exponent are empirical (docs/results.md).
+A box that few photos see, or that is small in them, must not get so many that it overfits those
+photos; one that fills the photos must not make the model larger than the plain one. The budget
+grows with the pixels that the photos show of the box, but more slowly: photos overlap, so twice the
+pixels are not twice the surface. Factor and exponent are empirical (docs/lab_notebook.md).
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from dataclasses import dataclass
 
 from ..context import QUIET, Context
 from ..model.gaussians import Gaussians
+from ..model.ownership import count_owned
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from .config import TrainConfig
-from .densify import box_owner
 
 EXPONENT = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoxCapacity:
+class BoxBudget:
     """Most Gaussians in a box when densification begins, and when it ends."""
 
     begin: int
@@ -37,36 +37,32 @@ class BoxCapacity:
         return round(self.begin + (self.end - self.begin) * min(progress, 1.0))
 
 
-def box_capacities(
-    model: Gaussians,
+def box_budgets(
     images: Sequence[PosedImage],
     rois: Sequence[OrientedBox],
     config: TrainConfig,
     context: Context = QUIET,
-) -> list[BoxCapacity] | None:
-    """The boxes' capacities, `box_capacity` x pixels^0.7, or None when the config sets no limit.
+) -> tuple[int, ...] | None:
+    """Each box's budget at the end, `box_budget` x pixels^0.7; None when there is no limit.
 
     Args:
-        model: what the ROI stage starts from.
-        images: what it trains on; pixels count in each of them.
+        images: what the stage trains on; pixels count in each of them.
         rois: the boxes.
-        config: gives `box_capacity`.
+        config: gives `box_budget`.
         context: asked between photos whether to stop.
     """
-    if not rois or config.box_capacity <= 0:
+    if not rois or config.box_budget <= 0:
         return None
-    ends = [int(config.box_capacity * _pixels(roi, images, context) ** EXPONENT) for roi in rois]
-    return capacities_to(model, rois, ends)
+    return tuple(int(config.box_budget * _pixels(roi, images, context) ** EXPONENT) for roi in rois)
 
 
-def capacities_to(
+def budgets_from(
     model: Gaussians, rois: Sequence[OrientedBox], ends: Sequence[int]
-) -> list[BoxCapacity]:
-    """Capacities that rise from what `model` holds in the boxes to `ends`, one for each box."""
-    owner = box_owner(model, rois)
+) -> list[BoxBudget]:
+    """Budgets that rise from what `model` holds in the boxes to `ends`, one for each box."""
+    counts = count_owned(model, rois)
     return [
-        BoxCapacity(begin=min(int((owner == index).sum()), end), end=end)
-        for index, end in enumerate(ends)
+        BoxBudget(begin=min(count, end), end=end) for count, end in zip(counts, ends, strict=True)
     ]
 
 

@@ -31,12 +31,12 @@ class TrainConfig:
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
         box_margin: for densification and its limits, boxes are so many times larger: what stands
             close around an object fills much of its silhouette.
-        box_capacity: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
+        box_budget: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
         box_grad_threshold: takes the place of `grad_threshold` in the boxes; 0: the same there.
         full_every: in a ROI stage one step of so many looks at a whole photo, drawn from all; the
             others look at the boxes' silhouettes and a rim, in photos that see a box (`region.py`).
             1: all look at whole photos (paper).
-        photo_balance: in those steps, 0: a pixel pulls as hard as in a whole photo; 1: a photo as
+        view_weighting: in those steps, 0: a pixel pulls as hard as in a whole photo; 1: a photo as
             hard as another, on however many pixels it shows the boxes; above, up to 2: one that
             shows them small pulls harder (`Regions`).
         prune_opacity: Gaussians below it are removed at densification steps.
@@ -44,7 +44,7 @@ class TrainConfig:
         reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
         contribution_every: Gaussians whose alpha x T stayed below 1/255 on every training pixel of
             a window of at least so many steps are removed; 0: never.
-        front_photos: the stage ends without Gaussians that stand before the boxes and fewer
+        min_views: the stage ends without Gaussians that stand before the boxes and fewer
             training photos than this show, and without those in the boxes that none shows
             (`floaters.py`); 0: all stay.
         average_steps: the stage ends with the mean of the models that it went through in its last
@@ -71,15 +71,15 @@ class TrainConfig:
     split_fraction: float = 0.01
     densify_in_boxes: bool = False
     box_margin: float = 1.0
-    box_capacity: float = 0.0
+    box_budget: float = 0.0
     box_grad_threshold: float = 0.0
     full_every: int = 1
-    photo_balance: float = 0.0
+    view_weighting: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
     contribution_every: int = 0
-    front_photos: int = 0
+    min_views: int = 0
     average_steps: int = 0
 
     def __post_init__(self) -> None:
@@ -90,9 +90,9 @@ class TrainConfig:
                 "contribution_every needs steps that look at whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
-        if not 0 <= self.photo_balance <= 2:
+        if not 0 <= self.view_weighting <= 2:
             raise ConfigError(
-                f"photo_balance is {self.photo_balance:g}.", "Use a number from 0 to 2."
+                f"view_weighting is {self.view_weighting:g}.", "Use a number from 0 to 2."
             )
 
     def position_rate(self, step: int) -> float:

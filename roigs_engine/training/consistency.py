@@ -1,10 +1,10 @@
-"""What the photos do not vouch for: floaters before the boxes, and what is buried in them (ours).
+"""Multi-view consistency: prunes floaters in front of the boxes, and what is hidden in them (ours).
 
-A Gaussian that one or two photos show can stand anywhere along their rays and still be right in
-them. Standing close before a camera, it does no harm there, but hides the object from every view
-that lies between the photos. So what stands nearer than the boxes is kept only if enough photos
-show it; what stands farther away is background, which few photos may well show. What none shows is
-useless in a box; elsewhere a new view may look at it.
+A Gaussian that only one or two photos show can stand anywhere along their rays and still be right
+in them. Close in front of a camera it does no harm there, but it hides the object from every view
+between the photos. So a Gaussian nearer than the boxes is kept only if enough photos show it. One
+that is farther away is background, which few photos may well show. One that no photo shows is
+useless in a box; elsewhere a new view may see it.
 """
 
 from __future__ import annotations
@@ -19,38 +19,39 @@ from ..context import QUIET, Context
 from ..cuda.device import CPU
 from ..cuda.library import can_weigh
 from ..model.gaussians import Gaussians
+from ..model.ownership import owners
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..rasterize.view import rasterize_view
-from .densify import VISIBLE_WEIGHT, box_owner
+from .densification.adaptive import VISIBLE_WEIGHT
 
 
 @torch.no_grad()
-def vouched_for(
+def consistent_across_views(
     gaussians: Gaussians,
     images: Sequence[PosedImage],
     rois: Sequence[OrientedBox],
-    photos: int,
+    min_views: int,
     context: Context = QUIET,
 ) -> Tensor:
-    """(N,) bool: which Gaussians the photos vouch for.
+    """(N,) bool: which Gaussians to keep.
 
-    A photo shows a Gaussian where it has alpha x T of 1/255 or more on some pixel.
+    A photo shows a Gaussian where its alpha x T is 1/255 or more on some pixel.
 
     Args:
         gaussians: the model, N rows.
-        images: the training photos; their pixels are not looked at.
+        images: the training photos; their pixels are not used.
         rois: the boxes.
-        photos: of those that a photo shows, what stands nearer than the nearest box in each such
-            photo must be shown by so many, or by all where there are fewer. Only photos with a box
-            in sight say what is nearer than a box.
+        min_views: a Gaussian that is nearer than the nearest box in every photo that shows it
+            must be shown by so many photos, or by all where there are fewer. Only photos that see
+            a box say what is nearer than a box.
         context: asked between photos whether to stop.
     """
     device = gaussians.means.device
     model = gaussians if can_weigh(device) else gaussians.to(CPU)
     shown_by = torch.zeros(len(model), dtype=torch.int32, device=model.means.device)
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
-    photos = min(photos, len(images))
+    min_views = min(min_views, len(images))
     for image in images:
         context.check_cancelled()
         pose = torch.from_numpy(image.world_to_camera).to(model.means)
@@ -66,9 +67,9 @@ def vouched_for(
         depth = model.means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
         in_front &= ~shown | (depth < _nearest(rois, image))
-    floating = (shown_by > 0) & (shown_by < photos) & in_front
-    buried = (shown_by == 0) & (box_owner(model, rois) >= 0)
-    return ~(floating | buried).to(device)
+    floating = (shown_by > 0) & (shown_by < min_views) & in_front
+    hidden = (shown_by == 0) & (owners(model, rois) >= 0)
+    return ~(floating | hidden).to(device)
 
 
 def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:

@@ -76,7 +76,7 @@ class Health:
         for (step, photo, _), loss in zip(new, losses, strict=True):
             if not np.isfinite(loss):
                 raise TrainingError(
-                    f"The loss became {loss} at step {step}, on the photo «{self._photos[photo]}».",
+                    f"The loss became {loss} at step {step}, on the photo '{self._photos[photo]}'.",
                     HINT,
                 )
             self._recent.setdefault(photo, deque(maxlen=VISITS)).append(loss)
@@ -94,7 +94,7 @@ class Health:
         limit = max(middle + DEVIATIONS * spread, TIMES * middle)
         worst = sorted((k for k in least if least[k] > limit), key=lambda k: -least[k])
         return [
-            f"The photo «{self._photos[k]}» does not fit the others: its loss stays at"
+            f"The photo '{self._photos[k]}' does not fit the others: its loss stays at"
             f" {least[k]:.3f}, theirs is {middle:.3f} (median). Is it sharp, of this scene, and"
             " posed well? A close-up that few others are like is no fault."
             for k in worst

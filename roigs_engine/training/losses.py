@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from ..cuda.library import fused_ssim
 from ..errors import EngineError
-from ..kernels import library
+from ..kernels import bindings
 
 WINDOW_RADIUS = 5
 WINDOW_SIGMA = 1.5
@@ -139,14 +139,14 @@ class _KernelLoss(torch.autograd.Function):
         mask = None if weights is None else weights.to(torch.float32).contiguous()
         gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
         result = (ctypes.c_double * 3)()
-        _kernel()(
+        bindings.kernels().roigs_photo_loss(
             width,
             height,
-            library.pointer(planar),
-            library.pointer(photo),
-            library.pointer(mask),
+            bindings.pointer(planar),
+            bindings.pointer(photo),
+            bindings.pointer(mask),
             ssim_weight,
-            library.pointer(gradient),
+            bindings.pointer(gradient),
             result,
         )
         ctx.gradient = gradient
@@ -163,24 +163,6 @@ class _KernelLoss(torch.autograd.Function):
         if scale != 1:  # the usual case needs no pass over the image
             gradient = gradient * scale
         return gradient.permute(1, 2, 0), None, None, None
-
-
-@functools.cache
-def _kernel() -> Any:
-    function = library.load().roigs_photo_loss
-    address = ctypes.c_void_p
-    function.argtypes = [
-        ctypes.c_int64,  # width
-        ctypes.c_int64,  # height
-        address,  # image (3, height, width)
-        address,  # target (height, width, 3)
-        address,  # weights (height, width) or null
-        ctypes.c_float,  # ssim_weight
-        address,  # gradient (3, height, width) or null
-        address,  # result: loss, L1, SSIM
-    ]
-    function.restype = None
-    return function
 
 
 def _check(image: Tensor, target: Tensor, weights: Tensor | None) -> None:

@@ -1,9 +1,8 @@
-"""The pixels of a photo that the ROI stage learns from: the boxes' silhouettes and a rim around.
+"""Masks: the pixels of a photo that the ROI stage learns from, the boxes' silhouettes and a rim.
 
-What lies outside the silhouettes is the Scene-GS's business; leaving it out of most steps makes
-them quicker and keeps their descent to what is wanted (ours, docs/method.md; paper: the loss is on
-the entire image, sec. II-B). Regions are whole 16x16 tiles, since that is what the rasterizer works
-on.
+What lies outside is the Scene-GS's business; leaving it out of most steps makes them faster and
+keeps their descent to what is wanted (ours, docs/method.md; paper: the loss is on the entire image,
+sec. II-B). Masks are whole 16x16 tiles, since that is what the rasterizer works on.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ from ..rasterize.inputs import TILE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Region:
-    """Some tiles of a photo.
+class RoiMask:
+    """The mask of one photo.
 
     Attributes:
-        mask: (H, W) bool, whole tiles.
+        pixels: (H, W) bool, whole tiles.
         window: x0, y0, x1, y1 in pixels, the smallest rectangle around them.
         weights: (h, w) of the window, 1 in the mask and 0 outside, on the photos' device.
         share: of the photo's pixels that the mask holds.
-        pull: weight of the region's mean loss beside that of a whole photo.
+        loss_weight: of the mask's mean loss, beside that of a whole photo.
     """
 
-    mask: Tensor
+    pixels: Tensor
     window: tuple[int, int, int, int]
     weights: Tensor
     share: float
-    pull: float
+    loss_weight: float
 
     def crop(self, image: Tensor) -> Tensor:
         """(H, W, ...) -> its pixels in the window."""
@@ -46,17 +45,18 @@ class Region:
         return image[y0:y1, x0:x1]
 
 
-class Regions:
-    """The region of each photo; found when first asked for, and kept as a small grid of tiles.
+class RoiMasks:
+    """The mask of each photo; made when first asked for, and kept as a small grid of tiles.
 
     Args:
         images, rois: of the stage.
-        drawn: rows of the photos whose regions are asked for.
+        drawn: rows of the photos whose masks are asked for.
         device: of the weights.
-        balance: 0: a pixel pulls as hard as in a whole photo, so close-ups, which show a box on
-            many, outweigh the rest; 1: regions pull alike, however large they are, and a pixel as
-            hard as in a whole photo only where the region has the (geometric) mean share.
-        context: asked between photos where these are needed from the start whether to stop.
+        view_weighting: 0: a pixel counts as much as in a whole photo, so close-ups, which show a
+            box on many pixels, outweigh the rest; 1: all masks count alike, however large they
+            are, and a pixel as much as in a whole photo only where the mask has the (geometric)
+            mean share.
+        context: asked between photos where they are needed from the start whether to stop.
     """
 
     def __init__(
@@ -66,16 +66,16 @@ class Regions:
         drawn: Sequence[int],
         device: torch.device | None = None,
         *,
-        balance: float = 0.0,
+        view_weighting: float = 0.0,
         context: Context = QUIET,
     ) -> None:
         self._images, self._rois, self._device = images, rois, device
-        self._balance = balance
+        self._weighting = view_weighting
         self._tiles: dict[int, NDArray[np.bool_]] = {}
-        self._mean_share = self._geometric_mean(drawn, context) if balance else 0.0
+        self._mean_share = self._geometric_mean(drawn, context) if view_weighting else 0.0
 
-    def __getitem__(self, index: int) -> Region | None:
-        """The region of photo `index`, None where no box is in sight."""
+    def __getitem__(self, index: int) -> RoiMask | None:
+        """The mask of photo `index`, None where no box is in sight."""
         tiles, camera = self._tiles_of(index), self._images[index].camera
         if not tiles.any():
             return None
@@ -85,16 +85,22 @@ class Regions:
         y0, y1 = int(rows[0]) * TILE, min(int(rows[-1] + 1) * TILE, camera.height)
         weights = mask[y0:y1, x0:x1].astype(np.float32)
         share = float(mask.mean())
-        return Region(
-            mask=torch.from_numpy(np.ascontiguousarray(mask)),
+        return RoiMask(
+            pixels=torch.from_numpy(np.ascontiguousarray(mask)),
             window=(x0, y0, x1, y1),
             weights=torch.from_numpy(weights).to(self._device),
             share=share,
-            pull=share * (self._mean_share / share) ** self._balance if self._balance else share,
+            loss_weight=self._loss_weight(share),
         )
 
+    def _loss_weight(self, share: float) -> float:
+        """Of a mask that holds this share of its photo."""
+        if not self._weighting:
+            return share
+        return float(share * (self._mean_share / share) ** self._weighting)
+
     def _geometric_mean(self, drawn: Sequence[int], context: Context) -> float:
-        """Of the shares that the regions have of their photos."""
+        """Of the shares that the masks have of their photos."""
         shares = []
         for index in drawn:
             context.check_cancelled()
@@ -115,7 +121,7 @@ class Regions:
 def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
     """The tiles that the boxes' silhouettes touch, and those next to them.
 
-    The rim is what the SSIM of the outermost pixels looks at, and a seam's width of surroundings.
+    The rim is what the SSIM of the outermost pixels looks at, and a seam's width of background.
     """
     camera = image.camera
     rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)

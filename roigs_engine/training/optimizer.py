@@ -5,17 +5,18 @@ Two rules keep a step's cost in proportion to the view and not to the scene:
 * Rows that are not visible keep their value and their moments: no decay.
 * There is no dense gradient. Either each parameter's `.grad` is allocated once, as zeros, the
   rasterizer's backward pass adds to the rows of visible Gaussians in place, and `VisibleAdam.step`
-  consumes these rows and zeroes them. Or, `fused`, that backward pass takes the step itself.
+  consumes these rows and zeroes them. Or, `fused`, that backward pass is handed the step and takes
+  it (`VisibleAdam.backward_step`).
 
-On an NVIDIA card a gradient is dense in any case: there the one that the backward pass has made is
-taken as it is, and dropped after the step.
+On an NVIDIA GPU a gradient is dense in any case: there the one that the backward pass has made is
+used as it is, and dropped after the step.
 """
 
 from __future__ import annotations
 
 import ctypes
-import functools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -23,28 +24,7 @@ from torch import Tensor
 
 from ..cuda.library import has_triton
 from ..errors import EngineError
-from ..kernels import library
-
-
-class _Parameter(ctypes.Structure):
-    """roigs.h: struct AdamParameter."""
-
-    _fields_ = [
-        *((n, ctypes.c_void_p) for n in ("values", "exp_avg", "exp_avg_sq", "gradient", "rates")),
-        ("width", ctypes.c_int64),
-    ]
-
-
-class Adam(ctypes.Structure):
-    """roigs.h: struct Adam."""
-
-    _fields_ = [
-        ("parameters", ctypes.POINTER(_Parameter)),
-        ("count", ctypes.c_int64),
-        ("betas", ctypes.c_double * 2),
-        ("epsilon", ctypes.c_double),
-        ("step", ctypes.c_int64),
-    ]
+from ..kernels import bindings
 
 
 class VisibleAdam:
@@ -138,8 +118,10 @@ class VisibleAdam:
                 )
         backend = self._backend()
         if backend == "cpu":
-            on = visible.contiguous()
-            return self.step_by(lambda adam: _kernel()(len(on), adam, library.pointer(on)))
+            on, kernels = visible.contiguous(), bindings.kernels()
+            return self.step_by(
+                lambda adam: kernels.roigs_adam(len(on), adam, bindings.pointer(on))
+            )
         self.step_count += 1
         step = self._triton_step if backend == "triton" else self._reference_step
         skipped: int | Tensor = sum(step(name, visible) for name in self.parameters)
@@ -152,7 +134,7 @@ class VisibleAdam:
         The tensors that the structure points to are float32 in main memory.
         """
         self.step_count += 1
-        parameters = (_Parameter * len(self.parameters))()
+        parameters = (bindings.AdamParameter * len(self.parameters))()
         for place, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
             rates = self._rates[name]
             place.values = parameter.data_ptr()
@@ -160,15 +142,20 @@ class VisibleAdam:
             place.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
             place.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
             place.rates, place.width = rates.data_ptr(), rates.numel()
-        adam = Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
+        adam = bindings.Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
         skipped = int(kernel(ctypes.byref(adam)))
         self.skipped_rows += skipped
         return skipped
 
     @property
     def fused(self) -> bool:
-        """Whether `rasterize(..., optimizer=self)` takes the steps; parameters have no `.grad`."""
+        """Whether a backward pass takes the steps; then parameters have no `.grad`."""
         return self._may_fuse and self._backend() == "cpu"
+
+    @property
+    def backward_step(self) -> FusedStep | None:
+        """What to hand to `rasterize(..., backward_step=...)`; None where `step` is called."""
+        return FusedStep(self) if self.fused else None
 
     def _backend(self) -> str:
         """What is used for the parameters: they are all of one kind."""
@@ -253,14 +240,6 @@ class VisibleAdam:
         for moments in (self.exp_avg[name], self.exp_avg_sq[name]):
             moments[slice(None) if rows is None else rows] = 0
 
-    @torch.no_grad()
-    def permute(self, order: Tensor) -> None:
-        """Reorder parameters, gradients and moments in place: new row i is old row order[i]."""
-        for name, parameter in self.parameters.items():
-            gradient = () if parameter.grad is None else (parameter.grad,)
-            for tensor in (parameter, *gradient, self.exp_avg[name], self.exp_avg_sq[name]):
-                tensor.copy_(tensor[order])
-
     def state_dict(self) -> dict[str, Any]:
         """Step count, moments and learning rates; tensors are shared, not copied."""
         return {
@@ -303,9 +282,17 @@ def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:
     return saved.detach().to(parameter, copy=True, memory_format=torch.contiguous_format)
 
 
-@functools.cache
-def _kernel() -> Any:
-    function = library.load().roigs_adam
-    function.argtypes = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p]
-    function.restype = ctypes.c_int64
-    return function
+@dataclass(frozen=True)
+class FusedStep:
+    """A step of an optimizer that a backward pass takes (`rasterize.inputs.BackwardStep`)."""
+
+    optimizer: VisibleAdam
+
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """The tensors it updates."""
+        return tuple(self.optimizer.parameters.values())
+
+    def take(self, kernel: Callable[[Any], int]) -> None:
+        """Take the step by a kernel, see `VisibleAdam.step_by`."""
+        self.optimizer.step_by(kernel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,42 @@ from numpy.typing import NDArray
 from ..selection.shares import evenly_spread
 
 PhotoAt = Callable[[int], int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoOrder:
+    """An order as data, which a plan holds.
+
+    Attributes:
+        kind: `shuffled` (epochs of permutations), `ordered` (as they stand, over and over) or
+            `mixed` (`of_boxes`).
+        count: of all photos.
+        seed: of the epochs.
+        selected, drawn, share, full_every: of `mixed`, see `of_boxes`.
+    """
+
+    kind: str
+    count: int
+    seed: int = 0
+    selected: tuple[int, ...] = ()
+    drawn: tuple[int, ...] = ()
+    share: float = 0.0
+    full_every: int = 1
+
+    def photo_at(self) -> PhotoAt:
+        """Step -> row of the photo it sees."""
+        if self.kind == "ordered":
+            return ordered(range(self.count))
+        if self.kind == "shuffled":
+            return shuffled(range(self.count), self.seed)
+        return of_boxes(
+            self.count,
+            self.drawn,
+            self.selected,
+            share=self.share,
+            full_every=self.full_every,
+            seed=self.seed,
+        )
 
 
 def ordered(photos: Sequence[int]) -> PhotoAt:

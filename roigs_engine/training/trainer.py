@@ -1,9 +1,9 @@
-"""One training stage: photos in, better Gaussians out; stops and goes on bit for bit."""
+"""One training stage: photos in, better Gaussians out; stops and resumes bit for bit."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,31 +12,32 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
 from ..cuda.memory import memory_explained, smaller
 from ..cuda.photos import Photos, photos_on
 from ..errors import Stopped
-from ..formats.events import Emit, Progress, check_of, ignore
+from ..formats.events import Progress
 from ..machine import give_back_freed
 from ..model.gaussians import NAMES, Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
-from ..rasterize import rasterize
-from . import densify, photo_order
+from ..rasterize import RenderOutput, rasterize
 from .averaging import ModelMean
-from .budget import BoxCapacity
-from .callbacks import Break
+from .budget import BoxBudget
+from .callbacks import PeriodicCallback
 from .config import TrainConfig
-from .consistency import vouched_for
-from .densify import DensityStats, Edit
+from .consistency import consistent_across_views
+from .densification import DensityControl, DensityInputs, Edit, density_control
+from .densification.edits import unchanged
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
-from .masks import Region, Regions
+from .masks import RoiMask, RoiMasks
 from .optimizer import VisibleAdam
-from .photo_order import PhotoAt
+from .photo_order import PhotoAt, is_whole
+from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
-RESET_OPACITY = 0.01
 AVERAGE_EVERY = 10  # steps between the models that are averaged: neighbours hardly differ
 PSNR_EVERY = 50  # steps
 RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
@@ -52,8 +53,8 @@ class StageData:
         photo_at: the photo of each step.
         extent: the *scene's* extent, for position rates and world-size pruning.
         rois: boxes that confine densification, when the stage's config says so.
-        capacities: of each box; None: no limit.
-        regions: what steps look at that do not look at whole photos (`config.full_every`).
+        budgets: of each box; None: no limit.
+        masks: what steps look at that do not look at whole photos (`config.full_every`).
         seed: of the split positions.
         device: where to train; the result is the same but for rounding.
     """
@@ -63,8 +64,8 @@ class StageData:
     photo_at: PhotoAt
     extent: float
     rois: Sequence[OrientedBox] = ()
-    capacities: Sequence[BoxCapacity] | None = None
-    regions: Regions | None = None
+    budgets: Sequence[BoxBudget] | None = None
+    masks: RoiMasks | None = None
     seed: int = 0
     device: torch.device = CPU
 
@@ -84,18 +85,16 @@ class Trainer:
         self.data = data
         self.step = 0
         self.seconds = 0.0
-        gaussians = gaussians.to(data.device)
         self.cpu_seconds = 0.0  # of the whole process, all its threads
-        order = densify.morton_order(gaussians.means)
-        self._parameters = _leaves(gaussians.rows(order))
+        gaussians = gaussians.to(data.device)
+        self._parameters = _leaves(gaussians.rows(morton_order(gaussians.means)))
         self._optimizer = self._new_optimizer()
-        self._stats = DensityStats.zeros(len(order), data.device)
+        self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
-        self._window = 0
         self.health = Health([image.name for image in data.images])
         self._photos = photos_on(data.device, data.photos)
         self._viewmats, self._intrinsics = _cameras(data.images, data.device)
-        self._last_loss = self._loss = torch.tensor(torch.nan, device=data.device)
+        self._loss = torch.tensor(torch.nan, device=data.device)
         self._psnr = float("nan")
 
     @property
@@ -103,48 +102,30 @@ class Trainer:
         """The present model; its tensors are the trainer's own."""
         return self._parameters
 
-    @property
-    def last_loss(self) -> float:
-        """The loss of the last step; NaN before the first."""
-        return float(self._last_loss)
-
     def run(
         self,
+        context: Context = QUIET,
         *,
         stage: str = "",
-        emit: Emit = ignore,
-        should_stop: Callable[[], bool] = lambda: False,
-        on_pause: Callable[[], None] = lambda: None,
-        pause_seconds: float = 60.0,
-        on_preview: Callable[[], None] = lambda: None,
-        preview_seconds: float = 0.0,
+        callbacks: Sequence[PeriodicCallback] = (),
     ) -> bool:
-        """Train until the config's last step, then leave floaters out; False when stopped before.
+        """Train until the config's last step, then prune floaters; False when stopped before.
 
         Args:
+            context: takes progress events, at most two a second; asked before every step whether
+                to stop.
             stage: name that progress events carry.
-            emit: takes progress events, at most two a second.
-            should_stop: asked before every step, and between the photos that show floaters.
-            on_pause: called every `pause_seconds` of training, to write a checkpoint.
-            pause_seconds: see above.
-            on_preview, preview_seconds: the same, to show the present model; 0: never.
+            callbacks: called between steps, to write checkpoints and previews.
         """
-        breaks = [Break(pause_seconds, on_pause), Break(preview_seconds, on_preview)]
         with one_torch_thread(), memory_explained(self._doing, self._advice):
-            return self._run(stage, emit, should_stop, breaks)
+            return self._run(context, stage, callbacks)
 
-    def _run(
-        self,
-        stage: str,
-        emit: Emit,
-        should_stop: Callable[[], bool],
-        breaks: Sequence[Break],
-    ) -> bool:
+    def _run(self, context: Context, stage: str, callbacks: Sequence[PeriodicCallback]) -> bool:
         started = reported = time.perf_counter()
         before, first = self.seconds, self.step
         cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
-            if should_stop():
+            if context.should_stop():
                 break
             self.train_step()
             now = time.perf_counter()
@@ -153,14 +134,14 @@ class Trainer:
             if now - reported > REPORT_SECONDS or self.step == self.config.steps:
                 reported = now
                 left = (now - started) / (self.step - first) * (self.config.steps - self.step)
-                emit(self._progress(stage, left))
-            for one in breaks:
+                context.emit(self._progress(stage, left))
+            for callback in callbacks:
                 # Writing files is not training: the clock leaves it out.
-                started += one.take_if_due(self.seconds)
+                started += callback.call_if_due(self.seconds)
             cpu_started = time.process_time() - self.cpu_seconds
         if self.step < self.config.steps:
             return False
-        return not self.config.front_photos or self._leave_floaters_out(should_stop)
+        return not self.config.min_views or self._prune_inconsistent(context)
 
     def train_step(self) -> None:
         """One photo: render, compare, descend; then edit the Gaussians where that is due."""
@@ -169,41 +150,43 @@ class Trainer:
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target = self._photos[index]
         self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
-        region = self._region(index)
-        output = self._render(index, region)
+        mask = self._mask(index)
+        output = self._render(index, mask)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
-        if region is not None:
-            image, target = region.crop(image), region.crop(target)
-            weights = region.weights
+        if mask is not None:
+            image, target = mask.crop(image), mask.crop(target)
+            weights = mask.weights
         loss = photo_loss(image, target, ssim_weight=config.ssim_weight, weights=weights)
-        # A pixel pulls about as hard as in a whole photo: thresholds keep their meaning.
-        pull = None if region is None else loss.loss.new_tensor(region.pull)
-        loss.loss.backward(pull)  # type: ignore[no-untyped-call]
+        # A pixel counts about as much as in a whole photo: thresholds keep their meaning.
+        loss_weight = None if mask is None else loss.loss.new_tensor(mask.loss_weight)
+        loss.loss.backward(loss_weight)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
-        if not self._optimizer.fused:
+        if self._optimizer.backward_step is None:
             self._optimizer.step(visible)
-        self._stats.add(visible, output.grad2d[0], output.max_weight)
+        self._density.observe(visible, output.grad2d[0], output.max_weight)
         self._observe(loss.loss.detach(), image, target, weights)
         self.health.saw(self.step, index, loss.loss.detach())
         self.step += 1
         if self.step % min(CHECK_EVERY, config.densify_every) == 0:
             self.check()
-        self._edit()
+        edit = self._density.edit(self._parameters, self.step)
+        if edit is not None:
+            self._apply(edit)
         self._average()
 
     def check(self) -> None:
-        """Look whether all is well so far. Raises TrainingError where numbers are none."""
+        """Raise TrainingError if a loss, a gradient or a parameter is NaN or infinite."""
         self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
 
-    def _region(self, index: int) -> Region | None:
+    def _mask(self, index: int) -> RoiMask | None:
         """What this step looks at of the photo; None: all of it."""
-        regions = self.data.regions
-        if regions is None or photo_order.is_whole(self.step, self.config.full_every):
+        masks = self.data.masks
+        if masks is None or is_whole(self.step, self.config.full_every):
             return None
-        return regions[index]
+        return masks[index]
 
-    def _render(self, index: int, region: Region | None) -> Any:
+    def _render(self, index: int, mask: RoiMask | None) -> RenderOutput:
         p, camera = self._parameters, self.data.images[index].camera
         return rasterize(
             p.means,
@@ -217,16 +200,15 @@ class Trainer:
             camera.height,
             sh_degree=self.config.degree(self.step),
             raw=True,
-            with_max_weight=self.config.contribution_every > 0,
-            region=None if region is None else region.mask,
-            optimizer=self._optimizer if self._optimizer.fused else None,
+            with_max_weight=self._density.watches_max_weight,
+            mask=None if mask is None else mask.pixels,
+            backward_step=self._optimizer.backward_step,
         )
 
     def _observe(
         self, loss: Tensor, rendered: Tensor, target: Tensor, weights: Tensor | None
     ) -> None:
         """Keep the running loss; the PSNR costs a pass over the image, so only now and then."""
-        self._last_loss = loss
         self._loss = torch.where(
             self._loss.isnan(), loss, RECENT * self._loss + (1 - RECENT) * loss
         )
@@ -247,20 +229,6 @@ class Trainer:
             seconds_left=seconds_left,
         )
 
-    def _edit(self) -> None:
-        """Densify, prune, reset: whatever is due after `self.step` steps."""
-        config, step = self.config, self.step
-        densifying = config.densify_from <= step < config.densify_until
-        if densifying and step % config.densify_every == 0:
-            self._apply(self._densified())
-        if config.contribution_every and step - self._window >= self._window_steps():
-            contributing = self._stats.weight >= densify.VISIBLE_WEIGHT
-            self._keep(contributing)
-            self._stats.new_window()
-            self._window = step
-        if densifying and config.reset_every and step % config.reset_every == 0:
-            self._reset_opacities()
-
     def _average(self) -> None:
         """Take the model into the mean, and end with that."""
         config = self.config
@@ -270,16 +238,16 @@ class Trainer:
             self._parameters = _leaves(self._mean.mean())
             self._mean.clear()
 
-    def _leave_floaters_out(self, should_stop: Callable[[], bool]) -> bool:
-        """End with what the photos vouch for; False when stopped before, with nothing changed."""
+    def _prune_inconsistent(self, context: Context) -> bool:
+        """End without floaters (`consistency.py`); False when stopped, with nothing changed."""
         began, cpu_began = time.perf_counter(), time.process_time()
-        data, photos = self.data, self.config.front_photos
-        check = check_of(should_stop)
+        data, views = self.data, self.config.min_views
         try:
-            keep = vouched_for(self._parameters, data.images, data.rois, photos, check)
+            keep = consistent_across_views(self._parameters, data.images, data.rois, views, context)
         except Stopped:
             return False
-        self._keep(keep)
+        if not bool(keep.all()):
+            self._apply(unchanged(self._parameters).keep(keep.nonzero()[:, 0]))
         self.seconds += time.perf_counter() - began
         self.cpu_seconds += time.process_time() - cpu_began
         return True
@@ -292,7 +260,7 @@ class Trainer:
 
     def _advice(self) -> str:
         return (
-            "Close what else uses the card, or train with smaller photos"
+            "Close what else uses the GPU, or train with smaller photos"
             f" (--max-side {smaller(*self._largest())}) or fewer Gaussians (a smaller --preset)."
             " The last checkpoint is untouched."
         )
@@ -301,88 +269,74 @@ class Trainer:
         cameras = [image.camera for image in self.data.images]
         return max(c.width for c in cameras), max(c.height for c in cameras)
 
-    def _window_steps(self) -> int:
-        """A window must hold every photo: «non-contributing» means on all of them."""
-        return max(self.config.contribution_every, 2 * len(self.data.images))
-
-    def _densified(self) -> Edit:
-        config, data = self.config, self.data
-        rng = torch.Generator().manual_seed(data.seed * 1_000_003 + self.step)
-        now = self._parameters
-        progress = self.step / config.densify_until
-        capacities = data.capacities
-        limits = None if capacities is None else [c.at(progress) for c in capacities]
-        chosen = densify.choose(now, self._stats, config, data.rois, limits)
-        reference = densify.size_reference(now, config, data.rois, data.extent)
-        edit = densify.grow(now, chosen, reference, config.split_fraction, rng)
-        keep = densify.worth_keeping(edit.gaussians, config, data.extent, self.step)
-        rows = keep.nonzero()[:, 0]
-        order = densify.morton_order(edit.gaussians.means[rows])
-        return densify.keep_rows(edit, rows[order])
-
     def _apply(self, edit: Edit) -> None:
-        """Go on with the edited Gaussians; optimiser state and statistics follow."""
-        self._mean.clear()
-        self._parameters = _leaves(edit.gaussians)
-        self._optimizer.replace(self._parameters.tensors(), edit.rows)
-        self._stats = self._stats.after(edit.rows)
-        give_back_freed()
+        """Continue with the edited Gaussians; the optimizer's state follows."""
+        if edit.rows is not None:
+            self._mean.clear()
+            self._parameters = _leaves(edit.gaussians)
+            self._optimizer.replace(self._parameters.tensors(), edit.rows)
+            give_back_freed()
+        if edit.opacity_cap is not None:
+            logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
+            with torch.no_grad():
+                self._parameters.logit_opacities.clamp_(max=logit)
+            self._optimizer.zero_moments("logit_opacities")
 
-    def _keep(self, rows: Tensor) -> None:
-        """Go on with the Gaussians whose place in `rows`, (N,) bool, is true."""
-        if not bool(rows.all()):
-            self._apply(densify.keep_rows(densify.unchanged(self._parameters), rows))
-
-    def _reset_opacities(self) -> None:
-        logit = float(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
-        with torch.no_grad():
-            self._parameters.logit_opacities.clamp_(max=logit)
-        self._optimizer.zero_moments("logit_opacities")
+    def _new_density(self, count: int) -> DensityControl:
+        data = self.data
+        inputs = DensityInputs(
+            config=self.config,
+            extent=data.extent,
+            rois=data.rois,
+            budgets=data.budgets,
+            photos=len(data.images),
+            seed=data.seed,
+            device=data.device,
+        )
+        return density_control(inputs, count)
 
     def _new_optimizer(self) -> VisibleAdam:
         config, tensors = self.config, self._parameters.tensors()
         bands = tensors["sh"].shape[1]
-        sh_rates = torch.full((bands, 3), config.lr_shN)
-        sh_rates[0] = config.lr_sh0
-        rates: dict[str, float | Tensor] = {
+        sh_learning_rates = torch.full((bands, 3), config.lr_shN)
+        sh_learning_rates[0] = config.lr_sh0
+        learning_rates: dict[str, float | Tensor] = {
             "means": config.lr_means * self.data.extent,
             "quats": config.lr_quats,
             "log_scales": config.lr_scales,
             "logit_opacities": config.lr_opacities,
-            "sh": sh_rates.flatten(),
+            "sh": sh_learning_rates.flatten(),
         }
-        parameters = {name: (tensors[name], rates[name]) for name in NAMES}
+        parameters = {name: (tensors[name], learning_rates[name]) for name in NAMES}
         return VisibleAdam(parameters, fused=True)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that decides how training goes on; tensors on the CPU and plain numbers."""
-        stats = self._stats
+        """Everything that decides how training continues; tensors on the CPU and plain numbers."""
         state = {
             "step": self.step,
             "seconds": self.seconds,
             "cpu_seconds": self.cpu_seconds,
-            "window": self._window,
             "loss": float(self._loss),
             "psnr": self._psnr,
             "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
             "optimizer": self._optimizer.state_dict(),
             "mean": self._mean.state_dict(),
-            "stats": {"gradient": stats.gradient, "views": stats.views, "weight": stats.weight},
+            "density": self._density.state_dict(),
         }
         return dict(on_device(state, CPU))
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what `state_dict` returned, on whatever device."""
+        """Continue from what `state_dict` returned, on whatever device."""
         state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
         self.cpu_seconds = float(state["cpu_seconds"])
-        self._window = int(state["window"])
         self._loss, self._psnr = self._loss.new_tensor(state["loss"]), float(state["psnr"])
         self._parameters = _leaves(Gaussians(**state["parameters"]))
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
         self._mean.load_state_dict(state["mean"])
-        self._stats = DensityStats(**state["stats"])
+        self._density = self._new_density(len(self._parameters))
+        self._density.load_state_dict(state["density"])
 
 
 @contextmanager

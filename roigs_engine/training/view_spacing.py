@@ -26,7 +26,7 @@ AS_CLOSE = 0.7  # of a photo's pixels per world unit: half of its pixels on the 
 STEPS = 3000  # that close-ups far apart allow the full rate for
 
 
-def photo_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
+def view_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     """Degrees from a photo to its third neighbour as seen from the box's centre, the median.
 
     With fewer neighbours the last counts; 180 for less than two photos.
@@ -71,7 +71,7 @@ def rates_for_spacing(config: TrainConfig, spacing: float, detail: float) -> Tra
 
     Args:
         config: of the stage.
-        spacing, detail: of its sparsest box, degrees: `photo_spacing`, `detail_spacing`.
+        spacing, detail: of its sparsest box, degrees: `view_spacing`, `detail_spacing`.
     """
     limit, rate = config.lr_shN_spacing, config.lr_shN
     if limit <= 0:

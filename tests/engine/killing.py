@@ -2,7 +2,7 @@
 
 A moment is a training step, an edit of the Gaussians, a question whether to stop (between photos,
 picks and pictures) or a place within the writing of a file: half written, not yet renamed, just
-renamed. It is named after the stage and what goes on: «scene: half of checkpoint».
+renamed. It is named after the stage and what goes on: 'scene: half of checkpoint'.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Request:
     def moment(self, place: str, *, full: bool = False) -> Moment:
         """One of the moments at a place, drawn from the seed."""
         number = sum(bool(re.search(place, name)) for name in self.moments)
-        assert number, f"nothing happens at «{place}»"
+        assert number, f"nothing happens at '{place}'"
         return Moment(place, random.Random(f"{SEED} {place}").randint(1, number), full)
 
     def finish(self, run: Path) -> None:
@@ -158,7 +158,7 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     os.environ["SOME_TOKEN"] = SECRET
     config.PRESETS["tiny"] = tiny
     clock = _Clock(at)
-    trainer.Break = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
+    trainer.PeriodicCallback = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))
     _before(trainer.Trainer, "_apply", lambda *_: clock.tick("edit"))
     _before(Console, "check", lambda *_: clock.tick("check"))

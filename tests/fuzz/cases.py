@@ -26,7 +26,7 @@ from tests.fuzz.damage import (
 
 SEED = 20_260
 Command = list[str]
-"""The engine's command line; «decode SCENE» stands for loading a scene and all its photos."""
+"""The engine's command line; 'decode SCENE' stands for loading a scene and all its photos."""
 
 DISTORTED = (
     *("OPENCV", "SIMPLE_RADIAL", "FULL_OPENCV", "OPENCV_FISHEYE", "FOV", "THIN_PRISM_FISHEYE"),

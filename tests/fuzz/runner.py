@@ -45,7 +45,7 @@ class Result:
 
 
 def work(cases: Sequence[str], result: Result) -> None:
-    """Run the cases («family number») one after another, into `result`."""
+    """Run the cases ('family number') one after another, into `result`."""
     while cases:
         done = subprocess.run(
             [sys.executable, "-m", "tests.fuzz.worker"],

@@ -41,7 +41,7 @@ def test_figures_of_a_scene_and_its_boxes(tmp_path: Path) -> None:
     assert (far["points"], far["photos"], far["median_area"]) == (0, 0, 0.0)
     assert (everything["median_area"], everything["cameras_inside"]) == (1.0, 7)
     text = format_inspection(report)
-    for part in ("7, 2 cameras", "60 x 90 to 96 x 72", "1 missing on disk: 7.png", "«middle»"):
+    for part in ("7, 2 cameras", "60 x 90 to 96 x 72", "1 missing on disk: 7.png", "'middle'"):
         assert part in text
 
 

@@ -265,7 +265,7 @@ def test_no_photo_left(tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         load_colmap(tmp_path)
     assert "3 missing on disk" in caught.value.message
-    assert str(tmp_path / "images") in caught.value.hint and "«a.png»" in caught.value.hint
+    assert str(tmp_path / "images") in caught.value.hint and "'a.png'" in caught.value.hint
     assert len(load_colmap(tmp_path, images=tmp_path / "elsewhere").images) == 3
     with pytest.raises(SceneError, match="is not a folder"):
         load_colmap(tmp_path, images=tmp_path / "nothing")

@@ -21,7 +21,7 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.consistency import vouched_for
+from roigs_engine.training.consistency import consistent_across_views
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import StageData, Trainer
@@ -121,9 +121,9 @@ def test_floaters_are_found_without_triton(
 ) -> None:
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=6)
     model = Gaussians.from_points(scene.points[::3], scene.colors[::3])
-    truth = vouched_for(model, scene.images, [BOX], 3)
+    truth = consistent_across_views(model, scene.images, [BOX], 3)
     monkeypatch.setattr(library, "has_triton", lambda: False)
-    found = vouched_for(model.to(CARD), scene.images, [BOX], 3)
+    found = consistent_across_views(model.to(CARD), scene.images, [BOX], 3)
     assert found.device.type == "cuda" and torch.equal(found.cpu(), truth)
 
 

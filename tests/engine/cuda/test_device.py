@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from roigs_engine.training.densify import owners
+from roigs_engine.training.stage import Stage, fingerprint
 
 from roigs_engine.cli import main
 from roigs_engine.cuda import device, library
@@ -30,10 +32,8 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.training import photo_order, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.densify import box_owner
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.stage import Stage, fingerprint
 from roigs_engine.training.trainer import StageData, Trainer
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -164,7 +164,7 @@ def test_boxes_own_the_same_on_every_device() -> None:
     rois: list[OrientedBox] = [BOX, turned]
     expected = nearest_owner(means.numpy().astype(np.float64), rois)
     assert set(expected) == {-1, 0, 1}
-    assert box_owner(model, rois).tolist() == expected.tolist()
+    assert owners(model, rois).tolist() == expected.tolist()
 
 
 # --- memory ---

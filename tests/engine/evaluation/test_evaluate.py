@@ -96,7 +96,7 @@ def test_the_mask_can_come_from_a_named_model(scene: SfmScene) -> None:
     assert named.views == alone.views != best.views
     assert named.rows[0] == alone.rows[0] != best.rows[0]
     assert named.rows[1].object_psnr not in (None, best.rows[1].object_psnr)
-    with pytest.raises(ConfigError, match="No model of ROI «thing» is named «best»"):
+    with pytest.raises(ConfigError, match="No model of box 'thing' is named 'best'"):
         evaluate(models, scene, TEST, [BOX], object_mask_from="best")
 
 

@@ -135,7 +135,7 @@ def test_a_factor_that_is_not_positive_is_refused(factor: float) -> None:
         ({"scene_scale": 0.0}, "scene_scale"),
         ({"kept_share": float("nan")}, "kept_share"),
         ({"strategy": "joint", "roi_init": "box"}, "box"),
-        ({"scene": replace(preset("draft").scene, front_photos=4)}, "front_photos"),
+        ({"scene": replace(preset("draft").scene, min_views=4)}, "min_views"),
     ],
 )
 def test_values_out_of_range_are_refused_by_name(change: dict[str, object], named: str) -> None:

@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 import torch
+from roigs_engine.run.pipeline import Run
+from roigs_engine.training.stage import Stage, StageResult
 
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.pipeline import Run
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.stage import Stage, StageResult
 from tests.engine.synthetic_scene import BOX, make_scene
 
 
@@ -87,7 +87,7 @@ def test_a_refined_composition_takes_no_more_steps_and_no_more_gaussians(
     scene: SfmScene, tmp_path: Path
 ) -> None:
     plain = Run(tmp_path / "plain", scene, [BOX], tiny("independent")).train()
-    config = tiny("independent", seam_share=0.2)
+    config = tiny("independent", refine_share=0.2)
     rows = Run(tmp_path / "refined", scene, [BOX], config).train()
     steps = {
         path.parent.name: json.loads(path.read_text())["steps"]

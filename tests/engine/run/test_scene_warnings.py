@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from roigs_engine.run.pipeline import Run
 
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.pipeline import Run
-from roigs_engine.run.scene_warnings import cautions
+from roigs_engine.run.scene_warnings import scene_warnings
 from tests.engine.run.test_pipeline import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -31,12 +31,12 @@ def moved(scene: SfmScene, offset: np.ndarray) -> SfmScene:
 
 
 def test_a_sound_scene_needs_none(scene: SfmScene) -> None:
-    assert cautions(scene, [BOX]) == []
-    assert cautions(moved(scene, np.array([500.0, -300.0, 0.0])), []) == []
+    assert scene_warnings(scene, [BOX]) == []
+    assert scene_warnings(moved(scene, np.array([500.0, -300.0, 0.0])), []) == []
 
 
 def test_a_model_in_geographic_coordinates(scene: SfmScene) -> None:
-    (line,) = cautions(moved(scene, np.array([5e5, 4.5e6, 200.0])), [])
+    (line,) = scene_warnings(moved(scene, np.array([5e5, 4.5e6, 200.0])), [])
     assert "4.5e+06 units" in line and "model_transformer" in line
 
 
@@ -44,9 +44,9 @@ def test_a_box_inside_another(scene: SfmScene) -> None:
     inner = OrientedBox.axis_aligned("inner", [-0.3] * 3, [0.3] * 3)
     points = np.array([[0.1, 0.1, 0.1], [0.5, 0.5, 0.5]])
     both = replace(scene, points=points)
-    (line,) = cautions(both, [inner, BOX])
-    assert "«inner» owns none of the 1 points" in line and "--only inner" in line
-    assert cautions(both, [inner]) == []
+    (line,) = scene_warnings(both, [inner, BOX])
+    assert "'inner' owns none of the 1 points" in line and "--only inner" in line
+    assert scene_warnings(both, [inner]) == []
 
 
 def test_a_run_says_so(scene: SfmScene, tmp_path: Path) -> None:
@@ -54,4 +54,4 @@ def test_a_run_says_so(scene: SfmScene, tmp_path: Path) -> None:
     heard: list[Event] = []
     Run(tmp_path, scene, [inner, BOX], tiny("joint"), emit=heard.append)
     texts = [e.text for e in heard if isinstance(e, Message) and e.level == "warning"]
-    assert [text for text in texts if "«inner» owns none" in text]
+    assert [text for text in texts if "'inner' owns none" in text]

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from roigs_engine.run.pipeline import Run
 
 from roigs_engine.errors import ConfigError, RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message, Preview, check_of
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.pipeline import Run
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
-from roigs_engine.selection.manual import load_given
+from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
 from tests.engine.run.test_pipeline import plys, tiny
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -86,7 +86,7 @@ def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> No
     texts = [event.text for event in events if isinstance(event, Message)]
     assert any("tests" in text and test[0] in text for text in texts)
     assert any("not usable" in text and "gone.png" in text for text in texts)
-    with pytest.raises(ConfigError, match=r"«nothing\.png»"):
+    with pytest.raises(ConfigError, match=r"'nothing\.png'"):
         Run(tmp_path / "c", scene, [BOX], config, given={"thing": ["nothing.png"]})
     with pytest.raises(ConfigError, match="None of the 1 photos"):
         Run(tmp_path / "d", scene, [BOX], config, given={"thing": [test[0]]})
@@ -96,11 +96,11 @@ def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> No
 def test_selection_files_as_select_writes_them(scene: SfmScene, tmp_path: Path) -> None:
     chosen = select_cameras(scene, BOX, SelectionConfig(method="fvs", count=4))
     (tmp_path / "thing.json").write_text(json.dumps(chosen.to_dict()), encoding="utf-8")
-    assert load_given(tmp_path, [BOX, SECOND]) == {"thing": chosen.names}
+    assert load_manual(tmp_path, [BOX, SECOND]) == {"thing": chosen.names}
     (tmp_path / "thing.json").write_text('{"names": ["a", "b", "a"]}', encoding="utf-8")
-    assert load_given(tmp_path, [BOX]) == {"thing": ("a", "b")}
+    assert load_manual(tmp_path, [BOX]) == {"thing": ("a", "b")}
     with pytest.raises(ConfigError, match=r"second\.json"):
-        load_given(tmp_path, [SECOND])
+        load_manual(tmp_path, [SECOND])
 
 
 def test_other_photos_of_the_same_number_are_another_stage(scene: SfmScene, tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ def test_a_camera_inside_the_box_counts_as_full_view(method):
     scene = replace(ring_scene(views=8), images=tuple(images))
     selection = select_cameras(scene, BOX, SelectionConfig(method=method, count=9))
     assert selection.features["inside.jpg"]["area"] == 1
-    assert any("inside.jpg" in flag and "inside ROI «cube»" in flag for flag in selection.flags)
+    assert any("inside.jpg" in flag and "inside box 'cube'" in flag for flag in selection.flags)
     assert np.isfinite(selection.scores).all()
 
 
@@ -196,7 +196,7 @@ def test_a_box_without_points_says_where_the_points_are():
         select_cameras(scene, box, SelectionConfig())
     message = str(caught.value)
     nearest = scene.points[scene.points[:, 0].argmax()]
-    assert "«lamp»" in message and "4 x 2 x 2" in message
+    assert "'lamp'" in message and "4 x 2 x 2" in message
     assert f"{10 - nearest[0]:.4g} away at ({nearest[0]:.4g}" in message
     assert caught.value.hint
 
@@ -209,7 +209,7 @@ def test_a_model_without_any_point():
 
 def test_points_that_only_test_photos_see():
     scene = scene_of([photo("a.jpg", [0, -4, 0], sees=[0])], [[0, 0, 0]])
-    with pytest.raises(RoiError, match="No photo sees any of the 1 points in ROI «cube»"):
+    with pytest.raises(RoiError, match="No photo sees any of the 1 points in box 'cube'"):
         select_cameras(scene.without(["a.jpg"]), BOX, SelectionConfig())
 
 

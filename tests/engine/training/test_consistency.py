@@ -14,7 +14,7 @@ from roigs_engine.errors import Stopped
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import PosedImage
-from roigs_engine.training.consistency import vouched_for
+from roigs_engine.training.consistency import consistent_across_views
 from tests.engine.synthetic_scene import BOX, CAMERA, look_at
 
 DISTANCE = 4.0
@@ -61,7 +61,7 @@ def balls(*places: object, opacity: float = 0.9) -> Gaussians:
 
 
 def kept(model: Gaussians, photos: int = 3, images: list[PosedImage] | None = None) -> list[bool]:
-    return vouched_for(model, images or SIDE, [BOX], photos).tolist()
+    return consistent_across_views(model, images or SIDE, [BOX], photos).tolist()
 
 
 def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
@@ -115,8 +115,8 @@ def test_every_box_counts() -> None:
     near = OrientedBox.axis_aligned("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
     model = balls(eye(0) * 2.8)
     one_sees_it = [SIDE[0], *ring(20)[4:6]]
-    assert vouched_for(model, one_sees_it, [BOX], 3).tolist() == [False]
-    assert vouched_for(model, one_sees_it, [BOX, near], 3).tolist() == [True]
+    assert consistent_across_views(model, one_sees_it, [BOX], 3).tolist() == [False]
+    assert consistent_across_views(model, one_sees_it, [BOX, near], 3).tolist() == [True]
 
 
 def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,4 +133,4 @@ def test_it_can_be_stopped() -> None:
         raise Stopped
 
     with pytest.raises(Stopped):
-        vouched_for(balls((0, 0, 0)), SIDE, [BOX], 3, stop)
+        consistent_across_views(balls((0, 0, 0)), SIDE, [BOX], 3, stop)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from roigs_engine.training.stage import Stage, StageResult
 
 from roigs_engine.errors import Stopped, TrainingError
 from roigs_engine.formats.events import Event, Message
@@ -16,7 +17,6 @@ from roigs_engine.training import stage as stage_module
 from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.health import Health
-from roigs_engine.training.stage import Stage, StageResult
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import make_scene
 from tests.engine.training.test_trainer import SHORT, first_model, same_bits, stage_data
@@ -137,7 +137,7 @@ def test_a_photo_whose_loss_stays_high_is_named() -> None:
     normal = {k: 0.05 + 0.002 * k for k in range(20)}
     assert not visits(Health(names), normal).outliers()
     (text,) = visits(Health(names), normal | {7: 0.4}).outliers()
-    assert "«7.jpg»" in text and "0.0" in text
+    assert "'7.jpg'" in text and "0.0" in text
     once = visits(Health(names), normal)
     once.saw(999, 7, torch.tensor(0.4))  # on one visit only
     assert not once.outliers()
@@ -165,4 +165,4 @@ def test_a_photo_of_something_else_is_named(scene: SfmScene) -> None:
     bad = Trainer(first_model(scene), data, config)
     bad.run()
     (text,) = bad.health.outliers()
-    assert f"«{scene.images[4].name}»" in text
+    assert f"'{scene.images[4].name}'" in text

@@ -106,7 +106,7 @@ def test_settings_that_do_not_go_together_are_refused() -> None:
     config = TrainConfig(steps=10, full_every=4)
     with pytest.raises(ConfigError, match="contribution_every"):
         dataclasses.replace(config, contribution_every=100)
-    with pytest.raises(ConfigError, match="photo_balance is -1"):
-        dataclasses.replace(config, photo_balance=-1.0)
+    with pytest.raises(ConfigError, match="view_weighting is -1"):
+        dataclasses.replace(config, view_weighting=-1.0)
     with pytest.raises(ConfigError, match="full_every is 0"):
         dataclasses.replace(config, full_every=0)

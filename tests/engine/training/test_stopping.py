@@ -19,7 +19,7 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.presets import preset
 from roigs_engine.selection.split import choose_test_views
 from roigs_engine.training.budget import box_capacities
-from roigs_engine.training.callbacks import Break
+from roigs_engine.training.callbacks import PeriodicCallback
 from tests.engine.synthetic_colmap import camera, write_project
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -107,7 +107,7 @@ def test_breaks_come_in_time_and_take_a_tenth_at_most(monkeypatch: pytest.Monkey
         now += 2.0
 
     monkeypatch.setattr("time.perf_counter", lambda: now)
-    rest, never = Break(5.0, slow), Break(0.0, slow)
+    rest, never = PeriodicCallback(5.0, slow), PeriodicCallback(0.0, slow)
     for trained in range(50):
         spent = rest.take_if_due(float(trained)) + never.take_if_due(float(trained))
         assert spent == (2.0 if trained in taken else 0.0)

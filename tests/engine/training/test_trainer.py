@@ -13,7 +13,7 @@ from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.training import photo_order
-from roigs_engine.training.budget import BoxCapacity
+from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.trainer import StageData, Trainer
@@ -156,7 +156,7 @@ def test_capacity_limits_the_box(scene: SfmScene) -> None:
     config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
     start = first_model(scene)
     limit = int(start.in_box(BOX).sum()) + 5
-    data = stage_data(scene, rois=[BOX], capacities=[BoxCapacity(begin=limit, end=limit)])
+    data = stage_data(scene, rois=[BOX], capacities=[BoxBudget(begin=limit, end=limit)])
     trainer = Trainer(start, data, config)
     trainer.run()
     assert int(trainer.gaussians.in_box(BOX).sum()) <= limit + 5
@@ -176,7 +176,7 @@ def test_non_contributing_gaussians_are_pruned(scene: SfmScene) -> None:
 def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
     left = {}
     for photos in (0, 3):
-        config = replace(RESTING, front_photos=photos)
+        config = replace(RESTING, min_views=photos)
         trainer = Trainer(with_floaters(scene), one_side(scene), config)
         assert trainer.run()
         distance = np.linalg.norm(trainer.gaussians.means.detach().numpy() - floater(scene), axis=1)
@@ -186,7 +186,7 @@ def test_a_stage_ends_without_floaters(scene: SfmScene) -> None:
 
 def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
     model, data = with_floaters(scene), one_side(scene)
-    config = replace(RESTING, front_photos=3)
+    config = replace(RESTING, min_views=3)
     whole, stopped = (Trainer(model, data, config) for _ in range(2))
     whole.run()
     assert not stopped.run(should_stop=lambda: stopped.step == config.steps)

@@ -15,8 +15,8 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.view_spacing import (
     STEPS,
     detail_spacing,
-    photo_spacing,
     rates_for_spacing,
+    view_spacing,
 )
 from tests.engine.synthetic_scene import look_at
 
@@ -43,22 +43,22 @@ def ring(degrees: float, count: int, radius: float = 5.0) -> list[PosedImage]:
 
 
 def test_the_third_neighbour_of_a_ring_stands_two_steps_away() -> None:
-    assert photo_spacing(ring(10, 36), BOX) == pytest.approx(20)
-    assert photo_spacing(ring(10, 36, radius=0.5), BOX) == pytest.approx(20)
+    assert view_spacing(ring(10, 36), BOX) == pytest.approx(20)
+    assert view_spacing(ring(10, 36, radius=0.5), BOX) == pytest.approx(20)
 
 
 def test_few_photos() -> None:
-    assert photo_spacing(ring(10, 2), BOX) == pytest.approx(10)
-    assert photo_spacing(ring(10, 1), BOX) == photo_spacing([], BOX) == 180
+    assert view_spacing(ring(10, 2), BOX) == pytest.approx(10)
+    assert view_spacing(ring(10, 1), BOX) == view_spacing([], BOX) == 180
     inside = ring(10, 9, radius=0.0)  # in the box's very centre
-    assert photo_spacing(inside, BOX) == pytest.approx(0)
+    assert view_spacing(inside, BOX) == pytest.approx(0)
 
 
 def test_the_spacing_of_the_detail_is_that_of_the_close_ups() -> None:
     far, close = ring(10, 36, radius=40.0), ring(40, 9, radius=4.0)
     assert detail_spacing(far, BOX) == pytest.approx(20)
     assert detail_spacing(far + close, BOX) == pytest.approx(80)
-    assert photo_spacing(far + close, BOX) < 20
+    assert view_spacing(far + close, BOX) < 20
     one = close[:1]
     assert detail_spacing(far + one, BOX) == pytest.approx(180)  # it holds most of the pixels
     assert detail_spacing(one, BOX) == detail_spacing([], BOX) == 180

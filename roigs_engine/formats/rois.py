@@ -1,0 +1,120 @@
+"""`rois.json`: the boxes, as the engine and the add-on write and read them; numpy only.
+
+{"rois": [{"name": "vase", "min": [x, y, z], "max": [x, y, z]},
+          {"name": "book", "world_to_box": [[...4], ...4], "half_extents": [x, y, z]}]}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RoiError
+from .names import MAX_NAME, first_taken, is_file_name
+
+Float64 = NDArray[np.float64]
+NAME_HINT = f"Use at most {MAX_NAME} letters, digits, spaces, - and _."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoiRecord:
+    """One box of the file.
+
+    Attributes:
+        name: unique within a file; files are called by it.
+        world_to_box: (4, 4) rigid transform from the COLMAP frame; the box's centre maps to 0.
+        half_extents: (3,) half side lengths, world units.
+    """
+
+    name: str
+    world_to_box: Float64
+    half_extents: Float64
+
+    def to_dict(self) -> dict[str, Any]:
+        """The form that `roi_record` reads."""
+        return {
+            "name": self.name,
+            "world_to_box": self.world_to_box.tolist(),
+            "half_extents": self.half_extents.tolist(),
+        }
+
+
+def check_roi_name(name: str) -> str:
+    """The name; RoiError where files cannot be called by it on every system."""
+    if not is_file_name(name):
+        raise RoiError(f"Box name '{name:.{MAX_NAME}}' cannot be used in file names.", NAME_HINT)
+    return name
+
+
+def roi_record(record: Any) -> RoiRecord:
+    """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
+
+    Raises:
+        RoiError: a key is missing or a value has the wrong shape.
+    """
+    if not isinstance(record, dict) or not isinstance(record.get("name"), str):
+        raise RoiError("A box must be an object with a 'name' and 'min'/'max' corners.")
+    name = check_roi_name(record["name"])
+    try:
+        if "min" in record:
+            low = np.asarray(record["min"], dtype=float).reshape(3)
+            high = np.asarray(record["max"], dtype=float).reshape(3)
+            return _between(name, low, high)
+        transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
+        half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
+        raise RoiError(
+            f"Box '{name}' is malformed ({error}).",
+            "Give 'min' and 'max' with three numbers each, or 'world_to_box' and 'half_extents'.",
+        ) from error
+    rotation = transform[:3, :3]
+    with np.errstate(all="ignore"):
+        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
+    if not rigid:
+        raise RoiError(
+            f"Box '{name}': world_to_box is not a rotation and a translation.",
+            "Put the box's size into half_extents.",
+        )
+    return RoiRecord(name=name, world_to_box=transform, half_extents=half_extents)
+
+
+def _between(name: str, low: Float64, high: Float64) -> RoiRecord:
+    """The box between two corners, (3,) each."""
+    transform = np.eye(4)
+    with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
+        transform[:3, 3] = -(low + high) / 2
+        return RoiRecord(name=name, world_to_box=transform, half_extents=(high - low) / 2)
+
+
+def read_rois(path: Path) -> list[RoiRecord]:
+    """All boxes of a `rois.json`: `{"rois": [...]}` or a bare list.
+
+    Raises:
+        RoiError: the file is unreadable, holds no box, or two boxes share a name.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
+    except (ValueError, RecursionError) as error:
+        raise RoiError(f"{path} is not JSON ({error}).") from error
+    records = document.get("rois") if isinstance(document, dict) else document
+    if not isinstance(records, list) or not records:
+        raise RoiError(f"{path} holds no box.", 'It needs a list "rois" of {"name", "min", "max"}.')
+    rois = [roi_record(record) for record in records]
+    taken = first_taken(roi.name for roi in rois)
+    if taken is not None:
+        raise RoiError(f"Two boxes in {path} are named '{taken}'.", "Give each its own name.")
+    return rois
+
+
+def rois_document(rois: Sequence[RoiRecord]) -> str:
+    """The text of a `rois.json`."""
+    records = [roi.to_dict() for roi in rois]
+    return json.dumps({"rois": records}, indent=1, ensure_ascii=False) + "\n"

@@ -1,0 +1,133 @@
+"""The kernels' C interface (roigs.h) as ctypes has it: structures, signatures, failures."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from typing import TYPE_CHECKING, Any
+
+from . import library
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+OUT_OF_MEMORY, TOO_MANY_INTERSECTIONS = -1, -2  # roigs.h: Failure
+
+_ADDRESS = ctypes.c_void_p
+_COUNT = ctypes.c_int64
+_PARAMETERS = ("means", "quats", "scales", "opacities", "sh")
+
+
+class Gaussians(ctypes.Structure):
+    """roigs.h: struct Gaussians."""
+
+    _fields_ = [
+        *((name, _ADDRESS) for name in _PARAMETERS),
+        ("count", _COUNT),
+        ("sh_coefficients", ctypes.c_int32),
+        ("sh_degree", ctypes.c_int32),
+        ("raw", ctypes.c_int32),
+    ]
+
+
+class Gradients(ctypes.Structure):
+    """roigs.h: struct Gradients."""
+
+    _fields_ = [(name, _ADDRESS) for name in _PARAMETERS]
+
+
+class Camera(ctypes.Structure):
+    """roigs.h: struct Camera."""
+
+    _fields_ = [
+        ("world_to_camera", ctypes.c_float * 12),
+        ("position", ctypes.c_float * 3),
+        ("focal_and_centre", ctypes.c_float * 4),
+        ("background", ctypes.c_float * 3),
+        ("size", ctypes.c_int32 * 2),
+        ("tiles", ctypes.c_int32 * 4),
+        ("tile_mask", _ADDRESS),
+    ]
+
+
+class Outputs(ctypes.Structure):
+    """roigs.h: struct Outputs."""
+
+    _fields_ = [
+        (name, _ADDRESS)
+        for name in ("image", "alpha", "depth", "max_weight", "weight_sum", "pixel_weights")
+    ]
+
+
+class AdamParameter(ctypes.Structure):
+    """roigs.h: struct AdamParameter."""
+
+    _fields_ = [
+        *((n, _ADDRESS) for n in ("values", "exp_avg", "exp_avg_sq", "gradient", "rates")),
+        ("width", _COUNT),
+    ]
+
+
+class Adam(ctypes.Structure):
+    """roigs.h: struct Adam."""
+
+    _fields_ = [
+        ("parameters", ctypes.POINTER(AdamParameter)),
+        ("count", _COUNT),
+        ("betas", ctypes.c_double * 2),
+        ("epsilon", ctypes.c_double),
+        ("step", _COUNT),
+    ]
+
+
+# Name -> type of the result, types of the arguments.
+SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
+    "roigs_view_create": (_ADDRESS, []),
+    "roigs_view_destroy": (None, [_ADDRESS]),
+    "roigs_project": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Camera, visible
+    "roigs_bin": (_COUNT, [_ADDRESS]),
+    "roigs_render": (_COUNT, [_ADDRESS] * 2),  # view, Outputs
+    "roigs_pair_evaluations": (_COUNT, [_ADDRESS]),
+    "roigs_render_backward": (_COUNT, [_ADDRESS] * 3),  # view, image, its gradient
+    "roigs_project_backward": (None, [_ADDRESS] * 4),  # view, Gaussians, Gradients, grad2d
+    "roigs_project_backward_adam": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Adam, grad2d
+    "roigs_adam": (_COUNT, [_COUNT, _ADDRESS, _ADDRESS]),  # rows, Adam, visible
+    "roigs_photo_loss": (
+        None,
+        [
+            _COUNT,  # width
+            _COUNT,  # height
+            _ADDRESS,  # image (3, height, width)
+            _ADDRESS,  # target (height, width, 3)
+            _ADDRESS,  # weights (height, width) or null
+            ctypes.c_float,  # ssim_weight
+            _ADDRESS,  # gradient (3, height, width) or null
+            _ADDRESS,  # result: loss, L1, SSIM, three doubles
+        ],
+    ),
+}
+
+
+def bound(kernels: ctypes.CDLL) -> ctypes.CDLL:
+    """The library, its functions told their signatures."""
+    for name, (result, arguments) in SIGNATURES.items():
+        function = getattr(kernels, name)
+        function.restype, function.argtypes = result, arguments
+    return kernels
+
+
+@functools.cache
+def kernels() -> ctypes.CDLL:
+    """The compiled kernels for this processor; KernelError where there are none."""
+    return bound(library.load())
+
+
+def pointer(tensor: Tensor | None) -> int | None:
+    """The address of a CPU tensor's first element, for an argument of type c_void_p; None: null.
+
+    The caller answers for shape, type and strides, and keeps the tensor alive during the call.
+    """
+    if tensor is None:
+        return None
+    assert tensor.is_cpu, "kernels take tensors in main memory"
+    return tensor.data_ptr()

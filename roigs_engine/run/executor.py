@@ -1,0 +1,233 @@
+"""Carries out a plan: every stage is made or read once, whatever asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from ..context import QUIET, Context
+from ..evaluation.views import EvaluatedModel
+from ..formats.files import write_json
+from ..model.compose import background, crop, merge
+from ..model.gaussians import Gaussians
+from ..model.ownership import count_owned
+from ..model.scene import PosedImage
+from ..photos.cache import PhotoCache
+from ..training.budget import BoxBudget, budgets_from
+from ..training.masks import RoiMasks
+from ..training.trainer import StageData
+from .definition import Run
+from .memory import run_memory
+from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
+from .stage_folder import StageFolder, StageResult
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedModel:
+    """A row of the tables and the stages behind it.
+
+    Attributes:
+        name: of its row, unique among the rows of a box.
+        gaussians: the model.
+        stages: that serve all boxes alike.
+        by_roi: box -> the stage that serves it alone.
+    """
+
+    name: str
+    gaussians: Gaussians
+    stages: Sequence[StageResult] = ()
+    by_roi: dict[str, StageResult] = field(default_factory=dict)
+
+    @property
+    def rois(self) -> tuple[str, ...] | None:
+        """The boxes that get a row for it; None: all, as some stage serves all."""
+        return None if self.stages else tuple(self.by_roi)
+
+    @property
+    def all_stages(self) -> list[StageResult]:
+        """Every stage behind it."""
+        return [*self.stages, *self.by_roi.values()]
+
+    def stages_for(self, roi: str) -> list[StageResult]:
+        """The stages that this model needs if the box is the only one."""
+        return [*self.stages, *([self.by_roi[roi]] if roi in self.by_roi else [])]
+
+    def evaluated(self) -> EvaluatedModel:
+        """Its row, which took the time of all its stages."""
+        return EvaluatedModel(
+            name=self.name,
+            gaussians=self.gaussians,
+            seconds=sum(stage.seconds for stage in self.all_stages),
+            rois=self.rois,
+            stages={stage.name.rpartition("/")[2]: stage.seconds for stage in self.all_stages},
+        )
+
+
+class Executor:
+    """Trains the stages of plans in a run's folder, each at most once.
+
+    Args:
+        run: what the plans were made for.
+        context: of the run; its device is where stages are trained.
+        update: archive stages of other settings instead of refusing to overwrite them.
+        preview_seconds: of training between two writings of `preview.ply`; 0: never.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        context: Context = QUIET,
+        *,
+        update: bool = False,
+        preview_seconds: float = 0.0,
+    ) -> None:
+        self.run, self.context = run, context
+        self._update, self._preview_seconds = update, preview_seconds
+        self._photo_memory = run_memory(run, context).cache
+        self._results: dict[str, StageResult] = {}
+        self._models: dict[str, Gaussians] = {}
+        self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
+
+    def execute(self, plan: Plan) -> list[TrainedModel]:
+        """Train what is missing, write the outputs; the plan's models, the result last.
+
+        Raises:
+            Stopped: on request; the same call continues later.
+            RunFolderError: a stage's folder belongs to other settings, or is damaged.
+            TrainingError: a stage diverged twice.
+        """
+        for folder, selections in plan.selections.items():
+            for chosen in selections:
+                path = self.run.folder / folder / "selection" / f"{chosen.roi}.json"
+                write_json(path, chosen.to_dict())
+        models = []
+        for planned in plan.models:
+            models.append(self.model(planned))
+            for output in plan.outputs:
+                if output.model is planned:
+                    self._write(output)
+        self.close()
+        return models
+
+    def result(self, stage: Stage) -> StageResult:
+        """The stage's result: as it was made before, or trained now."""
+        if stage.name not in self._results:
+            folder = self._folder(stage)
+            done = folder.finished(self.context)
+            self._results[stage.name] = done or folder.train(
+                lambda: self.gaussians(stage.start),
+                self._data(stage),
+                stage.config,
+                self.context,
+            )
+        return self._results[stage.name]
+
+    def gaussians(self, source: Source) -> Gaussians:
+        """The Gaussians of a source; what they are made of is trained if need be."""
+        if source.kind == POINTS:
+            return self._points()
+        if source.kind == MERGE:
+            return self._merged(source)
+        model = self.result(source.inputs[0]).gaussians
+        return crop(model, source.rois[0], source.rois) if source.kind == CROP else model
+
+    def model(self, planned: PlannedModel) -> TrainedModel:
+        """The row, trained."""
+        stages = [self.result(stage) for stage in planned.stages]
+        by_roi = {roi: self.result(stage) for roi, stage in planned.by_roi.items()}
+        return TrainedModel(
+            name=planned.name,
+            gaussians=self.gaussians(planned.source),
+            stages=stages,
+            by_roi=by_roi,
+        )
+
+    def is_done(self, stage: Stage) -> bool:
+        """Whether the stage was finished before. Looks only, and trains nothing."""
+        return self._folder(stage).is_finished()
+
+    def close(self) -> None:
+        """Drop the decoded photos."""
+        for cache in self._photos.values():
+            cache.close()
+        self._photos = {}
+
+    def _folder(self, stage: Stage) -> StageFolder:
+        preview = self.run.folder / "preview.ply" if self._preview_seconds else None
+        return StageFolder(
+            name=stage.name,
+            folder=self.run.folder / stage.name,
+            fingerprint=stage.fingerprint,
+            update=self._update,
+            preview=preview,
+            preview_seconds=self._preview_seconds,
+        )
+
+    def _data(self, stage: Stage) -> StageData:
+        """What the stage trains on."""
+        device = torch.device(self.context.device)
+        masks = None
+        if stage.config.full_every > 1:
+            masks = RoiMasks(
+                stage.images,
+                stage.rois,
+                stage.seeing,
+                device,
+                view_weighting=stage.config.view_weighting,
+                context=self.context,
+            )
+        return StageData(
+            images=stage.images,
+            photos=self._cache(stage.images),
+            photo_at=stage.order.photo_at(),
+            extent=stage.extent,
+            rois=stage.rois,
+            budgets=self._budgets(stage),
+            masks=masks,
+            seed=stage.seed,
+            device=device,
+        )
+
+    def _budgets(self, stage: Stage) -> list[BoxBudget] | None:
+        ends: Sequence[int] | None = stage.budgets
+        if stage.matched is not None:
+            ends = count_owned(self.gaussians(stage.matched), stage.rois)
+        if ends is None:
+            return None
+        return budgets_from(self.gaussians(stage.start), stage.rois, ends)
+
+    def _points(self) -> Gaussians:
+        """The sparse points as Gaussians."""
+        if POINTS not in self._models:
+            scene = self.run.train_scene
+            self._models[POINTS] = Gaussians.from_points(scene.points, scene.colors)
+        return self._models[POINTS]
+
+    def _merged(self, source: Source) -> Gaussians:
+        """The scene's model with every box's inside taken from its object's."""
+        if source.fingerprint not in self._models:
+            scene, *objects = (self.result(stage) for stage in source.inputs)
+            pairs = zip(source.rois, (stage.gaussians for stage in objects), strict=True)
+            self._models[source.fingerprint] = merge(scene.gaussians, list(pairs))
+        return self._models[source.fingerprint]
+
+    def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
+        """One cache for each list of photos, the last only: stages do not run side by side."""
+        key = tuple((image.name, image.camera.width) for image in images)
+        if key not in self._photos:
+            self.close()
+            self._photos = {key: PhotoCache(images, self._photo_memory)}
+        return self._photos[key]
+
+    def _write(self, output: Output) -> None:
+        """The result whole, in parts, and the Scene-GS's Gaussians in each box beside them."""
+        folder, rois = self.run.folder / output.folder, self.run.rois
+        result = self.gaussians(output.model.source)
+        coarse = self.result(output.coarse).gaussians
+        result.save_ply(folder / "result.ply")
+        background(result, rois).save_ply(folder / "background.ply")
+        for roi in rois:
+            for model, home in ((result, "rois"), (coarse, "coarse")):
+                crop(model, roi, rois).save_ply(folder / home / f"{roi.name}.ply")

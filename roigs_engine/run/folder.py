@@ -1,0 +1,70 @@
+"""Opening a run's folder: the step between the run as a value and its training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..context import QUIET, Context
+from ..formats.files import write_json
+from .definition import Run
+from .executor import Executor, TrainedModel
+from .manifest import claim
+from .memory import run_memory
+from .scene_warnings import scene_warnings
+from .strategies import plan_run
+
+
+def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
+    """Claim the run's folder, write which photos are test photos, say what may train badly.
+
+    Args:
+        run: the run; its folder must not be in use (`formats.lock`).
+        context: takes the warnings.
+        update: take over a folder made for other settings: what still fits is kept, the rest is
+            archived.
+
+    Raises:
+        RunFolderError: the folder holds a run of other settings, or of an earlier version.
+        SceneError: the scene does not fit into the machine's memory.
+    """
+    run_memory(run, context)
+    claim(run.folder, run.manifest(), update=update, context=context)
+    write_json(run.folder / "split.json", {"test": list(run.test)})
+    for text in scene_warnings(run.train_scene, run.rois):
+        context.warn(text)
+
+
+def train_opened(
+    run: Run,
+    compare: Sequence[str] = (),
+    context: Context = QUIET,
+    *,
+    update: bool = False,
+    preview_seconds: float = 0.0,
+) -> list[TrainedModel]:
+    """Plan and train a run whose folder is open; the models, the run's result last.
+
+    Args:
+        run, context, update: see `open_folder`.
+        compare: what else is trained, of `config.COMPARISONS`.
+        preview_seconds: of training between two writings of `preview.ply`; 0: never.
+
+    Raises:
+        As `plan_run` and `Executor.execute`.
+    """
+    plan = plan_run(run, compare, context)
+    executor = Executor(run, context, update=update, preview_seconds=preview_seconds)
+    return executor.execute(plan)
+
+
+def train_run(
+    run: Run,
+    compare: Sequence[str] = (),
+    context: Context = QUIET,
+    *,
+    update: bool = False,
+    preview_seconds: float = 0.0,
+) -> list[TrainedModel]:
+    """`open_folder`, then `train_opened`."""
+    open_folder(run, context, update=update)
+    return train_opened(run, compare, context, update=update, preview_seconds=preview_seconds)

@@ -1,0 +1,67 @@
+"""Which photos a run trains on and which of them show which box; each looked for once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..context import QUIET, Context
+from ..model.roi import OrientedBox
+from ..model.scene import PosedImage
+from ..model.visibility import visible_images
+from ..selection import CameraSelection, select_cameras
+from ..selection.config import SelectionConfig
+from ..selection.manual import manual_selection
+from ..selection.shares import interleaved, reserved
+from .definition import Run
+
+
+class PhotoSets:
+    """The training photos of a run and their subsets, in the scene's order.
+
+    Attributes:
+        images: all training photos.
+    """
+
+    def __init__(self, run: Run, context: Context = QUIET) -> None:
+        self.run = run
+        self.images = run.train_scene.images
+        self.context = context
+        self._selections: dict[str, CameraSelection] = {}
+        self._seen: dict[str, tuple[str, ...]] = {}
+
+    def selection(self, roi: OrientedBox) -> CameraSelection:
+        """The box's photos, best first: the user's, or those the method chooses."""
+        if roi.name not in self._selections:
+            self._selections[roi.name] = self._select(roi, self.run.config.selection)
+        return self._selections[roi.name]
+
+    def _select(self, roi: OrientedBox, config: SelectionConfig) -> CameraSelection:
+        scene, manual = self.run.train_scene, self.run.manual
+        if roi.name in manual:
+            return manual_selection(scene, roi, manual[roi.name], self.context)
+        return select_cameras(scene, roi, config, self.context)
+
+    def selections(self) -> tuple[CameraSelection, ...]:
+        """Those of all boxes, in the boxes' order."""
+        return tuple(self.selection(roi) for roi in self.run.rois)
+
+    def selected(self) -> set[str]:
+        """Names of the photos that any box selects."""
+        return set(interleaved([chosen.names for chosen in self.selections()]))
+
+    def reserved(self) -> set[str]:
+        """Names of the selected photos that the Scene-GS must not see (paper, sec. II-B)."""
+        orders = [chosen.names for chosen in self.selections()]
+        return reserved(orders, self.run.config.kept_share)
+
+    def seen(self, roi: OrientedBox) -> tuple[PosedImage, ...]:
+        """The training photos that see the box."""
+        if roi.name not in self._seen:
+            self._seen[roi.name] = visible_images(self.run.train_scene, roi, self.context)
+        names = set(self._seen[roi.name])
+        return tuple(image for image in self.images if image.name in names)
+
+    def rows_seeing(self, images: Sequence[PosedImage]) -> tuple[int, ...]:
+        """Rows of those of `images` that see a box of the run."""
+        names = {image.name for roi in self.run.rois for image in self.seen(roi)}
+        return tuple(row for row, image in enumerate(images) if image.name in names)

@@ -1,0 +1,185 @@
+"""What a run trains, as data: a graph of stages and the models made of their results.
+
+A plan is made by pure functions of scene, boxes and settings (`strategies.py`) before anything is
+trained; `executor.py` carries it out. A stage's fingerprint follows from the plan alone: it hashes
+the stage's own settings and photos, and the fingerprints of the stages that it starts from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+
+from ..model.roi import OrientedBox
+from ..model.scene import PosedImage
+from ..selection import CameraSelection
+from ..training.config import TrainConfig
+from ..training.photo_order import PhotoOrder
+
+POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Source:
+    """Where Gaussians come from.
+
+    Attributes:
+        kind: `points` (the sparse points), `result` (of the one input), `crop` (the one input's
+            Gaussians in the one box) or `merge` (the first input, each box's inside taken from
+            the input that follows it in order).
+        inputs: stages.
+        rois: boxes, for `crop` and `merge`.
+        digest: of the sparse points, for `points`.
+    """
+
+    kind: str
+    inputs: tuple[Stage, ...] = ()
+    rois: tuple[OrientedBox, ...] = ()
+    digest: str = ""
+
+    @property
+    def fingerprint(self) -> str:
+        """Names the Gaussians."""
+        parts = [stage.fingerprint for stage in self.inputs]
+        return ":".join([self.kind, self.digest, *parts]) if self.kind != RESULT else parts[0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """One training stage.
+
+    Attributes:
+        name: of its folder below the run's, `independent/scene` for the other strategy's.
+        images: the photos, at the size they are used.
+        config: settings.
+        start: the Gaussians to start from.
+        order: which photo each step sees.
+        rois: boxes that confine densification and masks, with their margins.
+        budgets: most Gaussians in each box at the end of densification; None: no limit.
+        matched: the model whose Gaussians in each box are the budgets instead.
+        seeing: rows of the photos that see a box.
+        extent: of the scene, world units.
+        seed: of the split positions.
+    """
+
+    name: str
+    images: tuple[PosedImage, ...]
+    config: TrainConfig
+    start: Source
+    order: PhotoOrder
+    extent: float
+    seed: int
+    rois: tuple[OrientedBox, ...] = ()
+    budgets: tuple[int, ...] | None = None
+    matched: Source | None = None
+    seeing: tuple[int, ...] = ()
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of everything that decides the stage's result."""
+        record = {
+            "config": asdict(self.config),
+            "images": [(i.name, asdict(i.camera), i.world_to_camera.tolist()) for i in self.images],
+            "rois": [roi.to_dict() for roi in self.rois],
+            "budgets": self.budgets,
+            "matched": self.matched and self.matched.fingerprint,
+            "seeing": self.seeing,
+            "extent": self.extent,
+            "seed": self.seed,
+            "start": self.start.fingerprint,
+            "order": asdict(self.order),
+        }
+        return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def inputs(self) -> tuple[Stage, ...]:
+        """The stages whose results it needs."""
+        return (*self.start.inputs, *(self.matched.inputs if self.matched else ()))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedModel:
+    """A row of the report's tables, before it is trained.
+
+    Attributes:
+        name: unique among the rows of a box.
+        source: where its Gaussians come from.
+        stages: behind it, that serve all boxes alike.
+        by_roi: box -> the stage behind it that serves this box alone.
+    """
+
+    name: str
+    source: Source
+    stages: tuple[Stage, ...] = ()
+    by_roi: dict[str, Stage] = field(default_factory=dict)
+
+    @classmethod
+    def of_stage(cls, name: str, stage: Stage, roi: str = "") -> PlannedModel:
+        """What a stage ends with, for one box or for all."""
+        source = result_of(stage)
+        if roi:
+            return cls(name=name, source=source, by_roi={roi: stage})
+        return cls(name=name, source=source, stages=(stage,))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Output:
+    """PLY files to write once a model is trained.
+
+    Attributes:
+        folder: below the run's; empty: the run's own.
+        model: the result.
+        coarse: the Scene-GS, whose Gaussians in each box are written beside it.
+    """
+
+    folder: str
+    model: PlannedModel
+    coarse: Stage
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """Stages, models and files. Plans add up.
+
+    Attributes:
+        models: in the order of the tables, the result last.
+        outputs: what is written of them.
+        selections: folder below the run's -> the boxes' photos that are used there.
+    """
+
+    models: tuple[PlannedModel, ...] = ()
+    outputs: tuple[Output, ...] = ()
+    selections: dict[str, tuple[CameraSelection, ...]] = field(default_factory=dict)
+
+    def __add__(self, other: Plan) -> Plan:
+        return Plan(
+            models=self.models + other.models,
+            outputs=self.outputs + other.outputs,
+            selections=self.selections | other.selections,
+        )
+
+    @cached_property
+    def stages(self) -> tuple[Stage, ...]:
+        """Every stage once, after the stages that it needs."""
+        found: dict[str, Stage] = {}
+
+        def visit(stage: Stage) -> None:
+            for needed in stage.inputs:
+                visit(needed)
+            found.setdefault(stage.name, stage)
+
+        for stage in self._asked():
+            visit(stage)
+        return tuple(found.values())
+
+    def _asked(self) -> Iterator[Stage]:
+        for model in self.models:
+            yield from (*model.stages, *model.by_roi.values(), *model.source.inputs)
+
+
+def result_of(stage: Stage) -> Source:
+    """The Gaussians that a stage ends with."""
+    return Source(kind=RESULT, inputs=(stage,))

@@ -1,0 +1,242 @@
+"""A stage's own folder: trained there, resumed, or taken as it was finished before.
+
+The folder holds `checkpoint.bin` while the stage trains, and `model.ply` with `stage.json` once it
+is done. The fingerprint in both names everything that decides the stage's result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from ..context import QUIET, Context
+from ..cuda.device import CPU
+from ..errors import RunFolderError, Stopped, TrainingError
+from ..formats.events import Preview, StageStarted
+from ..formats.files import read_json, write_json
+from ..model.gaussians import Gaussians
+from ..training.callbacks import PeriodicCallback
+from ..training.checkpoint import (
+    checkpoint_exists,
+    checkpoint_fingerprint,
+    load_checkpoint,
+    remove_checkpoint,
+    save_checkpoint,
+)
+from ..training.config import TrainConfig
+from ..training.trainer import StageData, Trainer
+from .archive import archive, restore
+
+CHECKPOINT_SECONDS = 60.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StageResult:
+    """A finished stage.
+
+    Attributes:
+        name: the stage's.
+        model_path: the trained model's PLY.
+        count: number of its Gaussians.
+        seconds: of training, checkpoints and evaluation left out.
+        cpu_seconds: the same by the process's clock, which counts every thread's time and only
+            what this process was given: where other programs run, it is what to compare.
+        fingerprint: of everything that decided the result.
+    """
+
+    name: str
+    model_path: Path
+    count: int
+    seconds: float
+    cpu_seconds: float
+    fingerprint: str
+    trained: Gaussians | None = field(default=None, repr=False)
+
+    @cached_property
+    def gaussians(self) -> Gaussians:
+        """The trained model; read from its file when first asked for, and then kept."""
+        return self.trained or Gaussians.load_ply(self.model_path)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StageFolder:
+    """Where a stage is trained.
+
+    Attributes:
+        name: shown to people.
+        folder: the stage's own.
+        fingerprint: of the stage.
+        update: archive a stage of another fingerprint instead of refusing to overwrite it.
+        preview: file to write the present Gaussians to; None: none.
+        preview_seconds: of training between two previews.
+    """
+
+    name: str
+    folder: Path
+    fingerprint: str
+    update: bool = False
+    preview: Path | None = None
+    preview_seconds: float = 0.0
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self.folder / "checkpoint.bin"
+
+    @property
+    def _record(self) -> Path:
+        return self.folder / "stage.json"
+
+    def is_finished(self) -> bool:
+        """Whether the stage was finished here before. Looks only; False for other settings."""
+        with suppress(RunFolderError):
+            return self._record.exists() and self._present() == self.fingerprint
+        return False
+
+    def finished(self, context: Context = QUIET) -> StageResult | None:
+        """The stage as it was finished before, or None; with `update`, room is made for it.
+
+        Raises:
+            RunFolderError: the folder belongs to other settings, or is damaged.
+        """
+        if self.update:
+            self._make_room(context)
+        if not self._record.exists():
+            return None
+        record = read_json(self._record)
+        if not isinstance(record, dict) or record.get("fingerprint") != self.fingerprint:
+            raise RunFolderError(
+                f"{self.folder} was trained with other settings or photos.",
+                "Add --update to archive it and train again, or choose another --run-dir.",
+            )
+        remove_checkpoint(self._checkpoint)  # left where the engine was killed at the very end
+        result = StageResult(
+            name=self.name,
+            model_path=self.folder / "model.ply",
+            count=int(record["gaussians"]),
+            seconds=float(record["seconds"]),
+            cpu_seconds=float(record["cpu_seconds"]),
+            fingerprint=self.fingerprint,
+        )
+        context.info(f"{self.name}: done before, {result.count} Gaussians.")
+        return result
+
+    def train(
+        self,
+        start: Callable[[], Gaussians],
+        data: StageData,
+        config: TrainConfig,
+        context: Context,
+    ) -> StageResult:
+        """Train the stage to its end, from its last checkpoint if there is one.
+
+        Args:
+            start: gives the Gaussians to start from.
+            data, config: see `Trainer`.
+            context: of the run.
+
+        Raises:
+            Stopped: on request; a checkpoint was written.
+            RunFolderError: the checkpoint belongs to other settings, or is damaged.
+            TrainingError: training diverged twice.
+        """
+        context.emit(StageStarted(stage=self.name, total=config.steps))
+        try:
+            trainer = self._trained(start, data, config, context)
+        except TrainingError as error:
+            context.warn(f"{self.name}: {error.message} Trying once more from the last checkpoint.")
+            trainer = self._trained(start, data, config, context)
+        for text in trainer.health.outliers():
+            context.warn(f"{self.name}: {text}")
+        return self._finish(trainer)
+
+    def _trained(
+        self,
+        start: Callable[[], Gaussians],
+        data: StageData,
+        config: TrainConfig,
+        context: Context,
+    ) -> Trainer:
+        """A trainer at its last step; the checkpoint it begins at is always a good one."""
+        trainer = self._resumed(start, data, config, context)
+        callbacks = [PeriodicCallback(CHECKPOINT_SECONDS, lambda: self._save(trainer))]
+        if self.preview is not None:
+            show = PeriodicCallback(self.preview_seconds, lambda: self._show(trainer, context))
+            callbacks.append(show)
+        if not trainer.run(context, stage=self.name, callbacks=callbacks):
+            self._save(trainer)
+            raise Stopped(self.name)
+        trainer.check()
+        return trainer
+
+    def _resumed(
+        self,
+        start: Callable[[], Gaussians],
+        data: StageData,
+        config: TrainConfig,
+        context: Context,
+    ) -> Trainer:
+        """At step 0, or where the checkpoint says."""
+        if not checkpoint_exists(self._checkpoint):
+            return Trainer(start(), data, config)
+        state = load_checkpoint(self._checkpoint, self.fingerprint, context)
+        trainer = Trainer(Gaussians(**state["parameters"]), data, config)
+        trainer.load_state_dict(state)
+        context.info(f"{self.name}: resumes at step {trainer.step}.")
+        return trainer
+
+    def _save(self, trainer: Trainer) -> None:
+        trainer.check()
+        save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
+
+    def _show(self, trainer: Trainer, context: Context) -> None:
+        """Write the preview; skipped when it cannot be written (a reader on Windows)."""
+        assert self.preview is not None
+        with suppress(RunFolderError):
+            trainer.gaussians.save_ply(self.preview)
+            context.emit(Preview(path=str(self.preview)))
+
+    def _make_room(self, context: Context) -> None:
+        """Archive what was trained otherwise, and restore what was archived of this stage."""
+        present = self._present()
+        if present == self.fingerprint:
+            return
+        if present is not None:
+            archive(self.folder, present)
+            context.info(f"{self.name}: other settings or photos; the earlier one is in archive/.")
+        restore(self.folder, self.fingerprint)
+
+    def _present(self) -> str | None:
+        """The fingerprint of what is in the folder, finished or not; None: nothing."""
+        if self._record.exists():
+            record = read_json(self._record)
+            return str(record.get("fingerprint")) if isinstance(record, dict) else "damaged"
+        if checkpoint_exists(self._checkpoint):
+            return checkpoint_fingerprint(self._checkpoint)
+        return None
+
+    def _finish(self, trainer: Trainer) -> StageResult:
+        model = trainer.gaussians.detached().to(CPU)
+        path = self.folder / "model.ply"
+        model.save_ply(path)
+        record = {
+            "fingerprint": self.fingerprint,
+            "seconds": trainer.seconds,
+            "cpu_seconds": trainer.cpu_seconds,
+            "steps": trainer.step,
+            "gaussians": len(model),
+            "device": trainer.data.device.type,
+        }
+        write_json(self._record, record)
+        remove_checkpoint(self._checkpoint)
+        return StageResult(
+            name=self.name,
+            model_path=path,
+            count=len(model),
+            seconds=trainer.seconds,
+            cpu_seconds=trainer.cpu_seconds,
+            fingerprint=self.fingerprint,
+            trained=model,
+        )

@@ -1,0 +1,114 @@
+"""3DGS's adaptive density control (Kerbl et al. 2023, sec. 5.2).
+
+Gaussians with a large mean 2D gradient are cloned or split, transparent and huge ones pruned,
+opacities reset now and then. ROI-GS prunes besides what contributed to no training pixel of a
+window (sec. II-B).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ...model.gaussians import Gaussians
+from ..z_order import morton_order
+from .edits import Edit, clone_and_split, unchanged
+from .interface import DensityInputs
+from .statistics import DensityStats
+
+VISIBLE_WEIGHT = 1 / 255  # alpha x T below which a Gaussian cannot change an 8-bit pixel
+RESET_OPACITY = 0.01
+
+
+class AdaptiveDensity:
+    """See the module. Subclasses change which Gaussians are densified, and what is large."""
+
+    def __init__(self, inputs: DensityInputs, count: int) -> None:
+        """Begin with `count` Gaussians that nothing has seen."""
+        self.inputs, self.config = inputs, inputs.config
+        self.stats = DensityStats.zeros(count, inputs.device)
+        self._window = 0  # the step at which the present one began
+
+    @property
+    def watches_max_weight(self) -> bool:
+        """Only pruning by contribution goes by it."""
+        return self.config.contribution_every > 0
+
+    def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
+        """Take one training view in; all arguments (N,)."""
+        self.stats.add(visible, grad2d, max_weight)
+
+    def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
+        """Densify, prune, reset: whatever is due after `step` steps."""
+        config = self.config
+        densifying = config.densify_from <= step < config.densify_until
+        edit = Edit(gaussians=gaussians, rows=None)
+        if densifying and step % config.densify_every == 0:
+            edit = self._densified(gaussians, step)
+            assert edit.rows is not None
+            self.follow(edit.rows)
+        if config.contribution_every and step - self._window >= self._window_steps():
+            edit = self._without_idle(edit)
+            self.stats.new_window()
+            self._window = step
+        if densifying and config.reset_every and step % config.reset_every == 0:
+            edit = replace(edit, opacity_cap=RESET_OPACITY)
+        return None if edit.rows is None and edit.opacity_cap is None else edit
+
+    def follow(self, rows: Tensor) -> None:
+        """Keep the statistics of rows that stay; gradients start anew."""
+        self.stats = self.stats.after(rows)
+
+    def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
+        """(N,) bool: which Gaussians to clone or split."""
+        return self.stats.mean_gradient() > self.config.grad_threshold
+
+    def size_reference(self, gaussians: Gaussians) -> Tensor:
+        """(N,) the length that `split_fraction` refers to: the scene's extent."""
+        device = gaussians.means.device
+        return torch.full((len(gaussians),), self.inputs.extent, device=device)
+
+    def _densified(self, gaussians: Gaussians, step: int) -> Edit:
+        rng = torch.Generator().manual_seed(self.inputs.seed * 1_000_003 + step)
+        mask, reference = self.densify_mask(gaussians, step), self.size_reference(gaussians)
+        edit = clone_and_split(gaussians, mask, reference, self.config.split_fraction, rng)
+        rows = self.prune_mask(edit.gaussians, step).logical_not().nonzero()[:, 0]
+        return edit.keep(rows[morton_order(edit.gaussians.means[rows])])
+
+    def prune_mask(self, gaussians: Gaussians, step: int) -> Tensor:
+        """(N,) bool: too transparent or, once opacities were reset, too large in the world."""
+        config = self.config
+        keep = gaussians.logit_opacities.detach().sigmoid() >= config.prune_opacity
+        if config.reset_every and step > config.reset_every:
+            largest = gaussians.log_scales.detach().exp().amax(dim=1)
+            keep &= largest <= config.prune_size * self.inputs.extent
+        return ~keep
+
+    def _without_idle(self, edit: Edit) -> Edit:
+        """Without what contributed to no training pixel of the window (ROI-GS, sec. II-B)."""
+        keep = self.stats.weight >= VISIBLE_WEIGHT
+        if bool(keep.all()):
+            return edit
+        kept = keep.nonzero()[:, 0]
+        self.follow(kept)
+        return (unchanged(edit.gaussians) if edit.rows is None else edit).keep(kept)
+
+    def _window_steps(self) -> int:
+        """A window must hold every photo: idle means idle on all of them."""
+        return max(self.config.contribution_every, 2 * self.inputs.photos)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The statistics, and where the window began."""
+        stats = self.stats
+        return {
+            "window": self._window,
+            "stats": {"gradient": stats.gradient, "views": stats.views, "weight": stats.weight},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from what `state_dict` returned."""
+        self._window = int(state["window"])
+        self.stats = DensityStats(**state["stats"])

@@ -1,0 +1,76 @@
+"""Edits of a model that the optimizer's state can follow: each new row says where it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ...model.gaussians import Gaussians
+from ...model.rotations import rotation_matrices
+
+SPLIT_SHRINK = 1.6  # 3DGS: children of a split have their scales divided by this
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Edit:
+    """Edited Gaussians.
+
+    Attributes:
+        gaussians: (M rows).
+        rows: (M,) the row each came from with its optimizer state, -1 for a newborn; None: all
+            rows stay as they are.
+        opacity_cap: opacities are lowered to this, and their moments forgotten; None: they stay.
+    """
+
+    gaussians: Gaussians
+    rows: Tensor | None
+    opacity_cap: float | None = None
+
+    def keep(self, rows: Tensor) -> Edit:
+        """The edit with some of its rows: a bool mask (M,) or row numbers in a new order."""
+        assert self.rows is not None
+        return replace(self, gaussians=self.gaussians.rows(rows), rows=self.rows[rows])
+
+
+def unchanged(gaussians: Gaussians) -> Edit:
+    """The edit that keeps every row, to be narrowed by `Edit.keep`."""
+    rows = torch.arange(len(gaussians), device=gaussians.means.device)
+    return Edit(gaussians=gaussians, rows=rows)
+
+
+def clone_and_split(
+    gaussians: Gaussians, mask: Tensor, reference: Tensor, fraction: float, rng: torch.Generator
+) -> Edit:
+    """Clone the small and split the large of the Gaussians in a mask.
+
+    A clone stays beside its original; a split Gaussian is replaced by two that are drawn from it.
+
+    Args:
+        gaussians: N rows.
+        mask: (N,) bool, which to densify.
+        reference: (N,) the lengths that `fraction` refers to.
+        fraction: of the reference above which a Gaussian is split.
+        rng: draws the positions of split ones.
+    """
+    large = gaussians.log_scales.detach().exp().amax(dim=1) > fraction * reference
+    kept = torch.nonzero(~(mask & large)).flatten()
+    clones = torch.nonzero(mask & ~large).flatten()
+    parents = torch.nonzero(mask & large).flatten().repeat(2)
+    children = _children(gaussians.rows(parents), rng)
+    edited = Gaussians.concatenate([gaussians.rows(torch.cat([kept, clones])), children])
+    newborn = kept.new_full((len(clones) + len(parents),), -1)
+    return Edit(gaussians=edited, rows=torch.cat([kept, newborn]))
+
+
+def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
+    """Each parent moved to a sample of itself and shrunk."""
+    scales = parents.log_scales.exp()
+    # drawn on the CPU: the same numbers on every device
+    offsets = torch.randn(scales.shape, generator=rng).to(scales.device) * scales
+    rotations = rotation_matrices(torch.nn.functional.normalize(parents.quats, dim=1))
+    values = parents.tensors()
+    values["means"] = parents.means + (rotations @ offsets[..., None])[..., 0]
+    values["log_scales"] = (scales / SPLIT_SHRINK).log()
+    return Gaussians(**values)

@@ -1,0 +1,44 @@
+"""Density control with rules for boxes (ROI-GS, sec. II-B): confined to them, within a budget."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ...model.gaussians import Gaussians
+from ...model.ownership import owners
+from .adaptive import AdaptiveDensity
+
+
+class InBoxDensity(AdaptiveDensity):
+    """As 3DGS, with up to three rules: densify in the boxes only, a threshold there, budgets."""
+
+    def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
+        """(N,) bool; where a box's budget is short, the largest gradients win."""
+        config, gradient = self.config, self.stats.mean_gradient()
+        mask = gradient > config.grad_threshold
+        owner = owners(gaussians, self.inputs.rois)
+        if config.box_grad_threshold:
+            mask = torch.where(owner >= 0, gradient > config.box_grad_threshold, mask)
+        if config.densify_in_boxes:
+            mask &= owner >= 0
+        progress = step / config.densify_until
+        for index, budget in enumerate(self.inputs.budgets or ()):
+            mine = torch.nonzero(mask & (owner == index)).flatten()
+            room = max(0, budget.at(progress) - int((owner == index).sum()))
+            if len(mine) > room:
+                order = torch.argsort(gradient[mine], descending=True, stable=True)
+                mask[mine[order[room:]]] = False
+        return mask
+
+    def size_reference(self, gaussians: Gaussians) -> Tensor:
+        """(N,) the scene's extent, in a box at most the box's diagonal.
+
+        A close-up's own extent is never used: it would split or delete the background.
+        """
+        reference = super().size_reference(gaussians)
+        if self.config.densify_in_boxes:
+            owner = owners(gaussians, self.inputs.rois)
+            for index, roi in enumerate(self.inputs.rois):
+                reference[owner == index] = min(self.inputs.extent, roi.diagonal)
+        return reference
