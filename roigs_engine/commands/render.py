@@ -40,8 +40,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..rasterize.sequence import render_sequence
     from .options import load_scene
 
+    gaussians = Gaussians.load_ply(args.ply)
     context = context_on_device(args, console)
-    gaussians = Gaussians.load_ply(args.ply).to(torch.device(context.device))
+    gaussians = gaussians.to(torch.device(context.device))
     if args.path:
         if args.threads is not None:
             set_threads(args.threads)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..context import Context
 from ..errors import ConfigError
@@ -98,14 +98,17 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
 
     Its events go to the folder too.
     """
+    from ..run.definition import define_run
     from ..run.folder import open_folder
     from ..run.memory import run_memory
     from ..run.provenance import recorded
 
+    inputs = _inputs(args)
     with locked(args.run_dir):
         remove_leftovers(args.run_dir)
         context = _context(args, console)
-        run = _defined(args, console, context, cache=args.run_dir / "cache")
+        scene = load_scene(args, console, args.run_dir / "cache")
+        run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
         console.log_to(args.run_dir)
         for message in run_memory(run, context).messages():
@@ -118,31 +121,29 @@ def show_plan(
     args: argparse.Namespace, console: Console, compare: Sequence[str] = ()
 ) -> dict[str, str]:
     """Print what the options would do; nothing is trained or written."""
+    from ..run.definition import define_run
     from ..run.dry_run import describe_plan
 
+    inputs = _inputs(args)
     context = _context(args, console)
-    run = _defined(args, console, context, cache=None)
+    scene = load_scene(args, console)  # without pixels: nothing is undistorted
+    run = define_run(args.run_dir, scene, context=context, **inputs)
     console.print(describe_plan(run, compare, context, update=args.update))
     return {}
 
 
-def _context(args: argparse.Namespace, console: Console) -> Context:
-    """The context of the options, which are checked here."""
+def _inputs(args: argparse.Namespace) -> dict[str, Any]:
+    """Boxes, settings and manual photos, as `define_run` takes them; other values are checked."""
+    rois, config = boxes(args), run_config(args)
+    manual = load_manual(args.selection, rois) if args.selection else {}
     if not 0 <= args.preview_seconds < math.inf:
         raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
     if args.image_cache is not None and not 0 <= args.image_cache < math.inf:
         raise ConfigError(f"--image-cache is {args.image_cache}.", "Use 0 or more megabytes.")
+    return {"rois": rois, "config": config, "manual": manual}
+
+
+def _context(args: argparse.Namespace, console: Console) -> Context:
+    """The context of the options."""
     memory = None if args.image_cache is None else int(1e6 * args.image_cache)
     return replace(context_on_device(args, console), photo_memory=memory)
-
-
-def _defined(
-    args: argparse.Namespace, console: Console, context: Context, cache: Path | None
-) -> Run:
-    """The run of the options; `cache` is where undistorted photos go, None: only cameras matter."""
-    from ..run.definition import define_run
-
-    rois, config = boxes(args), run_config(args)
-    manual = load_manual(args.selection, rois) if args.selection else {}
-    scene = load_scene(args, console, cache)
-    return define_run(args.run_dir, scene, rois, config, manual=manual, context=context)

@@ -15,7 +15,7 @@ from .features import static_features
 from .records import CameraSelection
 from .score import prefix_scores
 
-METHOD = "given"
+METHOD = "manual"
 NAMED = 3  # photos named in a warning
 
 

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from roigs_engine.errors import KernelError
-from roigs_engine.kernels import library
+from roigs_engine.kernels import bindings, library
 from roigs_engine.rasterize import cpu
-from roigs_engine.training import losses, optimizer
 
 
 @pytest.fixture(scope="module", params=["generic", "avx2", "avx512", "neon"])
@@ -22,10 +21,9 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
         except KernelError as error:
             pytest.skip(str(error))
         patch.setattr(library, "load", lambda: kernels)
-        for module, name in ((cpu, "_kernels"), (losses, "_kernel"), (optimizer, "_kernel")):
-            loaded = getattr(module, name).__wrapped__()
-            patch.setattr(module, name, lambda loaded=loaded: loaded)
-        cpu.View._idle.clear()  # they belong to another library
+        loaded = bindings.bound(kernels)
+        patch.setattr(bindings, "kernels", lambda: loaded)
+        cpu.KernelView._idle.clear()  # they belong to another library
         yield request.param
         library.set_threads(None)
-        cpu.View._idle.clear()
+        cpu.KernelView._idle.clear()

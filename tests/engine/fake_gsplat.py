@@ -10,7 +10,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from roigs_engine.rasterize.reference import rotation_matrices, sh_basis
+from roigs_engine.model.rotations import rotation_matrices
+from roigs_engine.rasterize.reference import sh_basis
 
 ALPHA_MIN, ALPHA_MAX, LAST_LIGHT = 1 / 255, 0.999, 1e-4
 __version__ = "1.5.3"
@@ -56,7 +57,11 @@ def fully_fused_projection(
     jacobian = torch.stack(
         [fx / z, zero, -fx * near_x / z**2, zero, fy / z, -fy * near_y / z**2], -1
     ).reshape(-1, 2, 3)
-    half = jacobian @ view[:3, :3] @ (rotation_matrices(quats[rows]) * scales[rows][:, None])
+    half = (
+        jacobian
+        @ view[:3, :3]
+        @ (rotation_matrices(torch.nn.functional.normalize(quats[rows])) * scales[rows][:, None])
+    )
     covariance = half @ half.mT + eps2d * torch.eye(2)
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     conics = torch.stack([yy, -xy, xx], -1) / (xx * yy - xy * xy)[:, None]

@@ -27,14 +27,16 @@ from typing import Any
 from roigs_engine import cli
 from roigs_engine.commands.console import Console
 from roigs_engine.formats import files
-from roigs_engine.run import config
+from roigs_engine.run import presets, stage_folder
 from roigs_engine.run.config import RunConfig
 from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
 from tests.engine.synthetic_colmap import camera, write_project
 
 CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
-CONTEXT.set_forkserver_preload([__name__, "roigs_engine.pipeline", "roigs_engine.crops"])
+CONTEXT.set_forkserver_preload(
+    [__name__, "roigs_engine.run.folder", "roigs_engine.evaluation.crops"]
+)
 STEPS_BETWEEN_CHECKPOINTS = 7
 SEED = 6
 SECRET = "s3cr3t-0f-th3-sh3ll"  # in every engine's environment
@@ -85,7 +87,7 @@ def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
 
 def tiny() -> RunConfig:
     """The paper's strategy in 18 steps and 24, with densification and averaging in both."""
-    paper = config.preset("paper")
+    paper = presets.preset("paper")
     quick = {"densify_from": 4, "densify_every": 4, "grad_threshold": 1e-6, "sh_every": 5}
     return replace(
         paper,
@@ -133,7 +135,7 @@ class Request:
 def contents(run: Path) -> dict[str, Any]:
     """File -> bytes, without what tells of times: the log, and seconds in the reports."""
     files = {str(p.relative_to(run)): p.read_bytes() for p in run.rglob("*") if p.is_file()}
-    for name in ("events.jsonl", "report.md", "run.json"):
+    for name in ("events.jsonl", "report.md", "provenance.json"):
         del files[name]
     return {
         name: timeless(json.loads(data)) if name.endswith(".json") else data
@@ -156,12 +158,12 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     """In a process of its own."""
     sys.modules["tqdm"] = None  # type: ignore[assignment] # its semaphores would outlive a kill
     os.environ["SOME_TOKEN"] = SECRET
-    config.PRESETS["tiny"] = tiny
+    presets.PRESETS["tiny"] = tiny
     clock = _Clock(at)
-    trainer.PeriodicCallback = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
+    stage_folder.PeriodicCallback = functools.partial(_EverySoManySteps, clock)  # type: ignore[misc, assignment]
     _before(trainer.Trainer, "train_step", lambda *_: clock.tick("step"))
     _before(trainer.Trainer, "_apply", lambda *_: clock.tick("edit"))
-    _before(Console, "check", lambda *_: clock.tick("check"))
+    _before(Console, "should_stop", lambda *_: clock.tick("check"))
     _before(Console, "emit", lambda _, event: clock.watch(event))
     files.open = clock.open  # type: ignore[attr-defined]
     rename = os.replace
@@ -232,12 +234,12 @@ class _OS:
 
 
 class _EverySoManySteps:
-    """In place of the trainer's breaks, which go by the clock."""
+    """In place of the periodic callbacks, which go by the clock."""
 
     def __init__(self, clock: _Clock, every: float, do: Callable[[], None]) -> None:
         self._due, self._do, self._steps = every > 0, do, 0
 
-    def take_if_due(self, seconds: float) -> float:
+    def call_if_due(self, seconds: float) -> float:
         self._steps += 1
         if self._due and self._steps % STEPS_BETWEEN_CHECKPOINTS == 0:
             self._do()

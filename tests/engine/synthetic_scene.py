@@ -84,5 +84,5 @@ def make_scene(folder: Path, views: int = 12) -> SfmScene:
                 point_indices=seen.astype(np.int64),
             )
         )
-    colors = ((model.sh0[:, 0].numpy() * SH_C0 + 0.5) * 255).astype(np.uint8)
+    colors = ((model.sh[:, 0].numpy() * SH_C0 + 0.5) * 255).astype(np.uint8)
     return SfmScene(images=tuple(images), points=points, colors=colors)

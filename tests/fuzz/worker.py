@@ -29,7 +29,8 @@ from tests.fuzz import cases
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 20.0
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
-         "roigs_engine.pipeline", "roigs_engine.crops", "roigs_engine.render")  # fmt: skip
+         "roigs_engine.run.folder", "roigs_engine.evaluation.crops",
+         "roigs_engine.rasterize.view")  # fmt: skip
 
 
 class Claim:
@@ -40,9 +41,10 @@ class Claim:
 
     @staticmethod
     def run(args: Any, console: Any) -> dict[str, str]:
-        with train.open_run(args, console) as work:
-            for roi in work.rois:
-                work.selection(roi)
+        from roigs_engine.run.photo_sets import PhotoSets
+
+        with train.opened_run(args, console) as (run, context):
+            PhotoSets(run, context).selections()
         return {}
 
 
@@ -60,7 +62,9 @@ class Decode:
         from roigs_engine.colmap.project import load_colmap
         from roigs_engine.photos.cache import PhotoCache
 
-        scene = load_colmap(args.scene, max_side=64, cache=args.scene / "../out", emit=console.emit)
+        scene = load_colmap(
+            args.scene, max_side=64, cache=args.scene / "../out", context=console.context
+        )
         with PhotoCache(scene.images) as cache:
             for index in range(len(cache)):
                 with contextlib.suppress(EngineError):

@@ -11,6 +11,7 @@ import pytest
 from roigs_engine.colmap import undistort
 from roigs_engine.colmap.export import write_export
 from roigs_engine.colmap.project import load_colmap
+from roigs_engine.context import Context
 from roigs_engine.errors import EngineError
 from roigs_engine.formats.events import Event, Message
 from tests.engine.synthetic_colmap import camera, write_project
@@ -63,7 +64,7 @@ def test_without_pycolmap_distortion_is_ignored_with_a_warning(
     write_project(tmp_path, names=["a.png", "b.png"], cameras=[OPENCV, RADIAL])
     monkeypatch.setattr(undistort, "_pycolmap", missing)
     events: list[Event] = []
-    first, second = load_colmap(tmp_path, pixels=False, emit=events.append).images
+    first, second = load_colmap(tmp_path, pixels=False, context=Context(emit=events.append)).images
     (warning,) = (event for event in events if isinstance(event, Message))
     assert warning.level == "warning" and "pycolmap" in warning.text
     assert first.distorted and second.distorted

@@ -18,6 +18,7 @@ from PIL import Image
 from roigs_engine.colmap.model_files import read_model
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.records import CAMERA_MODELS
+from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, SceneError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import Camera, SfmScene
@@ -112,7 +113,7 @@ def test_the_model_with_most_photos_is_taken(tmp_path: Path) -> None:
     write_project(tmp_path, names=["a.png", "b.png", "c.png"], model="sparse/1", binary=False)
     write_project(tmp_path, names=["a.png", "b.png"], model="sparse/10")
     events: list[Event] = []
-    scene = load_colmap(tmp_path, emit=events.append)
+    scene = load_colmap(tmp_path, context=Context(emit=events.append))
     assert len(scene.images) == 3
     texts = [event.text for event in events if isinstance(event, Message)]
     assert any("3 models" in text and "sparse/1 with 3 photos" in text for text in texts)
@@ -249,7 +250,7 @@ def test_photos_left_out_are_named_by_reason(tmp_path: Path) -> None:
     start = data.index(b"nowhere.png") - 60  # quaternion, translation, camera id
     images_bin.write_bytes(data[:start] + struct.pack("<d", np.nan) + data[start + 8 :])
     events: list[Event] = []
-    scene = load_colmap(tmp_path, emit=events.append)
+    scene = load_colmap(tmp_path, context=Context(emit=events.append))
     assert_same(scene, project, ["a.png", "b.png"])
     assert scene.skipped == {
         "missing on disk": ("gone.png",),
@@ -322,7 +323,7 @@ def test_points_without_a_position_are_left_out(tmp_path: Path) -> None:
     points = np.array([[0.0, 0.1, 0.2], [np.nan, 0, 0], [0.3, 0.1, 0.0], [1e300, 0, 0]])
     write_project(tmp_path, points=points)
     events: list[Event] = []
-    scene = load_colmap(tmp_path, emit=events.append)
+    scene = load_colmap(tmp_path, context=Context(emit=events.append))
     np.testing.assert_array_equal(scene.points, points[[0, 2]])
     assert scene.images[0].point_indices.tolist() == [0, 1]
     assert any("2 3D points" in event.text for event in events if isinstance(event, Message))

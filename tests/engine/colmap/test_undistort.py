@@ -13,6 +13,7 @@ from PIL import Image
 from roigs_engine.colmap import undistort
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.records import CAMERA_MODELS
+from roigs_engine.context import Context
 from roigs_engine.errors import EngineError, RunFolderError, SceneError
 from roigs_engine.formats.events import Event, StageStarted
 from roigs_engine.model.scene import SfmScene
@@ -160,7 +161,7 @@ def test_a_panorama_is_left_out(tmp_path: Path) -> None:
 def stages(folder: Path, **settings: Any) -> tuple[SfmScene, list[int]]:
     """The scene and how many photos each undistortion stage announced."""
     events: list[Event] = []
-    scene = load_colmap(folder, emit=events.append, **settings)
+    scene = load_colmap(folder, context=Context(emit=events.append), **settings)
     return scene, [event.total for event in events if isinstance(event, StageStarted)]
 
 

@@ -80,9 +80,9 @@ def test_weights_and_depth_are_those_of_the_reference(masked: bool) -> None:
     parameters, views = gaussians(300), cameras(*SIZE)
     options = {"with_max_weight": True, "with_weight_sum": True, "with_depth": True}
     region = ring() if masked else None
-    truth = rasterize(*parameters, *views, *SIZE, region=region, backend="reference", **options)
+    truth = rasterize(*parameters, *views, *SIZE, mask=region, backend="reference", **options)
     region = None if region is None else region.to(CARD)
-    ours = rasterize(*on_card(parameters), *on_card(views), *SIZE, region=region, **options)
+    ours = rasterize(*on_card(parameters), *on_card(views), *SIZE, mask=region, **options)
     assert (ours.max_weight.cpu() - truth.max_weight).abs().max() < 1e-3
     assert relative_error(ours.weight_sum.cpu(), truth.weight_sum) < 1e-3
     assert relative_error(ours.depth.cpu(), truth.depth) < 1e-3

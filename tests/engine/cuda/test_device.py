@@ -14,27 +14,31 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from roigs_engine.training.densify import owners
-from roigs_engine.training.stage import Stage, fingerprint
 
 from roigs_engine.cli import main
+from roigs_engine.context import QUIET, Context
 from roigs_engine.cuda import device, library
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.cuda.photos import DevicePhotos
 from roigs_engine.errors import KernelError
 from roigs_engine.formats.events import Message
 from roigs_engine.model.gaussians import NAMES, Gaussians
-from roigs_engine.model.ownership import nearest_owner
+from roigs_engine.model.ownership import nearest_owner, owners
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import rasterize
+from roigs_engine.run.definition import define_run
+from roigs_engine.run.stage_folder import StageFolder
+from roigs_engine.run.strategies import plan_run
 from roigs_engine.training import photo_order, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import StageData, Trainer
+from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
 CONFIG = TrainConfig(
@@ -80,6 +84,12 @@ def without_kernels(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(trainer, "VisibleAdam", plain)
 
 
+def weights(trainer: Trainer) -> torch.Tensor:
+    """The largest blending weights that density control has seen."""
+    assert isinstance(trainer._density, AdaptiveDensity)
+    return trainer._density.stats.weight
+
+
 def test_steps_without_kernels_are_those_with_them(
     scene: SfmScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,8 +97,8 @@ def test_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     plain = trained(scene, config)
-    assert plain.last_loss == pytest.approx(kernels.last_loss, rel=1e-4)
-    assert torch.allclose(plain._stats.weight, kernels._stats.weight, atol=1e-3)
+    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=1e-4)
+    assert torch.allclose(weights(plain), weights(kernels), atol=1e-3)
     for name in NAMES:
         ours, truth = getattr(plain.gaussians, name), getattr(kernels.gaussians, name)
         # Quaternions of round Gaussians: Adam steps by the sign of a gradient that is zero.
@@ -140,10 +150,11 @@ def test_a_checkpoint_goes_on_on_any_device(scene: SfmScene) -> None:
     assert isinstance(state["loss"], float)
 
 
-def test_the_device_is_no_part_of_a_stage(scene: SfmScene) -> None:
-    data = stage_data(scene)
-    other = replace(data, device=torch.device("cuda"))
-    assert fingerprint(data, CONFIG, "", []) == fingerprint(other, CONFIG, "", [])
+def test_the_device_is_no_part_of_a_stage(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    plans = [plan_run(run, (), Context(device=device)) for device in ("cpu", "cuda:0")]
+    first, second = ([stage.fingerprint for stage in plan.stages] for plan in plans)
+    assert first == second
 
 
 def test_boxes_own_the_same_on_every_device() -> None:
@@ -175,14 +186,7 @@ def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
 ) -> None:
     data = stage_data(scene)
     start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
-    stage = Stage(
-        name="scene",
-        folder=tmp_path / "scene",
-        data=data,
-        config=CONFIG,
-        start=start,
-        fingerprint="f",
-    )
+    stage = StageFolder(name="scene", folder=tmp_path / "scene", fingerprint="f")
     before = Trainer(start, data, CONFIG)
     for _ in range(3):
         before.train_step()
@@ -200,12 +204,12 @@ def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
     with monkeypatch.context() as patch:
         patch.setattr(trainer, "rasterize", full)
         with pytest.raises(KernelError) as caught:
-            stage.run(lambda event: None, lambda: False)
+            stage.train(lambda: start, data, CONFIG, QUIET)
     said = str(caught.value)
     assert "memory" in said and "step 5" in said and "64x48" in said and "\n" not in said
     assert re.search(r"\d+ Gaussians", said) and "--max-side" in said
     assert {path.name: path.read_bytes() for path in stage.folder.iterdir()} == saved
-    assert stage.run(lambda event: None, lambda: False).gaussians.means.device == CPU
+    assert stage.train(lambda: start, data, CONFIG, QUIET).gaussians.means.device == CPU
 
 
 # --- photos ---
@@ -239,10 +243,10 @@ def test_photos_stay_on_the_device_as_far_as_they_fit() -> None:
 def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", None)
     said: list[Any] = []
-    assert choose_device("auto", said.append) == CPU
+    assert choose_device("auto", Context(emit=said.append)) == CPU
     assert [type(event) for event in said] == [Message]
     assert "without CUDA" in said[0].text
-    assert choose_device("cpu", said.append) == CPU and len(said) == 1
+    assert choose_device("cpu", Context(emit=said.append)) == CPU and len(said) == 1
     with pytest.raises(KernelError, match="Install a torch for CUDA"):
         choose_device("cuda")
 

@@ -35,7 +35,7 @@ def test_weights_are_those_of_the_reference(masked: bool) -> None:
     scene = (gaussians(30, size=0.2), *cameras(*SIZE), *SIZE)
     pixel_weights = torch.rand(2, SIZE[1], SIZE[0], generator=torch.Generator().manual_seed(2))
     options = {
-        "region": ring() if masked else (20, 10, 50, 43),
+        "mask": ring() if masked else (20, 10, 50, 43),
         "with_max_weight": True,
         "with_weight_sum": True,
         "pixel_weights": pixel_weights,

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import torch
 
+from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, SceneError
-from roigs_engine.evaluation import evaluate as module
+from roigs_engine.evaluation import views
 from roigs_engine.evaluation.evaluate import evaluate, ply_bytes
 from roigs_engine.evaluation.report import format_markdown, write_report
 from roigs_engine.evaluation.scores import MIN_SILHOUETTE, Evaluation
@@ -170,9 +171,9 @@ def test_every_view_is_rendered_once_per_model(
         calls.append(args)
         return view_module.render_view(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(module, "render_view", counted)
+    monkeypatch.setattr(views, "render_view", counted)
     events: list[Event] = []
-    evaluate(models[:2], scene, TEST, [BOX, FAR], emit=events.append)
+    evaluate(models[:2], scene, TEST, [BOX, FAR], context=Context(emit=events.append))
     assert len(calls) == 2 * len(TEST)
     assert events[0] == StageStarted(stage="evaluate", total=3)
     assert [e.step for e in events if isinstance(e, Progress)] == [1, 2, 3]
@@ -220,7 +221,7 @@ def test_camera_inside_takes_the_whole_image(scene: SfmScene) -> None:
 def test_a_box_that_no_test_photo_shows(scene: SfmScene) -> None:
     away = OrientedBox.axis_aligned("away", [0, 0, 50], [1, 1, 51])
     model, events = EvaluatedModel(name="m", gaussians=truth(), seconds=0.0), []
-    result = evaluate([model], scene, TEST, [away], emit=events.append)
+    result = evaluate([model], scene, TEST, [away], context=Context(emit=events.append))
     row = result.rois[0].rows[0]
     assert row.roi_psnr is row.roi_ssim is row.object_psnr is row.peak_gain is None
     assert any(isinstance(e, Message) and e.level == "warning" and "away" in e.text for e in events)

@@ -37,7 +37,7 @@ def refused(ended: Ended, *words: str) -> None:
 def test_a_disk_that_is_full_for_a_while(request_: Request, tmp_path: Path) -> None:
     for place in (
         "undistort: half of",
-        "^full-scene: half of thing",
+        "undistort: half of thing",
         "^scene: half of checkpoint",
         "^object-thing: half of model",
         "evaluate: half of",

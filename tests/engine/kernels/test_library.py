@@ -14,8 +14,7 @@ import pytest
 import torch
 
 from roigs_engine.errors import KernelError
-from roigs_engine.kernels import build, library
-from roigs_engine.training import losses
+from roigs_engine.kernels import bindings, build, library
 from roigs_engine.training.losses import photo_loss
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -54,7 +53,7 @@ def _clean_caches() -> Iterator[None]:
     yield
     library._folder_with_libraries.cache_clear()
     library.load.cache_clear()
-    losses._kernel.cache_clear()
+    bindings.kernels.cache_clear()
     library.set_threads(threads)
 
 
@@ -79,7 +78,7 @@ def test_every_isa_loads_and_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     for isa in runnable_isas():
         monkeypatch.setenv(library.ISA_VARIABLE, isa)
         library.load.cache_clear()
-        losses._kernel.cache_clear()
+        bindings.kernels.cache_clear()
         assert library.isa() == isa
         image = render.clone().requires_grad_()
         photo_loss(image.permute(1, 2, 0), photo).loss.backward()
@@ -126,8 +125,8 @@ def test_threads() -> None:
 
 def test_pointer() -> None:
     tensor = torch.zeros(4)
-    assert library.pointer(tensor[1:]) == tensor.data_ptr() + 4
-    assert library.pointer(None) is None
+    assert bindings.pointer(tensor[1:]) == tensor.data_ptr() + 4
+    assert bindings.pointer(None) is None
 
 
 def test_process_with_a_busy_pool_ends() -> None:

@@ -180,9 +180,9 @@ def step(
         sh_degree=scene.sh_degree,
         raw=scene.raw,
         background=scene.background,
-        region=scene.region,
+        mask=scene.region,
         with_max_weight=True,
-        optimizer=optimizer,
+        backward_step=None if optimizer is None else optimizer.backward_step,
         backend=backend,
     )
     photo_loss(output.image, scene.photo, backend=backend).loss.backward()

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.errors import RoiError
-from roigs_engine.model.compose import cut, owners, replace
+from roigs_engine.model.compose import crop, merge
 from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.ownership import owners
 from roigs_engine.model.roi import OrientedBox
 
 
@@ -47,10 +48,10 @@ def test_every_gaussian_comes_from_the_model_that_owns_its_place(seed: int, coun
     rng = np.random.default_rng(seed)
     rois, scene = boxes(rng, count), cloud(rng, 80, -1)
     models = [cloud(rng, int(rng.integers(0, 60)), index) for index in range(count)]
-    result = replace(scene, list(zip(rois, models, strict=True)))
+    result = merge(scene, list(zip(rois, models, strict=True)))
     assert torch.equal(owners(result, rois).float(), result.sh[:, 0, 0])
     outside = int((owners(scene, rois) == -1).sum())
-    inside = [len(cut(model, roi, rois)) for model, roi in zip(models, rois, strict=True)]
+    inside = [len(crop(model, roi, rois)) for model, roi in zip(models, rois, strict=True)]
     assert len(result) == outside + sum(inside)
     for source, tag in [(scene, -1), *((model, k) for k, model in enumerate(models))]:
         kept = result.rows(result.sh[:, 0, 0] == tag)
@@ -64,9 +65,9 @@ def test_every_gaussian_comes_from_the_model_that_owns_its_place(seed: int, coun
 def test_putting_the_scene_s_own_parts_back_changes_the_order_only(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rois, scene = boxes(rng, 3), cloud(rng, 60, 0)
-    result = replace(scene, [(roi, scene) for roi in rois])
+    result = merge(scene, [(roi, scene) for roi in rois])
     assert sorted(result.sh[:, 0, 1].tolist()) == list(range(60))
-    again = replace(scene, [(roi, cut(scene, roi, rois)) for roi in rois])
+    again = merge(scene, [(roi, crop(scene, roi, rois)) for roi in rois])
     assert again.means.equal(result.means)
 
 
@@ -74,7 +75,7 @@ def test_inputs_stay_as_they_are() -> None:
     rng = np.random.default_rng(0)
     (roi,), scene, model = boxes(rng, 1), cloud(rng, 40, -1), cloud(rng, 40, 0)
     before = {name: tensor.clone() for name, tensor in scene.tensors().items()}
-    result = replace(scene, [(roi, model)])
+    result = merge(scene, [(roi, model)])
     for tensor in result.tensors().values():
         tensor.add_(1)
     for name, tensor in scene.tensors().items():
@@ -85,7 +86,7 @@ def test_fewer_bands_are_filled_with_zeros() -> None:
     rng = np.random.default_rng(0)
     roi = OrientedBox.axis_aligned("all", [-3, -3, -3], [3, 3, 3])
     scene, model = cloud(rng, 10, -1), cloud(rng, 12, 0, bands=4)
-    result = replace(scene, [(roi, model)])
+    result = merge(scene, [(roi, model)])
     assert result.sh.shape == (12, 16, 3)
     assert result.sh[:, :4].equal(model.sh)
     assert not result.sh[:, 4:].any()
@@ -94,13 +95,13 @@ def test_fewer_bands_are_filled_with_zeros() -> None:
 def test_no_box_and_no_gaussian() -> None:
     rng = np.random.default_rng(0)
     scene, empty = cloud(rng, 10, -1), cloud(rng, 0, 0)
-    assert replace(scene, []).means.equal(scene.means)
+    assert merge(scene, []).means.equal(scene.means)
     roi = OrientedBox.axis_aligned("all", [-3, -3, -3], [3, 3, 3])
-    assert len(replace(scene, [(roi, empty)])) == 0
+    assert len(merge(scene, [(roi, empty)])) == 0
 
 
 def test_box_must_be_one_of_the_run_s() -> None:
     rng = np.random.default_rng(0)
     first, second = boxes(rng, 2)
     with pytest.raises(RoiError, match="roi 1"):
-        cut(cloud(rng, 10, 0), second, [first])
+        crop(cloud(rng, 10, 0), second, [first])

@@ -104,7 +104,7 @@ def test_colours_are_blended_as_they_are(backend: str) -> None:
 def test_point_colours_become_the_constant_band() -> None:
     colors = np.array([[0, 128, 255], [10, 20, 30]], np.uint8)
     model = Gaussians.from_points(np.eye(3)[:2], colors)
-    back = (model.sh0[:, 0].numpy() * SH_C0 + 0.5) * 255
+    back = (model.sh[:, 0].numpy() * SH_C0 + 0.5) * 255
     np.testing.assert_allclose(back, colors, atol=1e-3)
 
 
@@ -217,18 +217,6 @@ def test_ply_is_read_by_name(tmp_path: Path) -> None:
     path.write_bytes(text.encode("ascii") + rows.tobytes())
     for name, back in read_ply(path).items():
         assert back.tobytes() == model[name].tobytes(), name
-
-
-def test_sh0_and_shn_are_views() -> None:
-    model = Gaussians.from_arrays(arrays(4, 9))
-    assert model.sh0.shape == (4, 1, 3)
-    assert model.shN.shape == (4, 8, 3)
-    model.sh0[2] = 7
-    assert bool((model.sh[2, 0] == 7).all())
-    assert model.shN.data_ptr() == model.sh[:, 1:].data_ptr()
-
-
-# --- files ---
 
 
 def _write_half(path: Path) -> None:

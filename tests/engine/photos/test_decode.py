@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import roigs_engine.photos.decode as images_module
 from roigs_engine.errors import SceneError
 from roigs_engine.machine import machine_memory
 from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.photos import cache as cache_module
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.headers import photo_size
@@ -135,7 +135,7 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(image.name)
         return load_photo(image)
 
-    monkeypatch.setattr(images_module, "load_photo", spy)
+    monkeypatch.setattr(cache_module, "load_photo", spy)
     return names
 
 

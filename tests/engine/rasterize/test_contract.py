@@ -149,17 +149,17 @@ def test_same_bits_at_any_number_of_threads() -> None:
 
 
 def test_views_are_used_again() -> None:
-    cpu.View._idle.clear()
+    cpu.KernelView._idle.clear()
     parameters = leaves()
     for _ in range(3):
         render([p.detach() for p in parameters])
         render(parameters).image.sum().backward()
         render(parameters)  # dropped without a backward
         gc.collect()
-    assert len(cpu.View._idle) <= cpu.View._MOST_IDLE
-    kept = set(map(id, cpu.View._idle))
+    assert len(cpu.KernelView._idle) <= cpu.KernelView._MOST_IDLE
+    kept = set(map(id, cpu.KernelView._idle))
     render(parameters).image.sum().backward()
-    assert kept == set(map(id, cpu.View._idle))
+    assert kept == set(map(id, cpu.KernelView._idle))
 
 
 # --- degenerate scenes ---

@@ -41,8 +41,8 @@ CASES: dict[str, dict[str, Any]] = {
     "plain": {},
     "background": {"background": BACKGROUND},
     "lower degree": {"sh_degree": 1},
-    "rectangle": {"region": (20, 20, 40, 30), "background": BACKGROUND},
-    "mask": {"region": ring(), "background": BACKGROUND, "with_depth": True},
+    "rectangle": {"mask": (20, 20, 40, 30), "background": BACKGROUND},
+    "mask": {"mask": ring(), "background": BACKGROUND, "with_depth": True},
     "depth": {"with_depth": True},
 }
 
@@ -90,7 +90,7 @@ def test_where_nothing_is_drawn_there_is_the_background(
 ) -> None:
     leaves = [p.requires_grad_() for p in gaussians(count)]
     output = rasterize(
-        *leaves, *cameras(*SIZE), *SIZE, background=BACKGROUND, region=region, backend="cuda"
+        *leaves, *cameras(*SIZE), *SIZE, background=BACKGROUND, mask=region, backend="cuda"
     )
     output.image.sum().backward()
     assert torch.equal(output.image, BACKGROUND.expand(2, *SIZE[::-1], 3))

@@ -106,7 +106,7 @@ def test_more_pairs_than_are_listed_at_first() -> None:
     parameters[0][:, :2] *= 0.01
     parameters[3] = torch.full((1500,), 0.02)
     whole = render_8k(parameters)
-    part = render_8k(parameters, region=(4000, 2000, 4064, 2032))
+    part = render_8k(parameters, mask=(4000, 2000, 4064, 2032))
     assert int(whole.visible.sum()) > 1100
     rows, columns = slice(2000, 2032), slice(4000, 4064)
     assert torch.equal(whole.image[:, rows, columns], part.image[:, rows, columns])

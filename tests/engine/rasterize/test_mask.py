@@ -45,7 +45,7 @@ def test_matches_the_reference(isa: str, mask: Tensor) -> None:
         gaussians(300, coefficients=4, seed=1),
         *cameras(*SIZE),
         *SIZE,
-        region=mask,
+        mask=mask,
         background=BACKGROUND,
         with_depth=True,
         with_max_weight=True,
@@ -65,7 +65,7 @@ def test_inside_is_as_without_and_outside_is_background(backend: str) -> None:
     scene = (*gaussians(300, coefficients=4), *cameras(*SIZE), *SIZE)
     options = {"background": BACKGROUND, "with_depth": True, "backend": backend}
     whole = rasterize(*scene, **options)
-    part = rasterize(*scene, region=ring(), **options)
+    part = rasterize(*scene, mask=ring(), **options)
     assert whole.depth is not None and part.depth is not None
     torch.testing.assert_close(part.image[:, inside], whole.image[:, inside], rtol=0, atol=1e-6)
     torch.testing.assert_close(part.depth[:, inside], whole.depth[:, inside], rtol=0, atol=1e-5)
@@ -79,7 +79,7 @@ def test_gradient_is_that_of_the_pixels_inside(backend: str) -> None:
     gradients = []
     for region in (ring(), None):
         parameters = [p.requires_grad_() for p in gaussians(200, coefficients=1)]
-        image = rasterize(*parameters, *cameras(*SIZE), *SIZE, region=region, backend=backend).image
+        image = rasterize(*parameters, *cameras(*SIZE), *SIZE, mask=region, backend=backend).image
         (image.square() * inside[..., None]).sum().backward()
         gradients.append([p.grad for p in parameters])
     for masked, whole in zip(*gradients, strict=True):
@@ -91,15 +91,15 @@ def test_full_and_empty_masks(backend: str) -> None:
     scene = (*gaussians(100, coefficients=1), *cameras(*SIZE), *SIZE)
     full = torch.ones(SIZE[1], SIZE[0], dtype=torch.bool)
     whole = rasterize(*scene, backend=backend)
-    assert torch.equal(rasterize(*scene, region=full, backend=backend).image, whole.image)
-    nothing = rasterize(*scene, region=~full, background=BACKGROUND, backend=backend)
+    assert torch.equal(rasterize(*scene, mask=full, backend=backend).image, whole.image)
+    nothing = rasterize(*scene, mask=~full, background=BACKGROUND, backend=backend)
     assert torch.equal(nothing.image, BACKGROUND.expand(nothing.image.shape))
     assert not nothing.visible.any()
 
 
 def test_second_backward_through_one_graph() -> None:
     parameters = [p.requires_grad_() for p in gaussians(100, coefficients=1)]
-    loss = rasterize(*parameters, *cameras(*SIZE), *SIZE, region=ring()).image.square().sum()
+    loss = rasterize(*parameters, *cameras(*SIZE), *SIZE, mask=ring()).image.square().sum()
     loss.backward(retain_graph=True)
     once = [p.grad.clone() for p in parameters if p.grad is not None]
     rasterize(*parameters, *cameras(*SIZE), *SIZE)  # takes over the memory of the first rendering
@@ -112,5 +112,5 @@ def test_second_backward_through_one_graph() -> None:
 
 @pytest.mark.parametrize("mask", [torch.ones(SIZE, dtype=torch.bool), torch.ones(SIZE[::-1])])
 def test_wrong_masks(mask: Tensor) -> None:
-    with pytest.raises(EngineError, match="region is"):
-        rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, region=mask)
+    with pytest.raises(EngineError, match="mask is"):
+        rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, mask=mask)

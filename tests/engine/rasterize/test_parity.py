@@ -89,7 +89,7 @@ def test_region(region: tuple[int, int, int, int]) -> None:
         *cameras(61, 43),
         61,
         43,
-        region=region,
+        mask=region,
         background=BACKGROUND,
         with_depth=True,
         with_max_weight=True,
@@ -106,7 +106,7 @@ def test_region(region: tuple[int, int, int, int]) -> None:
 def test_region_off_the_image(region: tuple[int, int, int, int]) -> None:
     parameters = gaussians(50, coefficients=1)
     ours, truth, _ = render_both(
-        parameters, *cameras(61, 43), 61, 43, region=region, background=BACKGROUND
+        parameters, *cameras(61, 43), 61, 43, mask=region, background=BACKGROUND
     )
     assert torch.equal(ours.image, BACKGROUND.expand(ours.image.shape))
     assert torch.equal(ours.image, truth.image.float())

@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, Stopped
-from roigs_engine.formats.events import Event, Preview, Progress, StageStarted, check_of, to_json
+from roigs_engine.formats.events import Event, Preview, Progress, StageStarted, to_json
 from roigs_engine.formats.names import safe_name
 from roigs_engine.model.gaussians import SH_C0, Gaussians
 from roigs_engine.model.scene import Camera
@@ -94,7 +95,7 @@ def test_sequence_writes_every_camera(tmp_path: Path) -> None:
     assert cameras[0][1] == CAMERA
     events: list[Event] = []
     out = tmp_path / "out put"
-    written = render_sequence(one_gaussian(), cameras, out, events.append)
+    written = render_sequence(one_gaussian(), cameras, out, Context(emit=events.append))
     assert sorted(out.iterdir()) == sorted(written)
     assert [path.name for path in written][::2] == ["0001.png", "żółw.png"]
     assert events[0] == StageStarted(stage="render", total=3)
@@ -116,8 +117,7 @@ def test_a_sequence_stops_between_two_pictures(tmp_path: Path) -> None:
             one_gaussian(),
             cameras,
             tmp_path / "out",
-            events.append,
-            check_of(lambda: len(events) > 1),
+            Context(emit=events.append, should_stop=lambda: len(events) > 1),
         )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.png"]
 

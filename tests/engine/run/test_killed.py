@@ -19,7 +19,7 @@ PLACES = [
     "undistort: check",
     "undistort: half of",
     "undistort: before",
-    "request.json",
+    "manifest.json",
     "half of split",
     "full-scene: step",
     "full-scene: before checkpoint.bin",
@@ -34,7 +34,7 @@ PLACES = [
     "object-thing: step",
     "object-thing: edit",
     "object-thing: half of checkpoint",
-    "object-thing: (half of|before) (result|surroundings|thing)",
+    "object-thing: (half of|before) (result|background|thing)",
     "evaluate: check",
     "evaluate: (half|before|after)",
 ]
@@ -54,12 +54,12 @@ def test_killed_again_and_again(request_: Request, tmp_path: Path) -> None:
     ):
         assert engine(request_.arguments(tmp_path), request_.moment(place)).status == KILLED
     request_.finish(tmp_path)
-    sessions = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["sessions"]
-    assert [s["ended"] for s in sessions][-2:] == ["killed", "done"]
-    assert sessions[-1]["versions"]["torch"] == torch.__version__
-    assert sessions[-1]["threads"] == 2 and sessions[-1]["seed"] == 0
-    assert sessions[-1]["machine"]["chip"] and sessions[-1]["kernels"]
-    assert set(sessions[-1]["stages"]) == {"full-scene", "scene", "object-thing"}
+    entries = json.loads((tmp_path / "provenance.json").read_text(encoding="utf-8"))["entries"]
+    assert [s["ended"] for s in entries][-2:] == ["killed", "done"]
+    assert entries[-1]["versions"]["torch"] == torch.__version__
+    assert entries[-1]["threads"] == 2 and entries[-1]["seed"] == 0
+    assert entries[-1]["machine"]["chip"] and entries[-1]["kernels"]
+    assert set(entries[-1]["stages"]) == {"full-scene", "scene", "object-thing"}
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from PIL import Image
 
 from roigs_engine.errors import SceneError
 from roigs_engine.model.scene import Camera, PosedImage
-from roigs_engine.photos import decode
+from roigs_engine.photos import cache as photo_cache
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run import memory
 from roigs_engine.run.memory import plan_memory
@@ -58,7 +58,7 @@ def test_2000_photos_of_24_megapixels_stay_in_the_limit(monkeypatch: pytest.Monk
         weakref.finalize(pixels, count, -pixels.nbytes)
         return pixels
 
-    monkeypatch.setattr(decode, "load_photo", load)
+    monkeypatch.setattr(photo_cache, "load_photo", load)
     photo_at = shuffled(range(2000), 0)
     with PhotoCache(posed(2000), limit_bytes=GB) as cache:
         for step in range(4000):

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from roigs_engine.run.pipeline import Run
 
+from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.scene_warnings import scene_warnings
-from tests.engine.run.test_pipeline import tiny
+from tests.engine.runs import opened, tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
 
@@ -52,6 +52,6 @@ def test_a_box_inside_another(scene: SfmScene) -> None:
 def test_a_run_says_so(scene: SfmScene, tmp_path: Path) -> None:
     inner = OrientedBox.axis_aligned("inner", [-0.55] * 3, [0.55] * 3)
     heard: list[Event] = []
-    Run(tmp_path, scene, [inner, BOX], tiny("joint"), emit=heard.append)
+    opened(tmp_path, scene, [inner, BOX], tiny("joint"), context=Context(emit=heard.append))
     texts = [e.text for e in heard if isinstance(e, Message) and e.level == "warning"]
     assert [text for text in texts if "'inner' owns none" in text]

@@ -8,17 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from roigs_engine.run.pipeline import Run
 
+from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, RunFolderError, Stopped
-from roigs_engine.formats.events import Event, Message, Preview, check_of
+from roigs_engine.formats.events import Event, Message, Preview
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
+from roigs_engine.run.folder import train_run
+from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
-from tests.engine.run.test_pipeline import plys, tiny
+from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
 MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
@@ -50,8 +52,8 @@ def written(folder: Path, name: str) -> tuple[int, int]:
 
 
 def test_without_test_photos_all_are_trained_on(scene: SfmScene, tmp_path: Path) -> None:
-    run = Run(tmp_path, scene, [BOX], production())
-    run.train()
+    run = opened(tmp_path, scene, [BOX], production())
+    train_run(run)
     assert run.test == () and len(run.train_scene.images) == len(scene.images)
     assert json.loads((tmp_path / "split.json").read_text(encoding="utf-8")) == {"test": []}
 
@@ -61,35 +63,39 @@ def test_without_test_photos_all_are_trained_on(scene: SfmScene, tmp_path: Path)
 
 def test_given_photos_are_used_in_their_order(scene: SfmScene, tmp_path: Path) -> None:
     given = ["007.png", "002.png", "004.png"]
-    run = Run(tmp_path, scene, [BOX, SECOND], production(), given={"thing": given})
-    chosen = run.selection(BOX)
-    assert (list(chosen.names), chosen.method) == (given, "given")
+    run = opened(tmp_path, scene, [BOX, SECOND], production(), manual={"thing": given})
+    photos = PhotoSets(run)
+    chosen = photos.selection(BOX)
+    assert (list(chosen.names), chosen.method) == (given, "manual")
     assert list(chosen.scores) == sorted(chosen.scores)
+    train_run(run)
     stored = json.loads((tmp_path / "selection" / "thing.json").read_text(encoding="utf-8"))
     assert stored["names"] == given
-    assert run.selection(SECOND).method == "coverage"
-    request = json.loads((tmp_path / "request.json").read_text(encoding="utf-8"))
-    assert request["given"] == {"thing": given}
-    with pytest.raises(RunFolderError, match="given"):
-        Run(tmp_path, scene, [BOX, SECOND], production(), given={"thing": given[:2]})
+    assert photos.selection(SECOND).method == "coverage"
+    manifest = json.loads((tmp_path / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["manual"] == {"thing": given}
+    with pytest.raises(RunFolderError, match="manual"):
+        opened(tmp_path, scene, [BOX, SECOND], production(), manual={"thing": given[:2]})
 
 
 def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> None:
     config = tiny("joint")
-    test = Run(tmp_path / "a", scene, [BOX], config).test
+    test = opened(tmp_path / "a", scene, [BOX], config).test
     events: list[Event] = []
     known = replace(scene, skipped={"missing on disk": ("gone.png",)})
     there = next(image.name for image in scene.images if image.name not in test)
     given = {"thing": [test[0], there, "gone.png"]}
-    run = Run(tmp_path / "b", known, [BOX], config, given=given, emit=events.append)
-    assert run.selection(BOX).names == (there,)
+    run = opened(
+        tmp_path / "b", known, [BOX], config, manual=given, context=Context(emit=events.append)
+    )
+    assert PhotoSets(run).selection(BOX).names == (there,)
     texts = [event.text for event in events if isinstance(event, Message)]
     assert any("tests" in text and test[0] in text for text in texts)
     assert any("not usable" in text and "gone.png" in text for text in texts)
     with pytest.raises(ConfigError, match=r"'nothing\.png'"):
-        Run(tmp_path / "c", scene, [BOX], config, given={"thing": ["nothing.png"]})
+        opened(tmp_path / "c", scene, [BOX], config, manual={"thing": ["nothing.png"]})
     with pytest.raises(ConfigError, match="None of the 1 photos"):
-        Run(tmp_path / "d", scene, [BOX], config, given={"thing": [test[0]]})
+        opened(tmp_path / "d", scene, [BOX], config, manual={"thing": [test[0]]})
     assert not (tmp_path / "c").exists() and not (tmp_path / "d").exists()
 
 
@@ -105,9 +111,9 @@ def test_selection_files_as_select_writes_them(scene: SfmScene, tmp_path: Path) 
 
 def test_other_photos_of_the_same_number_are_another_stage(scene: SfmScene, tmp_path: Path) -> None:
     one, other = ["001.png", "002.png"], ["001.png", "003.png"]
-    Run(tmp_path, scene, [BOX], production(), given={"thing": one}).train()
+    train(tmp_path, scene, [BOX], production(), manual={"thing": one})
     before = stage(tmp_path, "joint"), stage(tmp_path, "scene")
-    Run(tmp_path, scene, [BOX], production(), given={"thing": other}, update=True).train()
+    train(tmp_path, scene, [BOX], production(), manual={"thing": other}, update=True)
     assert stage(tmp_path, "joint") != before[0]
     assert stage(tmp_path, "scene") == before[1]
 
@@ -119,19 +125,19 @@ def test_other_photos_of_the_same_number_are_another_stage(scene: SfmScene, tmp_
 def test_a_moved_box_keeps_the_scene(scene: SfmScene, tmp_path: Path, strategy: str) -> None:
     config = production(strategy)
     name = "joint" if strategy == "joint" else "object-thing"
-    Run(tmp_path, scene, [BOX], config).train()
+    train(tmp_path, scene, [BOX], config)
     first = plys(tmp_path)
     before = {n: (stage(tmp_path, n), written(tmp_path, n)) for n in ("scene", name)}
-    Run(tmp_path, scene, [MOVED], config, update=True).train()
+    train(tmp_path, scene, [MOVED], config, update=True)
     assert written(tmp_path, "scene") == before["scene"][1]
     assert stage(tmp_path, name) != before[name][0]
-    assert (tmp_path / "older" / f"{name}-{before[name][0][:8]}" / "model.ply").exists()
+    assert (tmp_path / "archive" / f"{name}-{before[name][0][:8]}" / "model.ply").exists()
     # What a fresh run would have made.
-    Run(tmp_path / "fresh", scene, [MOVED], config).train()
+    train(tmp_path / "fresh", scene, [MOVED], config)
     for path in ("result.ply", "rois/thing.ply"):
         assert (tmp_path / path).read_bytes() == (tmp_path / "fresh" / path).read_bytes()
     # And back: nothing is trained again.
-    Run(tmp_path, scene, [BOX], config, update=True).train()
+    train(tmp_path, scene, [BOX], config, update=True)
     assert written(tmp_path, name) == before[name][1]
     again = plys(tmp_path)
     assert {path: again[path] for path in first} == first
@@ -139,13 +145,13 @@ def test_a_moved_box_keeps_the_scene(scene: SfmScene, tmp_path: Path, strategy: 
 
 def test_a_second_box_keeps_the_scene_and_the_first_object(scene: SfmScene, tmp_path: Path) -> None:
     config = production("independent")
-    Run(tmp_path, scene, [BOX], config).train()
+    train(tmp_path, scene, [BOX], config)
     before = [written(tmp_path, n) for n in ("scene", "object-thing")]
-    Run(tmp_path, scene, [BOX, SECOND], config, update=True).train()
+    train(tmp_path, scene, [BOX, SECOND], config, update=True)
     assert [written(tmp_path, n) for n in ("scene", "object-thing")] == before
     assert (tmp_path / "object-second" / "model.ply").exists()
     assert (tmp_path / "rois" / "second.ply").exists()
-    Run(tmp_path, scene, [BOX], config, update=True).train()
+    train(tmp_path, scene, [BOX], config, update=True)
     assert not (tmp_path / "rois" / "second.ply").exists()
 
 
@@ -158,34 +164,34 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
         return asked > 25  # the photos are looked at first, once each
 
     with pytest.raises(Stopped):
-        Run(tmp_path, scene, [BOX], production(), should_stop=soon).train()
+        train(tmp_path, scene, [BOX], production(), context=Context(should_stop=soon))
     assert (tmp_path / "joint" / "checkpoint.bin").exists()
-    Run(tmp_path, scene, [MOVED], production(), update=True).train()
-    (kept,) = (tmp_path / "older").glob("joint-*/checkpoint.bin")
+    train(tmp_path, scene, [MOVED], production(), update=True)
+    (kept,) = (tmp_path / "archive").glob("joint-*/checkpoint.bin")
     step = load_checkpoint(kept, checkpoint_fingerprint(kept))["step"]
     events: list[Event] = []
-    Run(tmp_path, scene, [BOX], production(), update=True, emit=events.append).train()
+    train(tmp_path, scene, [BOX], production(), update=True, context=Context(emit=events.append))
     texts = [event.text for event in events if isinstance(event, Message)]
-    assert f"joint: goes on at step {step}." in texts
-    Run(tmp_path / "whole", scene, [BOX], production()).train()
+    assert f"joint: resumes at step {step}." in texts
+    train(tmp_path / "whole", scene, [BOX], production())
     result = (tmp_path / "result.ply").read_bytes()
     assert result == (tmp_path / "whole" / "result.ply").read_bytes()
 
 
 def test_other_points_are_another_start(scene: SfmScene, tmp_path: Path) -> None:
-    Run(tmp_path, scene, [BOX], production()).train()
+    train(tmp_path, scene, [BOX], production())
     before = stage(tmp_path, "scene")
     other = replace(scene, colors=255 - scene.colors)
     with pytest.raises(RunFolderError, match="--update"):
-        Run(tmp_path, other, [BOX], production()).train()
-    Run(tmp_path, other, [BOX], production(), update=True).train()
+        train(tmp_path, other, [BOX], production())
+    train(tmp_path, other, [BOX], production(), update=True)
     assert stage(tmp_path, "scene") != before
 
 
 def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
     scene: SfmScene, tmp_path: Path
 ) -> None:
-    Run(tmp_path, scene, [BOX], production()).train()
+    train(tmp_path, scene, [BOX], production())
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     moved = [
         replace(image, world_to_camera=image.world_to_camera + np.eye(4)[3][:, None] * 0.01)
@@ -193,28 +199,33 @@ def test_another_model_of_the_same_photos_is_refused_before_anything_is_written(
     ]
     other = replace(scene, images=tuple(moved))
     with pytest.raises(RunFolderError, match=r"model was .* --update"):
-        Run(tmp_path, other, [BOX], production())
+        opened(tmp_path, other, [BOX], production())
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    Run(tmp_path, other, [BOX], production(), update=True)
+    opened(tmp_path, other, [BOX], production(), update=True)
     assert not (tmp_path / "result.ply").exists()
-    assert [path.name for path in (tmp_path / "older").rglob("result.ply")] == ["result.ply"]
+    assert [path.name for path in (tmp_path / "archive").rglob("result.ply")] == ["result.ply"]
 
 
 def test_updating_what_fits_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
-    Run(tmp_path, scene, [BOX], production()).train()
-    Run(tmp_path, scene, [BOX], production(), update=True).train()
-    assert not (tmp_path / "older").exists()
+    train(tmp_path, scene, [BOX], production())
+    train(tmp_path, scene, [BOX], production(), update=True)
+    assert not (tmp_path / "archive").exists()
 
 
 # --- previews and stops ---
 
 
 def test_previews_change_nothing(scene: SfmScene, tmp_path: Path) -> None:
-    Run(tmp_path / "a", scene, [BOX], production()).train()
+    train(tmp_path / "a", scene, [BOX], production())
     events: list[Event] = []
-    Run(
-        tmp_path / "b", scene, [BOX], production(), preview_seconds=1e-6, emit=events.append
-    ).train()
+    train(
+        tmp_path / "b",
+        scene,
+        [BOX],
+        production(),
+        preview_seconds=1e-6,
+        context=Context(emit=events.append),
+    )
     shown = [event.path for event in events if isinstance(event, Preview)]
     assert set(shown) == {str(tmp_path / "b" / "preview.ply")}
     made = plys(tmp_path / "b")
@@ -234,7 +245,7 @@ def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> No
         asked += 1
         return False
 
-    select_cameras(scene, BOX, config, check=check_of(count))
+    select_cameras(scene, BOX, config, Context(should_stop=count))
     assert asked >= len(scene.images)
     for stop in (1, asked // 2, asked):
         left = stop
@@ -245,4 +256,4 @@ def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> No
             return left == 0
 
         with pytest.raises(Stopped):
-            select_cameras(scene, BOX, config, check=check_of(soon))
+            select_cameras(scene, BOX, config, Context(should_stop=soon))

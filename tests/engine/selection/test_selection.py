@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, RoiError, RunFolderError
 from roigs_engine.formats.events import Message
 from roigs_engine.model.roi import OrientedBox
@@ -139,7 +140,9 @@ def test_fewer_candidates_than_asked_for(method):
 def test_one_candidate_comes_with_a_warning(method):
     scene = scene_of([photo("a.jpg", [0, -4, 0], sees=[0])], [[0, 0, 0]])
     events = []
-    selection = select_cameras(scene, BOX, SelectionConfig(method=method), events.append)
+    selection = select_cameras(
+        scene, BOX, SelectionConfig(method=method), Context(emit=events.append)
+    )
     assert selection.names == ("a.jpg",) and np.isfinite(selection.scores).all()
     assert any("Only one photo" in flag for flag in selection.flags)
     assert [e.text for e in events] == list(selection.flags)

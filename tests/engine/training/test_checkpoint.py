@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.training import checkpoint
@@ -92,7 +93,7 @@ def test_a_damaged_one_is_named_and_the_one_before_used(
     else:
         path.write_bytes(whole[:place] if damage == "cut" else whole + b"x" * (place + 1))
     events: list[Event] = []
-    back = load_checkpoint(path, "one", events.append)
+    back = load_checkpoint(path, "one", Context(emit=events.append))
     assert back["step"] == 0 and torch.equal(back["rows"], state(0)["rows"])
     (message,) = events
     assert isinstance(message, Message) and message.level == "warning"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from roigs_engine.context import Context
 from roigs_engine.cuda import library
 from roigs_engine.errors import Stopped
 from roigs_engine.model.gaussians import Gaussians
@@ -60,8 +61,10 @@ def balls(*places: object, opacity: float = 0.9) -> Gaussians:
     return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
 
 
-def kept(model: Gaussians, photos: int = 3, images: list[PosedImage] | None = None) -> list[bool]:
-    return consistent_across_views(model, images or SIDE, [BOX], photos).tolist()
+def kept(
+    model: Gaussians, min_views: int = 3, images: list[PosedImage] | None = None
+) -> list[bool]:
+    return consistent_across_views(model, images or SIDE, [BOX], min_views).tolist()
 
 
 def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
@@ -69,7 +72,7 @@ def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
     to_the_side = np.array([0.0, 0.0, 0.3])
     model = balls((0, 0, 0), close + to_the_side, behind + to_the_side)
     assert kept(model) == [True, False, True]
-    assert kept(model, photos=1) == [True, True, True]
+    assert kept(model, min_views=1) == [True, True, True]
 
 
 def test_what_enough_photos_show_before_the_box_stays() -> None:
@@ -129,8 +132,6 @@ def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPa
 
 
 def test_it_can_be_stopped() -> None:
-    def stop() -> None:
-        raise Stopped
-
+    stopping = Context(should_stop=lambda: True)
     with pytest.raises(Stopped):
-        consistent_across_views(balls((0, 0, 0)), SIDE, [BOX], 3, stop)
+        consistent_across_views(balls((0, 0, 0)), SIDE, [BOX], 3, stopping)

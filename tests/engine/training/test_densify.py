@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
@@ -11,12 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.roi import OrientedBox
-from roigs_engine.training import densify
+from roigs_engine.model.rotations import rotation_matrices
+from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.densify import DensityStats
+from roigs_engine.training.densification import DensityInputs, density_control
+from roigs_engine.training.densification.adaptive import AdaptiveDensity
+from roigs_engine.training.densification.edits import clone_and_split, unchanged
+from roigs_engine.training.densification.statistics import DensityStats
+from roigs_engine.training.z_order import morton_order
 
 BOX = OrientedBox.axis_aligned("box", [-1, -1, -1], [1, 1, 1])
 IN_BOXES = TrainConfig(steps=100, densify_in_boxes=True)
+
+normalized = torch.nn.functional.normalize
 
 
 def model(count: int, seed: int = 0, spread: float = 2.0) -> Gaussians:
@@ -36,6 +45,30 @@ def stats(gradient: torch.Tensor) -> DensityStats:
     return made
 
 
+def control(
+    config: TrainConfig,
+    made: DensityStats,
+    rois: Sequence[OrientedBox] = (),
+    budgets: Sequence[int] | None = None,
+    extent: float = 10.5,
+) -> AdaptiveDensity:
+    """The density control of a stage whose photos have shown this."""
+    ends = None if budgets is None else [BoxBudget(begin=end, end=end) for end in budgets]
+    inputs = DensityInputs(
+        config=config,
+        extent=extent,
+        rois=rois,
+        budgets=ends,
+        photos=1,
+        seed=0,
+        device=torch.device("cpu"),
+    )
+    chosen = density_control(inputs, len(made.gradient))
+    assert isinstance(chosen, AdaptiveDensity)
+    chosen.stats = made
+    return chosen
+
+
 def rng() -> torch.Generator:
     return torch.Generator().manual_seed(1)
 
@@ -48,7 +81,7 @@ def test_clones_and_splits_are_counted_and_traced(count: int, seed: int) -> None
     chosen = torch.from_numpy(draw.random(count) < 0.5)
     reference = torch.full((count,), 1.0)
     large = before.log_scales.exp().amax(dim=1) > 0.05
-    edit = densify.grow(before, chosen, reference, 0.05, rng())
+    edit = clone_and_split(before, chosen, reference, 0.05, rng())
     clones, splits = int((chosen & ~large).sum()), int((chosen & large).sum())
     assert len(edit.gaussians) == len(edit.rows) == count + clones + splits
     assert int((edit.rows == -1).sum()) == clones + 2 * splits
@@ -67,13 +100,13 @@ def test_clones_and_splits_are_counted_and_traced(count: int, seed: int) -> None
 def test_children_of_a_split_are_smaller_and_near() -> None:
     before = model(400)
     chosen = torch.ones(len(before), dtype=torch.bool)
-    edit = densify.grow(before, chosen, torch.zeros(len(before)), 0.01, rng())
+    edit = clone_and_split(before, chosen, torch.zeros(len(before)), 0.01, rng())
     assert len(edit.gaussians) == 2 * len(before)
     parents = torch.arange(len(before)).repeat(2)
     scales = before.log_scales[parents].exp()
     ratio = scales / edit.gaussians.log_scales.exp()
     assert torch.allclose(ratio, torch.full_like(ratio, 1.6), rtol=1e-4)
-    turned = densify.rotation_matrices(before.quats)[parents]
+    turned = rotation_matrices(normalized(before.quats))[parents]
     moved = edit.gaussians.means - before.means[parents]
     sigmas = (turned.transpose(1, 2) @ moved[..., None])[..., 0] / scales
     # 2400 normal samples: about one in 16,000 lies beyond 4 standard deviations.
@@ -85,17 +118,19 @@ def test_children_of_a_split_are_smaller_and_near() -> None:
 
 def test_splits_depend_on_the_generator_only() -> None:
     before, chosen = model(20), torch.ones(20, dtype=torch.bool)
-    first, second = (densify.grow(before, chosen, torch.zeros(20), 0.01, rng()) for _ in range(2))
+    first, second = (
+        clone_and_split(before, chosen, torch.zeros(20), 0.01, rng()) for _ in range(2)
+    )
     assert torch.equal(first.gaussians.means, second.gaussians.means)
 
 
 def test_only_gaussians_in_the_box_are_chosen() -> None:
     gaussians = model(300)
     high = stats(torch.ones(300))
-    chosen = densify.choose(gaussians, high, IN_BOXES, [BOX], None)
+    chosen = control(IN_BOXES, high, [BOX], None).densify_mask(gaussians, 0)
     assert torch.equal(chosen, gaussians.in_box(BOX))
     assert 0 < int(chosen.sum()) < 300
-    everywhere = densify.choose(gaussians, high, TrainConfig(steps=100), [BOX], None)
+    everywhere = control(TrainConfig(steps=100), high, [BOX], None).densify_mask(gaussians, 0)
     assert bool(everywhere.all())
 
 
@@ -104,30 +139,32 @@ def test_the_threshold_is_on_the_mean_over_views_that_saw_it() -> None:
     made.add(torch.tensor([True, True, False]), torch.tensor([3e-4, 3e-4, 0.0]), None)
     made.add(torch.tensor([True, False, False]), torch.tensor([0.0, 0.0, 0.0]), None)
     assert made.mean_gradient().tolist() == pytest.approx([1.5e-4, 3e-4, 0.0])
-    chosen = densify.choose(model(3), made, TrainConfig(steps=10), [], None)
+    chosen = control(TrainConfig(steps=10), made, [], None).densify_mask(model(3), 0)
     assert chosen.tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("room", [-5, 0, 1, 7, 1000])
-def test_capacity_keeps_the_largest_gradients(room: int) -> None:
+def test_budget_keeps_the_largest_gradients(room: int) -> None:
     gaussians = model(300)
     gradient = torch.linspace(1e-3, 1e-2, 300)
     inside = gaussians.in_box(BOX)
     held = int(inside.sum())
-    chosen = densify.choose(gaussians, stats(gradient), IN_BOXES, [BOX], [held + room])
+    chosen = control(IN_BOXES, stats(gradient), [BOX], [held + room]).densify_mask(gaussians, 0)
     expected = max(0, min(room, held))
     assert int(chosen.sum()) == expected
     best = torch.nonzero(inside).flatten()[-expected:] if expected else torch.zeros(0)
     assert torch.nonzero(chosen).flatten().tolist() == best.int().tolist()
 
 
-def test_each_box_has_its_own_capacity() -> None:
+def test_each_box_has_its_own_budget() -> None:
     gaussians = model(400)
     left = OrientedBox.axis_aligned("left", [-2, -2, -2], [0, 2, 2])
     right = OrientedBox.axis_aligned("right", [0, -2, -2], [2, 2, 2])
     held = [int(gaussians.in_box(box).sum()) for box in (left, right)]
-    capacities = [held[0] + 3, held[1] + 8]
-    chosen = densify.choose(gaussians, stats(torch.ones(400)), IN_BOXES, [left, right], capacities)
+    budgets = [held[0] + 3, held[1] + 8]
+    chosen = control(IN_BOXES, stats(torch.ones(400)), [left, right], budgets).densify_mask(
+        gaussians, 0
+    )
     assert int(chosen[gaussians.in_box(left)].sum()) == 3
     assert int(chosen[gaussians.in_box(right)].sum()) == 8
 
@@ -136,23 +173,29 @@ def test_boxes_may_have_a_threshold_and_limits_of_their_own() -> None:
     gaussians = model(300)
     inside, gradient = gaussians.in_box(BOX), torch.linspace(0, 3e-4, 300)
     config = TrainConfig(steps=100, grad_threshold=2e-4, box_grad_threshold=1e-4)
-    chosen = densify.choose(gaussians, stats(gradient), config, [BOX], None)
+    chosen = control(config, stats(gradient), [BOX], None).densify_mask(gaussians, 0)
     assert torch.equal(chosen, gradient > torch.where(inside, 1e-4, 2e-4))
     room = 3
-    limited = densify.choose(gaussians, stats(gradient), config, [BOX], [int(inside.sum()) + room])
+    limited = control(config, stats(gradient), [BOX], [int(inside.sum()) + room]).densify_mask(
+        gaussians, 0
+    )
     assert torch.equal(limited[~inside], chosen[~inside])
     assert limited[inside].nonzero()[:, 0].tolist() == list(range(int(inside.sum())))[-room:]
 
 
 def test_the_size_reference_is_the_box_inside_and_the_scene_outside() -> None:
     gaussians = model(50)
-    reference = densify.size_reference(gaussians, IN_BOXES, [BOX], extent=10.0)
+    reference = control(IN_BOXES, stats(torch.zeros(50)), [BOX], extent=10.0).size_reference(
+        gaussians
+    )
     inside = gaussians.in_box(BOX)
     assert torch.allclose(reference[inside], torch.tensor(BOX.diagonal))
     assert bool((reference[~inside] == 10.0).all())
-    small = densify.size_reference(gaussians, IN_BOXES, [BOX], extent=0.5)
+    small = control(IN_BOXES, stats(torch.zeros(50)), [BOX], extent=0.5).size_reference(gaussians)
     assert bool((small == 0.5).all())
-    anywhere = densify.size_reference(gaussians, TrainConfig(steps=1), [BOX], extent=10.0)
+    anywhere = control(
+        TrainConfig(steps=1), stats(torch.zeros(50)), [BOX], extent=10.0
+    ).size_reference(gaussians)
     assert bool((anywhere == 10.0).all())
 
 
@@ -163,7 +206,8 @@ def test_pruning_by_opacity_always_and_by_size_after_the_first_reset() -> None:
     config = TrainConfig(steps=10_000, prune_size=0.1, reset_every=3000)
 
     def keep(step: int, config: TrainConfig = config) -> list[bool]:
-        return densify.worth_keeping(gaussians, config, 10.5, step).tolist()
+        density = control(config, stats(torch.zeros(4)))
+        return (~density.prune_mask(gaussians, step)).tolist()
 
     assert keep(3000) == [True, False, True, True]
     assert keep(3001) == [True, False, False, True]
@@ -172,11 +216,11 @@ def test_pruning_by_opacity_always_and_by_size_after_the_first_reset() -> None:
 
 def test_edits_can_be_thinned_and_reordered() -> None:
     gaussians = model(5)
-    edit = densify.unchanged(gaussians)
+    edit = unchanged(gaussians)
     assert edit.rows.tolist() == [0, 1, 2, 3, 4]
     mask = torch.tensor([True, False, True, True, False])
-    thinned = densify.keep_rows(edit, mask)
-    turned = densify.keep_rows(thinned, torch.tensor([2, 0, 1]))
+    thinned = edit.keep(mask)
+    turned = thinned.keep(torch.tensor([2, 0, 1]))
     assert turned.rows.tolist() == [3, 0, 2]
     assert torch.equal(turned.gaussians.means, gaussians.means[[3, 0, 2]])
 
@@ -199,13 +243,13 @@ def test_statistics_after_an_edit() -> None:
 @settings(deadline=None)
 @given(st.integers(0, 200), st.integers(0, 1000))
 def test_morton_order_is_a_permutation(count: int, seed: int) -> None:
-    order = densify.morton_order(model(count, seed).means)
+    order = morton_order(model(count, seed).means)
     assert sorted(order.tolist()) == list(range(count))
 
 
 def test_morton_order_puts_neighbours_together() -> None:
     means = model(4000).means
-    order = densify.morton_order(means)
+    order = morton_order(means)
 
     def path(rows: torch.Tensor) -> float:
         return float((means[rows][1:] - means[rows][:-1]).norm(dim=1).mean())
@@ -215,10 +259,10 @@ def test_morton_order_puts_neighbours_together() -> None:
 
 def test_morton_order_survives_far_and_equal_positions() -> None:
     means = torch.zeros(100, 3)
-    assert densify.morton_order(means).tolist() == list(range(100))
+    assert morton_order(means).tolist() == list(range(100))
     means = model(1000).means
     means[0] = 1e6
-    order = densify.morton_order(means)
+    order = morton_order(means)
     inliers = order[order != 0]
     steps = (means[inliers][1:] - means[inliers][:-1]).norm(dim=1)
     shuffled = (means[1:-1] - means[2:]).norm(dim=1)
@@ -230,5 +274,5 @@ def test_morton_order_survives_far_and_equal_positions() -> None:
 def test_rotation_matrices_read_quaternions_as_wxyz(quat: list[float]) -> None:
     w, x, y, z = quat
     expected = Rotation.from_quat([x, y, z, w]).as_matrix()
-    found = densify.rotation_matrices(torch.tensor([quat], dtype=torch.float64))[0].numpy()
+    found = rotation_matrices(normalized(torch.tensor([quat], dtype=torch.float64)))[0].numpy()
     np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import RenderOutput, rasterize
-from roigs_engine.training.optimizer import VisibleAdam
+from roigs_engine.training.optimizer import FusedStep, VisibleAdam
 from tests.engine.rasterize_cases import NAMES, cameras, gaussians
 
 SIZE = (61, 43)
@@ -30,7 +30,7 @@ def adam(*, fused: bool = True, dtype: torch.dtype = torch.float32) -> VisibleAd
 
 def render(model: VisibleAdam, *, views: int = 1, **options: Any) -> RenderOutput:
     poses, intrinsics = (t[:views] for t in cameras(*SIZE))
-    given = {"optimizer": model if model.fused else None, **options}
+    given = {"backward_step": model.backward_step, **options}
     return rasterize(*model.parameters.values(), poses, intrinsics, *SIZE, raw=True, **given)
 
 
@@ -96,6 +96,6 @@ def test_a_step_that_cannot_be_taken_is_refused() -> None:
     with pytest.raises(EngineError, match="reference backend"):
         render(adam(), backend="reference")
     with pytest.raises(EngineError, match="reference backend"):
-        render(other := adam(dtype=torch.float64), optimizer=other)
+        render(other := adam(dtype=torch.float64), backward_step=FusedStep(other))
     with pytest.raises(EngineError, match="not the tensors"):
-        render(adam(), optimizer=adam())
+        render(adam(), backward_step=adam().backward_step)

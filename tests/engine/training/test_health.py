@@ -1,4 +1,4 @@
-"""Training that comes to NaN goes back once and then stops; photos that do not fit are named."""
+"""Training that comes to NaN Trying once more and then stops; photos that do not fit are named."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from roigs_engine.training.stage import Stage, StageResult
 
+from roigs_engine.context import Context
 from roigs_engine.errors import Stopped, TrainingError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.training import stage as stage_module
+from roigs_engine.run import stage_folder
+from roigs_engine.run.stage_folder import StageFolder, StageResult
 from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.health import Health
@@ -31,15 +32,11 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 
 def train(scene: SfmScene, folder: Path, events: list[Event], stop_at: int = -1) -> StageResult:
     asked = iter(range(1000))
-    stage = Stage(
-        name="scene",
-        folder=folder,
-        data=stage_data(scene),
-        config=SHORT,
-        start=first_model(scene),
-        fingerprint="one",
-    )
-    return stage.run(events.append, lambda: next(asked) == stop_at)
+    folder_of_stage = StageFolder(name="scene", folder=folder, fingerprint="one")
+    context = Context(emit=events.append, should_stop=lambda: next(asked) == stop_at)
+    done = folder_of_stage.finished(context)
+    start = first_model(scene)
+    return done or folder_of_stage.train(lambda: start, stage_data(scene), SHORT, context)
 
 
 def warnings(events: list[Event]) -> list[str]:
@@ -79,7 +76,7 @@ def go_wrong(
     return prepare
 
 
-def test_a_fluke_is_gone_back_from(
+def test_a_transient_fault_is_retried(
     scene: SfmScene, tmp_path: Path, go_wrong: Callable[[int], None]
 ) -> None:
     whole = train(scene, tmp_path / "whole", [])
@@ -90,8 +87,8 @@ def test_a_fluke_is_gone_back_from(
     result = train(scene, tmp_path / "run", events)
     (text,) = warnings(events)
     assert f"step {STEP}" in text or ("step 40" in text and "became NaN or infinite" in text)
-    resumed = [e.text for e in events if isinstance(e, Message) and "goes on at" in e.text]
-    assert resumed == ["scene: goes on at step 20."] * 2
+    resumed = [e.text for e in events if isinstance(e, Message) and "resumes at" in e.text]
+    assert resumed == ["scene: resumes at step 20."] * 2
     assert same_bits(result.gaussians, whole.gaussians)
 
 
@@ -110,12 +107,9 @@ def test_a_state_that_is_not_well_is_not_saved(
     scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     saved: list[int] = []
-    monkeypatch.setattr(stage_module, "save_checkpoint", lambda path, state, _: saved.append(state))
+    monkeypatch.setattr(stage_folder, "save_checkpoint", lambda path, state, _: saved.append(state))
     well = Trainer(first_model(scene), stage_data(scene), SHORT)
-    stage = Stage(
-        name="scene", folder=tmp_path, data=well.data, config=SHORT, start=well.gaussians,
-        fingerprint="one",
-    )  # fmt: skip
+    stage = StageFolder(name="scene", folder=tmp_path, fingerprint="one")
     well.train_step()
     stage._save(well)
     well.gaussians.means.data[0, 0] = np.nan

@@ -16,7 +16,7 @@ from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.losses import photo_loss
-from roigs_engine.training.masks import Region, Regions
+from roigs_engine.training.masks import RoiMask, RoiMasks
 
 CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
 BOX = OrientedBox.axis_aligned("thing", (-0.3, -0.2, 3.7), (0.3, 0.2, 4.3))
@@ -33,63 +33,61 @@ def photo(pose: np.ndarray | None = None) -> PosedImage:
     )
 
 
-def test_a_region_is_the_silhouettes_tiles_and_a_rim() -> None:
-    region = Regions([photo()], [BOX], [0])[0]
-    assert region is not None
+def test_a_mask_is_the_silhouettes_tiles_and_a_rim() -> None:
+    mask = RoiMasks([photo()], [BOX], [0])[0]
+    assert mask is not None
     silhouette = BOX.silhouette(CAMERA, np.eye(4))
-    mask = region.mask.numpy()
-    assert mask[silhouette].all()
+    pixels = mask.pixels.numpy()
+    assert pixels[silhouette].all()
     ys, xs = np.nonzero(silhouette)
     for reach in (-16, 16):  # a whole tile around every pixel of the silhouette
-        assert mask[ys, np.clip(xs + reach, 0, CAMERA.width - 1)].all()
-        assert mask[np.clip(ys + reach, 0, CAMERA.height - 1), xs].all()
-    assert 0 < region.share < 0.6
-    x0, y0, x1, y1 = region.window
-    assert not mask[:y0].any() and not mask[y1:].any()
-    assert not mask[:, :x0].any() and not mask[:, x1:].any()
-    assert torch.equal(region.weights, region.mask[y0:y1, x0:x1].float())
-    assert region.share == pytest.approx(float(region.mask.float().mean()))
+        assert pixels[ys, np.clip(xs + reach, 0, CAMERA.width - 1)].all()
+        assert pixels[np.clip(ys + reach, 0, CAMERA.height - 1), xs].all()
+    assert 0 < mask.share < 0.6
+    x0, y0, x1, y1 = mask.window
+    assert not pixels[:y0].any() and not pixels[y1:].any()
+    assert not pixels[:, :x0].any() and not pixels[:, x1:].any()
+    assert torch.equal(mask.weights, mask.pixels[y0:y1, x0:x1].float())
+    assert mask.share == pytest.approx(float(mask.pixels.float().mean()))
 
 
-def test_a_photo_without_a_box_has_no_region() -> None:
+def test_a_photo_without_a_box_has_no_mask() -> None:
     behind = np.diag([-1.0, 1.0, -1.0, 1.0])
-    assert Regions([photo(behind)], [BOX], [0])[0] is None
+    assert RoiMasks([photo(behind)], [BOX], [0])[0] is None
 
 
-def test_a_pixel_pulls_as_hard_as_in_the_whole_photo() -> None:
-    """The L1 term's gradient in the region is that of the whole photo."""
-    region = Regions([photo()], [BOX], [0])[0]
-    assert region is not None
+def test_a_pixel_weights_as_hard_as_in_the_whole_photo() -> None:
+    """The L1 term's gradient in the mask is that of the whole photo."""
+    mask = RoiMasks([photo()], [BOX], [0])[0]
+    assert mask is not None
     rng = torch.Generator().manual_seed(1)
     image = torch.rand(CAMERA.height, CAMERA.width, 3, generator=rng, requires_grad=True)
     target = torch.randint(0, 256, image.shape, generator=rng, dtype=torch.uint8)
     (whole,) = torch.autograd.grad(photo_loss(image, target, ssim_weight=0).loss, image)
-    part = photo_loss(
-        region.crop(image), region.crop(target), ssim_weight=0, weights=region.weights
-    )
-    (gradient,) = torch.autograd.grad(part.loss * region.pull, image)
-    assert torch.allclose(gradient[region.mask], whole[region.mask], rtol=1e-4)
-    assert not gradient[~region.mask].any()
+    part = photo_loss(mask.crop(image), mask.crop(target), ssim_weight=0, weights=mask.weights)
+    (gradient,) = torch.autograd.grad(part.loss * mask.loss_weight, image)
+    assert torch.allclose(gradient[mask.pixels], whole[mask.pixels], rtol=1e-4)
+    assert not gradient[~mask.pixels].any()
 
 
-def test_balanced_photos_pull_alike_from_near_and_far() -> None:
+def test_weightingd_photos_pull_alike_from_near_and_far() -> None:
     poses = [np.eye(4) for _ in range(4)]
     for pose, back in zip(poses, (-3.0, 0.0, 6.0, -20.0), strict=True):  # the last sees no box
         pose[2, 3] = back
     photos = [photo(pose) for pose in poses]
 
-    def regions(balance: float, drawn: Sequence[int] = range(4)) -> list[Region]:
-        several = Regions(photos, [BOX], drawn, balance=balance)
-        return [region for k in range(4) if (region := several[k]) is not None]
+    def masks(weighting: float, drawn: Sequence[int] = range(4)) -> list[RoiMask]:
+        several = RoiMasks(photos, [BOX], drawn, view_weighting=weighting)
+        return [mask for k in range(4) if (mask := several[k]) is not None]
 
-    shares = np.array([region.share for region in regions(0)])
+    shares = np.array([mask.share for mask in masks(0)])
     assert len(shares) == 3 and shares[0] > 2 * shares[2]
-    for balance in (0.0, 0.5, 1.0, 1.5):
-        pulls = np.array([region.pull for region in regions(balance)])
-        assert np.log(pulls / shares).mean() == pytest.approx(0, abs=1e-6)
-        assert pulls[0] / pulls[2] == pytest.approx((shares[0] / shares[2]) ** (1 - balance))
+    for weighting in (0.0, 0.5, 1.0, 1.5):
+        weights = np.array([mask.loss_weight for mask in masks(weighting)])
+        assert np.log(weights / shares).mean() == pytest.approx(0, abs=1e-6)
+        assert weights[0] / weights[2] == pytest.approx((shares[0] / shares[2]) ** (1 - weighting))
     # Photos that no such step draws have no say.
-    first_two = np.array([region.pull for region in regions(1.0, drawn=[0, 1])])[:2]
+    first_two = np.array([mask.loss_weight for mask in masks(1.0, drawn=[0, 1])])[:2]
     assert np.log(first_two / shares[:2]).mean() == pytest.approx(0, abs=1e-6)
 
 

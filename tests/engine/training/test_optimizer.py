@@ -232,22 +232,6 @@ def test_replace_from_and_to_nothing() -> None:
     assert optimizer.step(torch.ones(2, dtype=torch.bool)) == 0
 
 
-def test_permute_commutes_with_a_step() -> None:
-    count = 100
-    one, other = make(count), make(count)
-    order = torch.randperm(count, generator=torch.Generator().manual_seed(0))
-    visible = torch.arange(count) % 2 == 0
-    for optimizer in (one, other):
-        give(optimizer, gradients(count, seed=0), visible)
-    parameters = dict(one.parameters)
-    one.permute(order)
-    assert all(one.parameters[n] is p for n, p in parameters.items())
-    one.step(visible[order])
-    other.step(visible)
-    other.permute(order)
-    assert_equal(everything(one), everything(other))
-
-
 def test_zero_moments() -> None:
     optimizer = make(20)
     visible = torch.ones(20, dtype=torch.bool)

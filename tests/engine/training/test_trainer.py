@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from roigs_engine.context import Context
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
@@ -83,7 +84,7 @@ def mean_loss(trainer: Trainer, steps: int) -> float:
     losses = []
     for _ in range(steps):
         trainer.train_step()
-        losses.append(trainer.last_loss)
+        losses.append(float(trainer.health._new[-1][2]) if trainer.health._new else np.nan)
     return float(np.mean(losses))
 
 
@@ -106,7 +107,7 @@ def test_resuming_equals_never_stopping(
     whole = Trainer(first_model(scene), stage_data(scene), config)
     whole.run()
     half = Trainer(first_model(scene), stage_data(scene), config)
-    assert not half.run(should_stop=lambda: half.step >= stop)
+    assert not half.run(Context(should_stop=lambda: half.step >= stop))
     save_checkpoint(tmp_path / "checkpoint.bin", half.state_dict(), "same")
     state = load_checkpoint(tmp_path / "checkpoint.bin", "same")
     rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), config)
@@ -152,11 +153,11 @@ def test_roi_stage_adds_gaussians_in_the_box_only(scene: SfmScene) -> None:
     assert len(trainer.gaussians) - inside <= outside_before + 0.2 * (inside - inside_before)
 
 
-def test_capacity_limits_the_box(scene: SfmScene) -> None:
+def test_budget_limits_the_box(scene: SfmScene) -> None:
     config = replace(SHORT, densify_in_boxes=True, reset_every=0, contribution_every=0)
     start = first_model(scene)
     limit = int(start.in_box(BOX).sum()) + 5
-    data = stage_data(scene, rois=[BOX], capacities=[BoxBudget(begin=limit, end=limit)])
+    data = stage_data(scene, rois=[BOX], budgets=[BoxBudget(begin=limit, end=limit)])
     trainer = Trainer(start, data, config)
     trainer.run()
     assert int(trainer.gaussians.in_box(BOX).sum()) <= limit + 5
@@ -189,7 +190,7 @@ def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) 
     config = replace(RESTING, min_views=3)
     whole, stopped = (Trainer(model, data, config) for _ in range(2))
     whole.run()
-    assert not stopped.run(should_stop=lambda: stopped.step == config.steps)
+    assert not stopped.run(Context(should_stop=lambda: stopped.step == config.steps))
     assert len(whole.gaussians) < len(stopped.gaussians) == len(model)
     state = stopped.state_dict()
     resumed = Trainer(Gaussians(**state["parameters"]), data, config)

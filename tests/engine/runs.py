@@ -1,0 +1,68 @@
+"""Whole runs on a small synthetic scene, for the tests of several rooms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from roigs_engine.context import QUIET, Context
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.definition import Run, define_run
+from roigs_engine.run.executor import TrainedModel
+from roigs_engine.run.folder import open_folder, train_run
+from roigs_engine.run.presets import preset
+from roigs_engine.training.config import TrainConfig
+
+Manual = Mapping[str, Sequence[str]]
+
+
+def tiny(strategy: str, **changes: object) -> RunConfig:
+    """A preset of so few steps that a run takes a second."""
+    config = preset("paper" if strategy == "independent" else "draft")
+    quick = {"densify_every": 5, "grad_threshold": 1e-5, "reset_every": 0}
+    scene_stage = TrainConfig(steps=20, densify_from=5, densify_until=15, **quick)
+    roi_stage = replace(config.roi, steps=30, densify_until=20, **quick)
+    selection = replace(config.selection, count=5)
+    config = replace(config, scene=scene_stage, roi=roi_stage, selection=selection, test_every=4)
+    return replace(config, **changes)
+
+
+def plys(folder: Path) -> dict[str, bytes]:
+    """Every PLY below a folder."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.ply"))}
+
+
+def opened(
+    folder: Path,
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    config: RunConfig,
+    *,
+    manual: Manual | None = None,
+    update: bool = False,
+    context: Context = QUIET,
+) -> Run:
+    """A run whose folder is open."""
+    run = define_run(folder, scene, rois, config, manual=manual, context=context)
+    open_folder(run, context, update=update)
+    return run
+
+
+def train(
+    folder: Path,
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    config: RunConfig,
+    compare: Sequence[str] = (),
+    *,
+    manual: Manual | None = None,
+    update: bool = False,
+    preview_seconds: float = 0.0,
+    context: Context = QUIET,
+) -> list[TrainedModel]:
+    """A run from its inputs to its models."""
+    run = define_run(folder, scene, rois, config, manual=manual, context=context)
+    return train_run(run, compare, context, update=update, preview_seconds=preview_seconds)
