@@ -144,9 +144,9 @@ class Executor:
             by_roi=by_roi,
         )
 
-    def is_done(self, stage: Stage) -> bool:
-        """Whether the stage was finished before. Looks only, and trains nothing."""
-        return self._folder(stage).is_finished()
+    def finished(self, stage: Stage) -> StageResult | None:
+        """The stage as it was finished before, or None. Looks only: nothing is trained or moved."""
+        return self._folder(stage).peek()
 
     def close(self) -> None:
         """Drop the decoded photos."""

@@ -37,7 +37,7 @@ def claim(
         write_json(path, now)
         return
     before = read_json(path)
-    difference = _difference(before, now)
+    difference = manifest_difference(before, now)
     if not difference:
         return
     if not update:
@@ -70,11 +70,13 @@ def _digest(manifest: Any) -> str:
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
-def _difference(before: Any, now: Any, path: str = "") -> str:
+def manifest_difference(before: Any, now: Any, path: str = "") -> str:
     """The first place where two JSON values differ, in words; empty when they agree."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(k for k in now if k not in before)]:
-            found = _difference(before.get(key), now.get(key), f"{path}.{key}" if path else key)
+            found = manifest_difference(
+                before.get(key), now.get(key), f"{path}.{key}" if path else key
+            )
             if found:
                 return found
         return ""

@@ -89,11 +89,11 @@ class StageFolder:
     def _record(self) -> Path:
         return self.folder / "stage.json"
 
-    def is_finished(self) -> bool:
-        """Whether the stage was finished here before. Looks only; False for other settings."""
-        with suppress(RunFolderError):
-            return self._record.exists() and self._present() == self.fingerprint
-        return False
+    def peek(self) -> StageResult | None:
+        """The stage as it was finished here before, or None. Looks only."""
+        with suppress(RunFolderError, KeyError, TypeError, ValueError):
+            return self._finished()
+        return None
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
         """The stage as it was finished before, or None; with `update`, room is made for it.
@@ -103,6 +103,13 @@ class StageFolder:
         """
         if self.update:
             self._make_room(context)
+        result = self._finished()
+        if result is not None:
+            remove_checkpoint(self._checkpoint)  # left where the engine was killed at the very end
+            context.info(f"{self.name}: done before, {result.count} Gaussians.")
+        return result
+
+    def _finished(self) -> StageResult | None:
         if not self._record.exists():
             return None
         record = read_json(self._record)
@@ -111,8 +118,7 @@ class StageFolder:
                 f"{self.folder} was trained with other settings or photos.",
                 "Add --update to archive it and train again, or choose another --run-dir.",
             )
-        remove_checkpoint(self._checkpoint)  # left where the engine was killed at the very end
-        result = StageResult(
+        return StageResult(
             name=self.name,
             model_path=self.folder / "model.ply",
             count=int(record["gaussians"]),
@@ -120,8 +126,6 @@ class StageFolder:
             cpu_seconds=float(record["cpu_seconds"]),
             fingerprint=self.fingerprint,
         )
-        context.info(f"{self.name}: done before, {result.count} Gaussians.")
-        return result
 
     def train(
         self,

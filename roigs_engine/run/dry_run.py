@@ -1,0 +1,140 @@
+"""What a run would do, as text: its stages, photos, steps, memory and minutes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..context import QUIET, Context
+from ..formats.files import read_json
+from ..kernels import library
+from .definition import Run
+from .estimate import Estimator, StageEstimate, evaluation_seconds
+from .executor import Executor
+from .manifest import NAME, check_version, from_json, manifest_difference
+from .memory import run_memory
+from .plan import POINTS, Plan, Stage
+from .strategies import plan_run
+
+HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
+LEFT = (0, 4, 7)  # columns of text
+
+
+def describe_plan(
+    run: Run, compare: Sequence[str] = (), context: Context = QUIET, *, update: bool = False
+) -> str:
+    """The plan of a run as text; nothing is trained for it but a few steps, to take their time.
+
+    Args:
+        run, compare: see `strategies.plan_run`.
+        context: gives the device; asked whether to stop.
+        update: whether the run would take its folder over.
+
+    Raises:
+        As `plan_run`; SceneError: the scene does not fit into the machine's memory;
+        RunFolderError: an earlier version made the folder.
+    """
+    check_version(run.folder)
+    memory = run_memory(run, context)
+    plan = plan_run(run, compare, context)
+    rows, seconds, saved = _stage_rows(run, plan, context)
+    lines = [*_head(run, plan), "", *_table(rows), ""]
+    lines += [message.text for message in memory.messages()]
+    threads = f"{library.threads()} threads" if context.device == "cpu" else context.device
+    done = f"; {_minutes(saved)} more are done already" if saved else ""
+    lines.append(f"Time: about {_minutes(seconds)} on this machine ({threads}){done}.")
+    return "\n".join([*lines, *_folder_note(run, update=update)])
+
+
+def _head(run: Run, plan: Plan) -> list[str]:
+    config, count = run.config, len(run.scene.images)
+    lines = [
+        f"Plan of {run.folder}: preset {config.preset}, {config.strategy}, seed {config.seed}",
+        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} for tests",
+    ]
+    for folder, selections in plan.selections.items():
+        where = f" ({folder})" if folder else ""
+        lines += [
+            f"Box '{s.roi}'{where}: {len(s.names)} of {len(s.candidates)} photos that see it"
+            f" selected by {s.method}"
+            for s in selections
+        ]
+    return lines
+
+
+def _stage_rows(
+    run: Run, plan: Plan, context: Context
+) -> tuple[list[tuple[str, ...]], float, float]:
+    """A row for each stage; seconds of what is missing, and of what is done."""
+    executor = Executor(run, context)
+    estimator = Estimator(run.train_scene, context)
+    ends: dict[str, int] = {}
+    estimates: list[StageEstimate] = []
+    rows, missing, saved = [], 0.0, 0.0
+    for stage in plan.stages:
+        start = _start(stage, ends, len(run.train_scene.points))
+        done = executor.finished(stage)
+        if done is None:
+            expected = estimator.estimate(stage, start)
+            missing += expected.seconds
+        else:
+            each = done.seconds / max(stage.config.steps, 1)
+            expected = StageEstimate(
+                start=start, end=done.count, seconds=done.seconds, step_seconds=each
+            )
+            saved += done.seconds
+        ends[stage.name] = expected.end
+        estimates.append(expected)
+        rows.append(_row(stage, expected, is_done=done is not None))
+    return rows, missing + evaluation_seconds(estimates, len(run.test)), saved
+
+
+def _start(stage: Stage, ends: dict[str, int], points: int) -> int:
+    """Number of Gaussians that the stage starts with, as far as it is known."""
+    if stage.start.kind == POINTS:
+        return points
+    return max(ends[needed.name] for needed in stage.start.inputs)
+
+
+def _row(stage: Stage, expected: StageEstimate, *, is_done: bool) -> tuple[str, ...]:
+    largest = max((i.camera for i in stage.images), key=lambda c: c.width * c.height)
+    count = f"{expected.end:,}" if is_done else f"~{round(expected.end, -3):,}"
+    return (
+        stage.name,
+        str(len(stage.images)),
+        f"{largest.width}x{largest.height}",
+        f"{stage.config.steps:,}",
+        ", ".join(dict.fromkeys(s.name for s in stage.start.inputs)) or "sparse points",
+        count,
+        f"{expected.seconds / 60:.1f}",
+        "done" if is_done else "",
+    )
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    cells = [HEAD, *rows]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(HEAD))]
+    return [
+        "  ".join(
+            cell.ljust(width) if column in LEFT else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    ]
+
+
+def _folder_note(run: Run, *, update: bool) -> list[str]:
+    """What stands in the folder already."""
+    path = run.folder / NAME
+    if not path.exists():
+        return []
+    difference = manifest_difference(read_json(path), from_json(run.manifest()))
+    if not difference:
+        return []
+    what = "would be archived" if update else "is there: add --update to archive it"
+    return [f"Folder: another run ({difference}) {what}."]
+
+
+def _minutes(seconds: float) -> str:
+    if seconds < 90:
+        return f"{max(1, round(seconds))} seconds"
+    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"

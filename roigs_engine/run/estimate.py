@@ -1,0 +1,182 @@
+"""How long the stages of a plan will take on this machine, from a few steps trained for it.
+
+A step's time is measured at the number of Gaussians that a stage starts with and at the number it
+is expected to end with, on its own cameras and masks, and taken to be linear in between. How many
+Gaussians densification adds is a rule of thumb: it cannot be known before training.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..model.gaussians import Gaussians
+from ..model.scene import PosedImage, SfmScene
+from ..training.config import TrainConfig
+from ..training.masks import RoiMasks
+from ..training.trainer import StageData, Trainer, one_torch_thread
+from .plan import Stage
+
+# Of each densification, as seen in training: at most this share of the Gaussians is added, and at
+# most so many for each pixel of a photo (docs/lab_notebook.md).
+GROWTH, GROWTH_PER_PIXEL = 0.45, 0.1
+WARM_UP, MEASURED = 4, 12  # steps
+RENDER_SHARE = 0.5  # of a training step's time, to draw and compare a test photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageEstimate:
+    """What is expected of a stage.
+
+    Attributes:
+        start, end: numbers of Gaussians.
+        seconds: of training.
+        step_seconds: of a step at the end.
+    """
+
+    start: int
+    end: int
+    seconds: float
+    step_seconds: float
+
+
+class Estimator:
+    """Estimates the stages of one run; stages of the same settings are measured once.
+
+    Args:
+        scene: whose points models are made of.
+        context: gives the device; asked between measurements whether to stop.
+    """
+
+    def __init__(self, scene: SfmScene, context: Context = QUIET) -> None:
+        self._scene, self._context = scene, context
+        self._times: dict[tuple[object, ...], tuple[float, float]] = {}
+
+    def estimate(self, stage: Stage, start: int) -> StageEstimate:
+        """The stage, beginning with `start` Gaussians."""
+        counts = expected_counts(stage, start, self._share_in_boxes(stage))
+        end = counts[-1]
+        low, high = self._step_seconds(stage, start, end)
+        slope = (high - low) / max(end - start, 1)
+        seconds = sum(low + slope * (count - start) for count in counts)
+        return StageEstimate(start=start, end=end, seconds=seconds, step_seconds=high)
+
+    def _share_in_boxes(self, stage: Stage) -> float:
+        """Of the scene's points."""
+        inside = np.zeros(len(self._scene.points), dtype=bool)
+        for roi in stage.rois:
+            inside |= roi.contains(self._scene.points)
+        return float(inside.mean()) if len(inside) else 0.0
+
+    def _step_seconds(self, stage: Stage, start: int, end: int) -> tuple[float, float]:
+        """A step's time with so many Gaussians, at the stage's beginning and end."""
+        largest = max(image.camera.width * image.camera.height for image in stage.images)
+        settings = replace(stage.config, steps=0)
+        key = (settings, largest, _rounded(start), _rounded(end))
+        if key not in self._times:
+            first = self._measured(stage, start)
+            last = first if end == start else self._measured(stage, end)
+            self._times[key] = first, max(first, last)
+        return self._times[key]
+
+    def _measured(self, stage: Stage, count: int) -> float:
+        """Seconds of a training step with `count` Gaussians, the median of a few."""
+        self._context.check_cancelled()
+        images = stage.images[:: max(1, len(stage.images) // 8)]
+        data = StageData(
+            images=images,
+            photos=_GreyPhotos(images),
+            photo_at=lambda step: step % len(images),
+            extent=stage.extent,
+            rois=stage.rois,
+            masks=self._masks(stage, images),
+            device=torch.device(self._context.device),
+        )
+        config = replace(stage.config, steps=WARM_UP + MEASURED, densify_until=0, min_views=0)
+        trainer = Trainer(model_of_size(self._scene, count), data, config)
+        times = []
+        with one_torch_thread():
+            for _ in range(WARM_UP + MEASURED):
+                began = time.perf_counter()
+                trainer.train_step()
+                _finish(data.device)
+                times.append(time.perf_counter() - began)
+        return float(np.mean(times[WARM_UP:]))
+
+    def _masks(self, stage: Stage, images: Sequence[PosedImage]) -> RoiMasks | None:
+        if stage.config.full_every == 1:
+            return None
+        return RoiMasks(images, stage.rois, range(len(images)), torch.device(self._context.device))
+
+
+def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int]:
+    """Number of Gaussians at each step of a stage, by the rule of thumb."""
+    config, count, counts = stage.config, float(start), []
+    growing = count
+    limit = float("inf")
+    if config.densify_in_boxes:
+        growing = count * share_in_boxes
+        if stage.budgets is not None:
+            limit = max(0.0, sum(stage.budgets) - growing)
+    pixels = max(image.camera.width * image.camera.height for image in stage.images)
+    threshold = TrainConfig.grad_threshold / config.grad_threshold
+    for step in range(1, config.steps + 1):
+        due = config.densify_from <= step < config.densify_until
+        if due and step % config.densify_every == 0:
+            added = min(GROWTH * growing, threshold * GROWTH_PER_PIXEL * pixels, limit)
+            count, growing, limit = count + added, growing + added, limit - added
+        counts.append(round(count))
+    return counts
+
+
+def evaluation_seconds(ends: Sequence[StageEstimate], tests: int) -> float:
+    """To draw and compare the test photos with a model of each of the stages."""
+    return sum(RENDER_SHARE * stage.step_seconds * tests for stage in ends)
+
+
+def model_of_size(scene: SfmScene, count: int) -> Gaussians:
+    """The scene's points as `count` Gaussians: some of them, or all and finer copies."""
+    rng = np.random.default_rng(0)
+    rows = rng.permutation(len(scene.points))[:count]
+    copies = -(-count // max(len(rows), 1))
+    model = Gaussians.from_points(scene.points[rows], scene.colors[rows])
+    if copies == 1:
+        return model
+    values = {
+        name: torch.cat([tensor] * copies)[:count] for name, tensor in model.tensors().items()
+    }
+    spread = values["log_scales"].exp()
+    generator = torch.Generator().manual_seed(0)
+    values["means"] = values["means"] + spread * torch.randn(count, 3, generator=generator)
+    values["log_scales"] = values["log_scales"] - float(np.log(copies)) / 2  # as large an area
+    return Gaussians(**values)
+
+
+class _GreyPhotos:
+    """Photos of one grey: what they show does not change a step's time much."""
+
+    def __init__(self, images: Sequence[PosedImage]) -> None:
+        self._images = images
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        camera = self._images[index].camera
+        return np.full((camera.height, camera.width, 3), 128, dtype=np.uint8)
+
+    def prefetch(self, indices: Sequence[int]) -> None:
+        """Nothing to decode."""
+
+
+def _finish(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def _rounded(count: int) -> int:
+    """Two counts within some percent are one measurement."""
+    return round(20 * float(np.log(max(count, 1))))
