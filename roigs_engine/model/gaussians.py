@@ -40,16 +40,6 @@ class Gaussians:
     def __len__(self) -> int:
         return self.means.shape[0]
 
-    @property
-    def sh0(self) -> Tensor:
-        """(N, 1, 3) constant band."""
-        return self.sh[:, :1]
-
-    @property
-    def shN(self) -> Tensor:  # noqa: N802 - the field's name for it
-        """(N, K - 1, 3) higher bands."""
-        return self.sh[:, 1:]
-
     def tensors(self) -> dict[str, Tensor]:
         """The five tensors by name, not copied."""
         return {name: getattr(self, name) for name in NAMES}

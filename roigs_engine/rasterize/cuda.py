@@ -218,7 +218,7 @@ def _watch(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
 def _weigh(
     inputs: RenderInputs,
     camera: int,
-    splats: ProjectedGaussians,
+    projected: ProjectedGaussians,
     means2d: Tensor,  # (1, N, 2) px from the cut's corner
     lists: tuple[Tensor, Tensor],  # offsets of the tiles' lists, and these
     cut: tuple[int, int, int, int],  # x0, y0, width, height in pixels
@@ -227,11 +227,11 @@ def _weigh(
     """Adds one camera's blending weights to the statistics."""
     if not library.has_triton():
         raise KernelError(
-            "Blending weights on the card need Triton, which is not installed.",
+            "Blending weights on the GPU need Triton, which is not installed.",
             "pip install triton (on Windows triton-windows), or a strategy without"
             " contribution_every (joint), or --device cpu.",
         )
-    from .cuda_weights import blending_weights
+    from .cuda_weights import TileLists, blending_weights
 
     x0, y0, width, height = cut
     counts = inputs.pixel_weights
@@ -239,13 +239,11 @@ def _weigh(
         counts = counts[camera, y0 : y0 + height, x0 : x0 + width]
     blending_weights(
         means2d[0].detach(),
-        splats.conics[0].detach(),
-        splats.opacities[0].detach(),
-        lists[0],
-        lists[1],
-        width,
-        height,
-        mask=inputs.tile_mask,
+        projected.conics[0].detach(),
+        projected.opacities[0].detach(),
+        TileLists(
+            offsets=lists[0], ids=lists[1], mask=inputs.tile_mask, width=width, height=height
+        ),
         pixel_weights=counts,
         largest=statistics.largest,
         sums=statistics.sums,

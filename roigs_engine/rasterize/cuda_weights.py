@@ -6,6 +6,7 @@ colours: one warp a tile, every Gaussian of its list reduced over the tile's 256
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -19,35 +20,44 @@ LAST_LIGHT = 1e-4
 """gsplat: a pixel is done before the Gaussian that would leave less light than this."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class TileLists:
+    """gsplat's lists of a picture: which Gaussians meet which tile, front to back.
+
+    Attributes:
+        offsets: (rows, columns) int32, where each tile's list begins.
+        ids: (pairs,) int32, the Gaussians, tile by tile.
+        mask: (rows, columns) bool, the tiles that are drawn; None: all.
+        width, height: of the picture, px.
+    """
+
+    offsets: Tensor
+    ids: Tensor
+    mask: Tensor | None
+    width: int
+    height: int
+
+
+# Triton takes tuples as one argument; FLAGS: masked, largest wanted, sums wanted, pixels weighted.
 @triton.jit
 def _weights(
-    means2d,
-    conics,
-    opacities,
-    offsets,
-    ids,
-    mask,
-    pixel_weights,
-    largest,
-    sums,
-    tiles,
-    pairs,
-    columns,
-    width,
-    height,
-    alpha_min,
-    alpha_max,
-    last_light,
+    gaussians,  # means2d, conics, opacities
+    lists,  # offsets, ids, mask
+    results,  # pixel_weights, largest, sums
+    sizes,  # tiles, pairs, columns, width, height
+    limits,  # smallest and largest alpha, last light
     SIDE: tl.constexpr,
-    MASKED: tl.constexpr,
-    LARGEST: tl.constexpr,
-    SUMS: tl.constexpr,
-    WEIGHTED: tl.constexpr,
+    FLAGS: tl.constexpr,
 ) -> Any:
+    means2d, conics, opacities = gaussians
+    offsets, ids, mask = lists
+    pixel_weights, largest, sums = results
+    tiles, pairs, columns, width, height = sizes
+    alpha_min, alpha_max, last_light = limits
     tile = tl.program_id(0)
     begin = tl.load(offsets + tile)
     end = tl.load(offsets + tile + 1, mask=tile + 1 < tiles, other=pairs)
-    if MASKED:
+    if FLAGS[0]:
         end = tl.where(tl.load(mask + tile) != 0, end, begin)
     pixel = tl.arange(0, SIDE * SIDE)
     column = (tile % columns) * SIDE + pixel % SIDE
@@ -55,7 +65,7 @@ def _weights(
     inside = (column < width) & (row < height)
     x, y = column.to(tl.float32) + 0.5, row.to(tl.float32) + 0.5
     counts = tl.full((SIDE * SIDE,), 1.0, tl.float32)
-    if WEIGHTED:
+    if FLAGS[3]:
         counts = tl.load(pixel_weights + row * width + column, mask=inside, other=0.0)
     light = tl.where(inside, 1.0, 0.0)
     open_ = inside.to(tl.int32)  # pixels that are not done
@@ -77,11 +87,11 @@ def _weights(
         hit = hit & ~done
         weight = tl.where(hit, alpha * light, 0.0)
         light = tl.where(hit, after, light)
-        if LARGEST:
+        if FLAGS[1]:
             most = tl.max(weight, axis=0)
             if most > tl.load(largest + g):  # most tiles do not raise it: read before the atomic
                 tl.atomic_max(largest + g, most)
-        if SUMS:
+        if FLAGS[2]:
             tl.atomic_add(sums + g, tl.sum(weight * counts, axis=0))
         left = tl.max(open_, axis=0)
         at += 1
@@ -91,42 +101,25 @@ def blending_weights(
     means2d: Tensor,  # (N, 2) px
     conics: Tensor,  # (N, 3) inverse covariance: xx, xy, yy
     opacities: Tensor,  # (N,)
-    offsets: Tensor,  # (rows, columns) int32, where each tile's list begins
-    ids: Tensor,  # (pairs,) int32, Gaussians tile by tile, front to back
-    width: int,
-    height: int,
+    lists: TileLists,
     *,
-    mask: Tensor | None,  # (rows, columns) bool
     pixel_weights: Tensor | None,  # (height, width)
     largest: Tensor | None,  # (N,) raised to the largest weight
     sums: Tensor | None,  # (N,) added to
 ) -> None:
     """Adds one picture's weights to `largest` and `sums`, in place."""
-    if not len(ids):
+    if not len(lists.ids):
         return
+    offsets, mask = lists.offsets, lists.mask
     unused = means2d  # where a kernel argument is a pointer that is not read
+    weights = unused if pixel_weights is None else pixel_weights.to(torch.float32).contiguous()
     _weights[(offsets.numel(),)](
-        means2d.contiguous(),
-        conics.contiguous(),
-        opacities.contiguous(),
-        offsets.contiguous(),
-        ids,
-        unused if mask is None else mask.contiguous(),
-        unused if pixel_weights is None else pixel_weights.to(torch.float32).contiguous(),
-        unused if largest is None else largest,
-        unused if sums is None else sums,
-        offsets.numel(),
-        len(ids),
-        offsets.shape[-1],
-        width,
-        height,
-        ALPHA_MIN,
-        ALPHA_MAX,
-        LAST_LIGHT,
+        (means2d.contiguous(), conics.contiguous(), opacities.contiguous()),
+        (offsets.contiguous(), lists.ids, unused if mask is None else mask.contiguous()),
+        (weights, unused if largest is None else largest, unused if sums is None else sums),
+        (offsets.numel(), len(lists.ids), offsets.shape[-1], lists.width, lists.height),
+        (ALPHA_MIN, ALPHA_MAX, LAST_LIGHT),
         SIDE=TILE,
-        MASKED=mask is not None,
-        LARGEST=largest is not None,
-        SUMS=sums is not None,
-        WEIGHTED=pixel_weights is not None,
+        FLAGS=(mask is not None, largest is not None, sums is not None, pixel_weights is not None),
         num_warps=1,
     )

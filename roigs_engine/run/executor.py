@@ -115,14 +115,15 @@ class Executor:
         """The stage's result: as it was made before, or trained now."""
         if stage.name not in self._results:
             folder = self._folder(stage)
-            done = folder.finished(self.context)
-            self._results[stage.name] = done or folder.train(
-                lambda: self.gaussians(stage.start),
-                self._data(stage),
-                stage.config,
-                self.context,
-            )
+            self._results[stage.name] = folder.finished(self.context) or self._train(stage, folder)
         return self._results[stage.name]
+
+    def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
+        for needed in stage.inputs:  # before the stage's own photos are held
+            self.result(needed)
+        return folder.train(
+            lambda: self.gaussians(stage.start), self._data(stage), stage.config, self.context
+        )
 
     def gaussians(self, source: Source) -> Gaussians:
         """The Gaussians of a source; what they are made of is trained if need be."""

@@ -45,8 +45,8 @@ def claim(
             f"{folder} holds another run ({difference}).",
             "Add --update to bring it up to date, or choose another --run-dir.",
         )
-    archive_parts(folder, RESULTS, _digest(before))
-    restore_parts(folder, RESULTS, _digest(now))
+    archive_parts(folder, RESULTS, manifest_digest(before))
+    restore_parts(folder, RESULTS, manifest_digest(now))
     write_json(path, now)
     context.info(f"{folder} is brought up to date ({difference}).")
 
@@ -65,7 +65,7 @@ def from_json(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _digest(manifest: Any) -> str:
+def manifest_digest(manifest: Any) -> str:
     """Hash of a manifest as it comes back from JSON."""
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 

@@ -56,7 +56,7 @@ def select_cameras(
     count = config.resolved_count(len(candidates))
     picks = _order(candidates, features, config, count, context)
     if config.method == "coverage":
-        scores = prefix_coverage(candidates, picks.order, config.direction_bins, context)
+        scores = prefix_coverage(candidates, picks.order, context)
     else:
         scores = prefix_scores(candidates, picks.order)
     flags = (
@@ -93,11 +93,18 @@ def _order(
         case "gp6" | "gp9":
             from .gp import order_gp  # scikit-learn takes a second to import
 
-            return order_gp(candidates, features, config, count, config.method == "gp9", context)
+            return order_gp(
+                candidates,
+                features,
+                count,
+                extended=config.method == "gp9",
+                seed=config.seed,
+                context=context,
+            )
         case "greedy":
             return order_greedy(candidates, count, context)
         case "coverage":
-            return order_coverage(candidates, count, config.direction_bins, context)
+            return order_coverage(candidates, count, context)
         case "fvs":
             return order_fvs(candidates, count)
         case _:

@@ -29,6 +29,7 @@ from .records import Picks
 from .score import voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
+DIRECTIONS = 32  # bins of viewing directions in which each point should be seen
 # Neighbours of a point (itself among them) that its normal is fitted to.
 NORMAL_NEIGHBOURS = 16
 # Neighbours lie on a surface when the spread across it is below this share of the smaller spread
@@ -42,7 +43,7 @@ ROWS = 1 << 16  # observations compared with all directions at once
 class Coverage:
     """F(S) of a growing set S of photos, as a share of what all candidates give together."""
 
-    def __init__(self, candidates: Candidates, bins: int, context: Context = QUIET) -> None:
+    def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
         self._starts = candidates.row_starts()
         view, point = candidates.obs_view, candidates.obs_point
         ray = candidates.centres()[view] - candidates.points[point]  # (N, 3) point to camera
@@ -53,7 +54,8 @@ class Coverage:
         share = np.minimum(1.0, density / best) if best > 0 else np.zeros(len(density))
         voxel = voxel_indices(candidates.points, candidates.roi)
         weight = 1.0 / np.bincount(voxel)[voxel]
-        slot = point * bins + nearest_direction(ray, fibonacci_directions(bins))
+        directions = fibonacci_directions(DIRECTIONS)
+        slot = point * DIRECTIONS + nearest_direction(ray, directions)
         slots, self._slot = np.unique(slot, return_inverse=True)
         self._worth = weight[point] * share  # (N,)
         self._held = np.zeros(len(slots))
@@ -78,20 +80,18 @@ class Coverage:
         np.maximum.at(self._held, self._slot[part], self._worth[part])
 
 
-def order_coverage(
-    candidates: Candidates, count: int, bins: int, context: Context = QUIET
-) -> Picks:
+def order_coverage(candidates: Candidates, count: int, context: Context = QUIET) -> Picks:
     """The photos that raise F most, one at a time; then farthest views."""
-    coverage = Coverage(candidates, bins, context)
+    coverage = Coverage(candidates, context)
     order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count, context)
     return fill_up(candidates, order, count)
 
 
 def prefix_coverage(
-    candidates: Candidates, order: tuple[int, ...], bins: int, context: Context = QUIET
+    candidates: Candidates, order: tuple[int, ...], context: Context = QUIET
 ) -> tuple[float, ...]:
     """F / F(all candidates) after each pick of `order`."""
-    coverage = Coverage(candidates, bins, context)
+    coverage = Coverage(candidates, context)
     values = []
     for view in order:
         coverage.add(view)

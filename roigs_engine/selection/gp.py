@@ -1,13 +1,12 @@
 """`gp6`, `gp9`: pick photos by a Gaussian process over viewpoints (the paper's sec. III-A).
 
 After ActiveInitSplat (arXiv 2503.06859): a GP predicts from a photo's viewpoint how much it would
-add to the score f (score.py); the photo with the best acquisition value is taken, its true gain
-measured, the GP fitted again. `gp6` sees position and viewing direction, `gp9` also the three
+add to the score f (score.py); the photo with the best upper confidence bound is taken, its true
+gain measured, the GP fitted again. `gp6` sees position and viewing direction, `gp9` also the three
 static features.
 
-The cost stays bounded: hyper-parameters are optimised at the start and every
-`SelectionConfig.gp_refit_every` picks; in between the GP only takes in the new gain. 150 picks of
-314 photos take seconds on one core.
+The cost stays bounded: hyper-parameters are optimised at the start and every `REFIT_EVERY` picks;
+in between the GP only takes in the new gain. 150 picks of 314 photos take seconds on one core.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
@@ -25,17 +23,16 @@ from ..context import QUIET, Context
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 from .baselines import farthest_first, fill_up, most_keypoints
-from .config import SelectionConfig
 from .features import StaticFeatures
 from .records import Picks
 from .score import DensityOccupancy
 
 # Photos picked before the first fit.
 SEEDS = 5
-# Unselected photos measured at each step with `gp_refresh`.
-REFRESHED = 32
-# 'ei' improves on the best gain of this many latest picks: older gains are out of reach.
-EI_WINDOW = 5
+# Weight of the standard deviation in the upper confidence bound.
+BETA = 2.0
+# Picks between two optimisations of the hyper-parameters.
+REFIT_EVERY = 10
 RESTARTS = 1
 # A feature whose standard deviation is below this share of its size (or below this) is constant.
 CONSTANT = 1e-9
@@ -106,26 +103,16 @@ class Surrogate:
         return np.nan_to_num(mean), np.nan_to_num(deviation)
 
 
-def acquisition(mean: Float64, deviation: Float64, best: float, config: SelectionConfig) -> Float64:
-    """(n,) how attractive each photo is: upper confidence bound or expected improvement."""
-    if config.acquisition == "ucb":
-        return mean + config.beta * deviation
-    safe = np.maximum(deviation, 1e-12)
-    z = (mean - best) / safe
-    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    improvement: Float64 = (mean - best) * ndtr(z) + safe * density
-    return improvement
-
-
 def order_gp(
     candidates: Candidates,
     features: StaticFeatures,
-    config: SelectionConfig,
     count: int,
+    *,
     extended: bool,
+    seed: int = 0,
     context: Context = QUIET,
 ) -> Picks:
-    """The photos that the GP's acquisition ranks best, one at a time.
+    """The photos with the best upper confidence bound, one at a time.
 
     Starts with the photo that sees most points and the farthest ones from it in viewing direction.
     Goes on with farthest views where no remaining photo adds anything to the score.
@@ -146,44 +133,33 @@ def order_gp(
         score.add(view)
     if not names:
         return fill_up(candidates, seeds, count, flags)
-    order = _loop(inputs, score, seeds, gains, config, count, context)
+    order = _loop(Surrogate(inputs, seed), score, seeds, gains, count, context)
     return fill_up(candidates, order, count, flags)
 
 
 def _loop(
-    inputs: Float64,  # (V, D)
+    surrogate: Surrogate,
     score: DensityOccupancy,
     seeds: list[int],
     gains: list[float],
-    config: SelectionConfig,
     count: int,
     context: Context,
 ) -> list[int]:
     """`seeds` continued to `count` photos, or to the last one before all gains are zero."""
-    surrogate = Surrogate(inputs, config.seed)
-    generator = np.random.default_rng(config.seed)
     order = list(seeds)
     while len(order) < count:
         context.check_cancelled()
         present = score.gains()
         taken = set(order)
-        rest = [view for view in range(len(inputs)) if view not in taken]
+        rest = [view for view in range(len(present)) if view not in taken]
         if not (present[rest] > 0).any():
             break
-        if config.gp_refresh:
-            sample = generator.permutation(len(rest))[:REFRESHED]
-            known = sorted(rest[i] for i in sample)
-            targets = present[known]
-            best = float(targets.max())
-        else:
-            known, targets = order, np.array(gains)
-            best = max(gains[-EI_WINDOW:])
-        optimise = (len(order) - len(seeds)) % config.gp_refit_every == 0
-        surrogate.fit(known, targets, optimise)
+        optimise = (len(order) - len(seeds)) % REFIT_EVERY == 0
+        surrogate.fit(order, np.array(gains), optimise)
         mean, deviation = surrogate.predict(rest)
-        value = acquisition(mean, deviation, best, config)
-        # Largest acquisition; of equal ones the least certain; of those the first name.
-        view = rest[int(np.lexsort((-deviation, -value))[0])]
+        bound = mean + BETA * deviation
+        # Largest upper confidence bound; of equal ones the least certain; then the first name.
+        view = rest[int(np.lexsort((-deviation, -bound))[0])]
         gains.append(float(present[view]))
         score.add(view)
         order.append(view)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from ..errors import RunFolderError
-
 
 @dataclass(frozen=True, kw_only=True)
 class Picks:
@@ -49,39 +47,6 @@ class CameraSelection:
     features: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON form that `from_dict` reads."""
+        """Ready for JSON."""
         record = asdict(self)
         return {key: list(v) if isinstance(v, tuple) else v for key, v in record.items()}
-
-    @classmethod
-    def from_dict(cls, record: Any) -> CameraSelection:
-        """The selection stored by `to_dict`.
-
-        Raises:
-            RunFolderError: a key is missing or has the wrong type.
-        """
-        try:
-            selection = cls(
-                roi=str(record["roi"]),
-                method=str(record["method"]),
-                names=tuple(str(name) for name in record["names"]),
-                scores=tuple(float(score) for score in record["scores"]),
-                candidates=tuple(str(name) for name in record["candidates"]),
-                flags=tuple(str(flag) for flag in record["flags"]),
-                features={
-                    str(name): {str(key): float(value) for key, value in values.items()}
-                    for name, values in record["features"].items()
-                },
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise RunFolderError(
-                f"A stored camera selection is malformed ({type(error).__name__}: {error}).",
-                "Run the selection again.",
-            ) from error
-        if len(selection.names) != len(selection.scores):
-            raise RunFolderError(
-                f"A stored camera selection has {len(selection.names)} photos but"
-                f" {len(selection.scores)} scores.",
-                "Run the selection again.",
-            )
-        return selection

@@ -43,7 +43,6 @@ class DensityOccupancy:
         self._views = len(candidates)
         self._starts = candidates.row_starts()
         self._view, self._point = candidates.obs_view, candidates.obs_point
-        self._point_voxel = voxel
         voxels = int(voxel.max()) + 1
         pairs = np.unique(self._view * voxels + voxel[self._point])
         self._voxel_view, self._view_voxel = pairs // voxels, pairs % voxels

@@ -12,28 +12,22 @@ from torch import Tensor
 ELEMENTS = 1024  # that one program takes on
 
 
+# Triton takes tuples as one argument.
 @triton.jit
 def _step(
-    parameter,
-    gradient,
-    exp_avg,
-    exp_avg_sq,
+    tensors,  # parameter, gradient, exp_avg, exp_avg_sq
     visible,
     rates,
     skipped,
     count,
-    scale,
-    beta1,
-    beta2,
-    share1,  # 1 - beta1, which float32 cannot make of beta1
-    share2,
-    eps,
-    WIDTH: tl.constexpr,  # noqa: N803
-    COLUMNS: tl.constexpr,  # noqa: N803 - WIDTH rounded up to a power of two
-    ROWS: tl.constexpr,  # noqa: N803
+    factors,  # scale, beta1, beta2, 1 - beta1, 1 - beta2 (which float32 cannot make), eps
+    SHAPE: tl.constexpr,  # noqa: N803 - width, width rounded up to a power of two, rows
 ) -> Any:
-    rows = tl.program_id(0) * ROWS + tl.arange(0, ROWS)
-    columns = tl.arange(0, COLUMNS)
+    parameter, gradient, exp_avg, exp_avg_sq = tensors
+    scale, beta1, beta2, share1, share2, eps = factors
+    WIDTH: tl.constexpr = SHAPE[0]  # noqa: N806
+    rows = tl.program_id(0) * SHAPE[2] + tl.arange(0, SHAPE[2])
+    columns = tl.arange(0, SHAPE[1])
     seen = tl.load(visible + rows, mask=rows < count, other=0) != 0
     inside = seen[:, None] & (columns[None, :] < WIDTH)
     at = rows[:, None].to(tl.int64) * WIDTH + columns[None, :]
@@ -58,40 +52,35 @@ def _step(
 
 def step(
     parameter: Tensor,  # (N, ...) float32
-    gradient: Tensor,  # as the parameter
-    exp_avg: Tensor,
-    exp_avg_sq: Tensor,
+    moments: tuple[Tensor, Tensor],  # exp_avg, exp_avg_sq, as the parameter
     visible: Tensor,  # (N,) bool
     rates: Tensor,  # (W,) a learning rate for each column of a row
+    *,
     betas: tuple[float, float],
     eps: float,
     step_count: int,
 ) -> Tensor:
-    """Updates parameter and moments in place; (1,) int32: rows whose gradient was not finite."""
+    """Updates parameter and moments in place by `parameter.grad`.
+
+    Returns (1,) int32: rows whose gradient was not finite.
+    """
     skipped = torch.zeros(1, dtype=torch.int32, device=parameter.device)
     count, width = len(parameter), rates.numel()
+    assert parameter.grad is not None
     if count == 0:
         return skipped
     # lr m/c1 / (sqrt(v/c2) + eps) = (lr sqrt(c2)/c1) m / (sqrt(v) + eps sqrt(c2))
     correction = 1 - betas[0] ** step_count, (1 - betas[1] ** step_count) ** 0.5
+    scale = correction[1] / correction[0]
     columns = triton.next_power_of_2(width)
     rows = max(1, ELEMENTS // columns)
     _step[(triton.cdiv(count, rows),)](
-        parameter,
-        gradient.contiguous(),
-        exp_avg,
-        exp_avg_sq,
+        (parameter, parameter.grad.contiguous(), *moments),
         visible.contiguous(),
         rates,
         skipped,
         count,
-        correction[1] / correction[0],
-        *betas,
-        1 - betas[0],
-        1 - betas[1],
-        eps * correction[1],
-        WIDTH=width,
-        COLUMNS=columns,
-        ROWS=rows,
+        (scale, *betas, 1 - betas[0], 1 - betas[1], eps * correction[1]),
+        SHAPE=(width, columns, rows),
     )
     return skipped

@@ -24,7 +24,7 @@ WINDOW_RADIUS = 5
 WINDOW_SIGMA = 1.5
 C1 = 0.01**2
 C2 = 0.03**2
-BACKENDS = ("auto", "cpu", "fused", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "reference")
 
 
 class LossOutput(NamedTuple):
@@ -53,8 +53,8 @@ def photo_loss(
         weights: how much each pixel counts in both terms, not negative; None: all the same. They
             are divided by their sum. The SSIM of a pixel still looks at all pixels around it.
             Where all are zero, so is the loss.
-        backend: "cpu" (compiled kernel: float32 on the CPU), "fused" (the package fused-ssim:
-            float32 on an NVIDIA card, no weights), "reference" (plain torch, any dtype and device),
+        backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (the package fused-ssim:
+            float32 on an NVIDIA GPU, no weights), "reference" (plain torch, any dtype and device),
             or "auto", the first of them that can be used.
 
     Raises:
@@ -68,7 +68,7 @@ def photo_loss(
         backend = "cpu" if native else _without_kernel(planes, weights)
     if backend == "reference":
         return _reference(planes, target, ssim_weight, weights)
-    if backend == "fused":
+    if backend == "cuda":
         return _fused(planes, target, ssim_weight)
     if backend != "cpu":
         raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
@@ -111,7 +111,7 @@ def _reference(
 def _without_kernel(image: Tensor, weights: Tensor | None) -> str:
     """The backend for what the compiled kernel does not take."""
     suits = image.device.type == "cuda" and image.dtype == torch.float32 and weights is None
-    return "fused" if suits and fused_ssim() is not None else "reference"
+    return "cuda" if suits and fused_ssim() is not None else "reference"
 
 
 def _fused(image: Tensor, target: Tensor, ssim_weight: float) -> LossOutput:

@@ -50,21 +50,21 @@ class VisibleAdam:
         backend: str = "auto",
         fused: bool = False,
     ) -> None:
-        """Begin with zero moments; allocate `.grad` of every parameter, unless fused or "triton".
+        """Begin with zero moments; allocate `.grad` of every parameter, unless fused or "cuda".
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
                 a tensor with one number per element of a row, (48,) for sh (N, 16, 3).
             betas: decay of the two moments.
             eps: added to the root of the second moment.
-            backend: "cpu" (compiled kernel: float32 on the CPU), "triton" (float32 on an NVIDIA
-                card), "reference" (plain torch), or "auto", the first that can be used.
+            backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (Triton: float32 on an
+                NVIDIA GPU), "reference" (plain torch), or "auto", the first that can be used.
             fused: see the class; left out where the backend is not "cpu".
 
         Raises:
             EngineError: rows, rates or strides that do not fit.
         """
-        if backend not in ("auto", "cpu", "triton", "reference"):
+        if backend not in ("auto", "cpu", "cuda", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
         self.betas, self.eps, self.backend, self._may_fuse = betas, eps, backend, fused
         self.parameters: dict[str, Tensor] = {}
@@ -123,7 +123,7 @@ class VisibleAdam:
                 lambda adam: kernels.roigs_adam(len(on), adam, bindings.pointer(on))
             )
         self.step_count += 1
-        step = self._triton_step if backend == "triton" else self._reference_step
+        step = self._cuda_step if backend == "cuda" else self._reference_step
         skipped: int | Tensor = sum(step(name, visible) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
@@ -163,25 +163,23 @@ class VisibleAdam:
         if self.backend != "auto" or first.dtype != torch.float32:
             return "reference" if self.backend == "auto" else self.backend
         if first.device.type == "cuda" and has_triton():
-            return "triton"
+            return "cuda"
         return "cpu" if first.device.type == "cpu" else "reference"
 
-    def _triton_step(self, name: str, visible: Tensor) -> Tensor | int:
+    def _cuda_step(self, name: str, visible: Tensor) -> Tensor | int:
         from . import adam_triton
 
-        parameter, gradient = self.parameters[name], self.parameters[name].grad
-        if gradient is None:
+        parameter = self.parameters[name]
+        if parameter.grad is None:
             return 0
         skipped = adam_triton.step(
             parameter,
-            gradient,
-            self.exp_avg[name],
-            self.exp_avg_sq[name],
+            (self.exp_avg[name], self.exp_avg_sq[name]),
             visible,
             self._rates[name],
-            self.betas,
-            self.eps,
-            self.step_count,
+            betas=self.betas,
+            eps=self.eps,
+            step_count=self.step_count,
         )
         parameter.grad = None
         return skipped
@@ -273,7 +271,7 @@ class VisibleAdam:
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
             self.parameters[name] = tensor
-        without = self.fused or self._backend() == "triton"
+        without = self.fused or self._backend() == "cuda"
         for tensor in parameters.values():
             tensor.grad = None if without else torch.zeros_like(tensor)
 

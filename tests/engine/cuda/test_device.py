@@ -334,7 +334,7 @@ def test_the_fused_loss_is_the_reference(monkeypatch: pytest.MonkeyPatch) -> Non
     image = torch.rand(1, 20, 30, 3, generator=generator, requires_grad=True)
     photo = torch.randint(0, 256, (20, 30, 3), dtype=torch.uint8, generator=generator)
     results = []
-    for backend in ("fused", "reference"):
+    for backend in ("cuda", "reference"):
         loss = photo_loss(image, photo, backend=backend)
         (gradient,) = torch.autograd.grad(loss.loss, image)
         results.append((*loss, gradient))

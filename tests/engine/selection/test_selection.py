@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from roigs_engine.context import Context
-from roigs_engine.errors import ConfigError, RoiError, RunFolderError
+from roigs_engine.errors import ConfigError, RoiError
 from roigs_engine.formats.events import Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.selection import (
     METHODS,
-    CameraSelection,
     SelectionConfig,
     format_selection,
     select_cameras,
@@ -261,31 +260,16 @@ def test_the_number_of_photos():
     "wrong",
     [
         {"method": "best"},
-        {"acquisition": "pi"},
         {"count": 0},
         {"share": 0.0},
         {"share": 1.5},
-        {"beta": float("nan")},
-        {"beta": -1.0},
         {"seed": -1},
-        {"gp_refit_every": 0},
-        {"direction_bins": 3},
     ],
 )
 def test_wrong_settings_are_named(wrong):
     with pytest.raises(ConfigError) as caught:
         SelectionConfig(**wrong)
     assert caught.value.hint
-
-
-def test_a_selection_survives_its_file_form():
-    selection = select_cameras(ring_scene(), BOX, SelectionConfig())
-    assert CameraSelection.from_dict(selection.to_dict()) == selection
-    broken = selection.to_dict()
-    del broken["names"]
-    for record in (broken, None, [], {**selection.to_dict(), "scores": [0.5]}):
-        with pytest.raises(RunFolderError):
-            CameraSelection.from_dict(record)
 
 
 def test_the_table_lists_every_pick_in_order():
