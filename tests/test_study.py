@@ -19,7 +19,7 @@ from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.cli import STOPPED
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
-from roigs_engine.run import config as engine_config
+from roigs_engine.run import presets
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
@@ -52,7 +52,7 @@ def small_world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "load_colmap", lambda *args, **options: scene)
-        patch.setitem(engine_config.PRESETS, "tiny", tiny)
+        patch.setitem(presets.PRESETS, "tiny", tiny)
         patch.setattr(TrainConfig, "grad_threshold", 9.0)  # the baselines' own would densify it
         yield
     library.set_threads(None)
