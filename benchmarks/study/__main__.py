@@ -1,4 +1,4 @@
-"""The study: `python -m benchmarks.study SCENE ... --out DIR`; benchmarks/README.md explains it.
+"""The study: `python -m benchmarks.study SCENE ... --out DIR`; see benchmarks/README.md.
 
 DIR/rows/SCENE/seed-N/ROW.json holds what was measured; a row with a record is not measured again.
 Exit status: 0 all done, 2 something failed (the rest is done), 3 stopped on request.

@@ -1,4 +1,4 @@
-"""What is missing of a study, in an order in which a study cut short is still of use."""
+"""Measures the rows that a study lacks, the most important first."""
 
 from __future__ import annotations
 
