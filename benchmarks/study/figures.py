@@ -111,7 +111,7 @@ def _bars(results: Results, rows: Sequence[Row]) -> Figure | None:
         stats = [(label, stat) for label, stat in stats if stat.values]
         for at, (_, stat) in enumerate(stats):
             drawn = True
-            one.barh(at, stat.mean, color=COLOURS[at % 7], alpha=0.6)
+            one.barh(at, stat.mean or 0.0, color=COLOURS[at % 7], alpha=0.6)
             one.plot(list(stat.values.values()), [at] * len(stat.values), "k.", markersize=4)
         one.set_yticks(range(len(stats)), [label for label, _ in stats], fontsize=8)
         one.invert_yaxis()
@@ -164,7 +164,7 @@ def _curves(results: Results, rows: Sequence[Row]) -> Figure | None:
             drawn = True
             one.errorbar(
                 [percent for percent, _ in points],
-                [stat.mean for _, stat in points],
+                [stat.mean or 0.0 for _, stat in points],
                 [stat.deviation or 0 for _, stat in points],
                 color=COLOURS[at % len(COLOURS)],
                 linestyle="-" if at < len(COLOURS) else "--",
