@@ -1,7 +1,7 @@
-"""How long a training step takes on a card, beside a bare one; `benchmarks.step --device cuda`.
+"""How long a training step takes on an NVIDIA GPU, beside a bare one; `step --device cuda`.
 
 The bare step is what gsplat's own trainer does for a photo: `gsplat.rasterization`, L1 and SSIM,
-and torch's fused Adam over all Gaussians, on the same scene. Both take turns, round by round.
+and torch's fused Adam over all Gaussians, on the same scene. The two take turns, round by round.
 """
 
 from __future__ import annotations
@@ -16,27 +16,38 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from benchmarks.synthetic import ring_cameras, synthetic_gaussians
-from roigs_engine.model.gaussians import NAMES
-from roigs_engine.rasterize import rasterize
+from benchmarks.markdown import NONE
+from benchmarks.markdown import table as markdown_table
+from benchmarks.synthetic import SyntheticPhotos, trainable
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 
-WARM_UP = 3  # passes over the cameras: kernels are compiled, memory is taken
+WARM_UP = 3  # passes over the cameras: kernels are compiled, memory is allocated
 COLUMNS = ("Gaussians", "size", "step", "bare step", "bare / step", "in kernels", "waits", "GiB")
+
+Step = Callable[[Tensor], None]
+"""A training step as a function of the camera's pose (4, 4)."""
 
 
 @dataclass(kw_only=True)
 class Row:
-    """Milliseconds of a pass over the cameras, divided by their number; one entry a round."""
+    """What was measured for one number of Gaussians and one size.
+
+    Attributes:
+        gaussians, size: of the scene, of the photo.
+        ours, bare: milliseconds a step, the mean over the cameras; one entry a round.
+        kernels: share of the step's time in which a kernel ran.
+        waits: how often a step waits for the GPU.
+        memory: bytes, the most that was allocated.
+    """
 
     gaussians: int
     size: tuple[int, int]
     ours: list[float] = field(default_factory=list)
     bare: list[float] = field(default_factory=list)
-    kernels: float | None = None  # share of the step's time in which a kernel ran
-    waits: int | None = None  # times a step waits for the card
-    memory: int = 0  # bytes, the most that was allocated
+    kernels: float | None = None
+    waits: int | None = None
+    memory: int = 0
 
     def cells(self) -> list[str]:
         """The table's row."""
@@ -47,66 +58,51 @@ class Row:
             f"{self.gaussians:,}",
             f"{self.size[0]}x{self.size[1]}",
             f"{step:.2f}",
-            "-" if bare is None else f"{bare:.2f}",
-            f"{statistics.median(ratios):.2f}" if ratios else "-",
-            "-" if self.kernels is None else f"{self.kernels:.0%}",
-            "-" if self.waits is None else str(self.waits),
+            NONE if bare is None else f"{bare:.2f}",
+            f"{statistics.median(ratios):.2f}" if ratios else NONE,
+            NONE if self.kernels is None else f"{self.kernels:.0%}",
+            NONE if self.waits is None else str(self.waits),
             f"{self.memory / 2**30:.1f}",
         ]
 
 
-class Scene:
-    """Cameras and photo on a device."""
-
-    def __init__(self, size: tuple[int, int], device: torch.device) -> None:
-        width, height = self.size = size
-        focal = 0.87 * width
-        self.views = ring_cameras().to(device)
-        matrix = [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]
-        self.intrinsics = torch.tensor([matrix], device=device)
-        generator = torch.Generator().manual_seed(0)
-        shape = (height, width, 3)
-        photo = torch.randint(0, 256, shape, dtype=torch.uint8, generator=generator)
-        self.photo = photo.to(device)
-
-
-def our_step(gaussians: int, scene: Scene) -> Callable[[Tensor], None]:
-    """A step of the engine as a function of the camera's pose (1, 4, 4)."""
-    tensors = _tensors(gaussians, scene.photo.device)
-    optimizer = VisibleAdam({name: (tensor, 0.0) for name, tensor in tensors.items()})
+def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
+    """A step of the engine."""
+    model = trainable(gaussians, photos.photo.device)
+    optimizer = VisibleAdam({name: (tensor, 0.0) for name, tensor in model.tensors().items()})
 
     def step(pose: Tensor) -> None:
-        output = rasterize(*tensors.values(), pose, scene.intrinsics, *scene.size, raw=True)
-        photo_loss(output.image, scene.photo).loss.backward()
+        output = photos.render(model, pose)
+        photo_loss(output.image, photos.photo).loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step(output.visible[0])
 
     return step
 
 
-def bare_step(gaussians: int, scene: Scene) -> Callable[[Tensor], None]:
-    """The same by gsplat's high-level call and torch's optimiser."""
+def bare_step(gaussians: int, photos: SyntheticPhotos) -> Step:
+    """The same by gsplat's high-level call and torch's optimizer."""
     import gsplat
 
-    tensors = _tensors(gaussians, scene.photo.device)
-    groups = [{"params": [tensor], "lr": 0.0} for tensor in tensors.values()]
+    model = trainable(gaussians, photos.photo.device)
+    groups = [{"params": [tensor], "lr": 0.0} for tensor in model.tensors().values()]
     optimizer = torch.optim.Adam(groups, eps=1e-15, fused=True)
-    means, quats, scales, opacities, sh = tensors.values()
+    width, height = photos.size
 
     def step(pose: Tensor) -> None:
         image, _, _ = gsplat.rasterization(
-            means=means,
-            quats=quats,
-            scales=scales.exp(),
-            opacities=opacities.sigmoid(),
-            colors=sh,
-            viewmats=pose,
-            Ks=scene.intrinsics,
-            width=scene.size[0],
-            height=scene.size[1],
+            means=model.means,
+            quats=model.quats,
+            scales=model.log_scales.exp(),
+            opacities=model.logit_opacities.sigmoid(),
+            colors=model.sh,
+            viewmats=pose[None],
+            Ks=photos.intrinsics,
+            width=width,
+            height=height,
             sh_degree=3,
             packed=False,
         )
-        photo_loss(image, scene.photo).loss.backward()
+        photo_loss(image, photos.photo).loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
 
@@ -118,68 +114,62 @@ def measure(
     size: tuple[int, int],
     rounds: int,
     device: torch.device,
-    makers: Sequence[Callable[[int, Scene], Callable[[Tensor], None]]] = (our_step, bare_step),
+    makers: Sequence[Callable[[int, SyntheticPhotos], Step]] = (our_step, bare_step),
 ) -> Row:
     """One row; `makers`: what is compared, ours first."""
-    row, scene = Row(gaussians=gaussians, size=size), Scene(size, device)
-    steps = [make(gaussians, scene) for make in makers]
+    row, photos = Row(gaussians=gaussians, size=size), SyntheticPhotos(size, device)
+    steps = [make(gaussians, photos) for make in makers]
     for step in steps:
         for _ in range(WARM_UP):
-            _pass(step, scene)
+            _pass(step, photos)
     for _ in range(rounds):
         for times, step in zip((row.ours, row.bare), steps, strict=False):
-            times.append(_pass(step, scene))
+            times.append(_pass(step, photos))
     if device.type == "cuda":
         row.memory = torch.cuda.max_memory_allocated(device)
-        row.waits = _waits(steps[0], scene)
-        row.kernels = _share_in_kernels(steps[0], scene)
+        row.waits = _waits(steps[0], photos)
+        row.kernels = _share_in_kernels(steps[0], photos)
     return row
 
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown."""
-    lines = [COLUMNS, ("---",) * len(COLUMNS), *(row.cells() for row in rows)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join(markdown_table(COLUMNS, (row.cells() for row in rows)))
 
 
-def _tensors(gaussians: int, device: torch.device) -> dict[str, Tensor]:
-    model = synthetic_gaussians(gaussians)
-    return {name: getattr(model, name).to(device).requires_grad_() for name in NAMES}
-
-
-def _pass(step: Callable[[Tensor], None], scene: Scene) -> float:
-    """Milliseconds a step, over all cameras, until the device is done."""
-    _settle(scene)
+def _pass(step: Step, photos: SyntheticPhotos) -> float:
+    """Milliseconds a step, over all cameras, until the device has finished."""
+    _settle(photos)
     began = time.perf_counter()
-    for c in range(len(scene.views)):
-        step(scene.views[c : c + 1])
-    _settle(scene)
-    return 1e3 * (time.perf_counter() - began) / len(scene.views)
+    for pose in photos.poses:
+        step(pose)
+    _settle(photos)
+    return 1e3 * (time.perf_counter() - began) / len(photos.poses)
 
 
-def _settle(scene: Scene) -> None:
-    if scene.photo.is_cuda:
+def _settle(photos: SyntheticPhotos) -> None:
+    if photos.photo.is_cuda:
         torch.cuda.synchronize()
 
 
-def _waits(step: Callable[[Tensor], None], scene: Scene) -> int:
-    """How often one step makes the host wait for the card."""
+def _waits(step: Step, photos: SyntheticPhotos) -> int:
+    """How often one step makes the host wait for the GPU."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
         try:
-            step(scene.views[:1])
+            step(photos.poses[0])
         finally:
             torch.cuda.set_sync_debug_mode("default")
     return sum("synchroniz" in str(warning.message) for warning in caught)
 
 
-def _share_in_kernels(step: Callable[[Tensor], None], scene: Scene) -> float:
+def _share_in_kernels(step: Step, photos: SyntheticPhotos) -> float:
     """Time of the kernels of a pass over the time of a pass; they run one after the other."""
-    whole = _pass(step, scene) * len(scene.views)
+    whole = _pass(step, photos) * len(photos.poses)
     from torch.profiler import ProfilerActivity, profile
 
     with profile(activities=[ProfilerActivity.CUDA]) as profiler:
-        _pass(step, scene)
+        _pass(step, photos)
     events: Any = profiler.key_averages()
     return float(sum(event.self_device_time_total for event in events)) / 1e3 / whole

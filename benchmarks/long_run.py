@@ -4,9 +4,9 @@ The demo scene is trained with growing Gaussians, again and again. Every cycle b
 points, in a stage folder of its own, with photos, checkpoints and previews as a run has them. A
 cycle repeats the one before bit for bit, so memory and the time of a step are compared at equal
 numbers of Gaussians. A line goes to FOLDER/log.csv every 50 steps: `python -m benchmarks.long_run
-FOLDER --evaluate` says what is in it, also while the run goes on or after it was cut short.
+FOLDER --evaluate` evaluates it, also while the run is at work or after it was interrupted.
 
-Time is the processor's, not the clock's: the machine may do other work, or pause this process.
+Times are CPU times: the machine may do other work, or pause this process.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.markdown import table
 from benchmarks.memory import resident
 
 SCENE = Path(__file__).resolve().parent.parent / "demo" / "scene"
@@ -29,7 +30,7 @@ PREVIEW_SECONDS = 30.0
 
 
 class Log:
-    """Writes a row every `LOG_STEPS` steps; `should_stop` of a stage counts them."""
+    """Writes a row every `LOG_STEPS` steps; counts them as the `should_stop` of a context."""
 
     def __init__(self, path: Path) -> None:
         self._file = open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115 - open to the end
@@ -57,15 +58,15 @@ class Log:
 
 def train(folder: Path, hours: float, steps: int, threads: int) -> None:
     """Whole cycles until `hours` have passed on the clock."""
+    from benchmarks.training import all_photos
     from roigs_engine.colmap.project import load_colmap
+    from roigs_engine.context import Context
     from roigs_engine.formats.events import Event, Progress
     from roigs_engine.kernels import library
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.photos.cache import PhotoCache
     from roigs_engine.run.presets import preset
-    from roigs_engine.training import photo_order
-    from roigs_engine.training.stage import Stage
-    from roigs_engine.training.trainer import StageData
+    from roigs_engine.run.stage_folder import StageFolder
 
     library.set_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,25 +85,24 @@ def train(folder: Path, hours: float, steps: int, threads: int) -> None:
         if isinstance(event, Progress):
             log.gaussians = event.gaussians
 
+    context = Context(emit=watch, should_stop=log.before_step)
+    stage = StageFolder(
+        name="stage",
+        folder=folder / "stage",
+        fingerprint="long run",
+        preview=folder / "preview.ply",
+        preview_seconds=PREVIEW_SECONDS,
+    )
     while time.monotonic() - began < 3600 * hours:
         log.begin_cycle()
-        shutil.rmtree(folder / "stage", ignore_errors=True)
-        with PhotoCache(scene.images) as photos:
-            data = StageData(
-                images=scene.images,
-                photos=photos,
-                photo_at=photo_order.shuffled(range(len(scene.images)), 0),
-                extent=scene.extent(),
+        shutil.rmtree(stage.folder, ignore_errors=True)
+        with PhotoCache(scene.images) as cache:
+            stage.train(
+                lambda: Gaussians.from_points(scene.points, scene.colors),
+                all_photos(scene.images, scene.extent(), cache),
+                config,
+                context,
             )
-            Stage(
-                name="stage",
-                folder=folder / "stage",
-                data=data,
-                config=config,
-                start=Gaussians.from_points(scene.points, scene.colors),
-                fingerprint="long run",
-                preview_seconds=PREVIEW_SECONDS,
-            ).run(watch, log.before_step)
 
 
 def evaluate(folder: Path) -> None:
@@ -114,8 +114,8 @@ def evaluate(folder: Path) -> None:
             cycles[int(row["cycle"])][int(row["step"])] = values
     minutes = max(row["clock_s"] for row in cycles[max(cycles)].values()) / 60
     print(f"{len(cycles)} cycles in {minutes:.0f} minutes\n")
-    print("| cycle | steps | Gaussians | CPU ms a step | of cycle 1 | MiB | of cycle 1 |")
-    print("|---|---|---|---|---|---|---|")
+    head = ["cycle", "steps", "Gaussians", "CPU ms a step", "of cycle 1", "MiB", "of cycle 1"]
+    lines = []
     for cycle, rows in cycles.items():
         cells = [str(cycle), str(max(rows)), f"{rows[max(rows)]['gaussians']:,.0f}"]
         for field in ("cpu_ms", "resident_mib"):
@@ -124,12 +124,13 @@ def evaluate(folder: Path) -> None:
             ratios = [100 * rows[s][field] / cycles[1][s][field] for s in shared] or [math.nan]
             middle = statistics.median(ratios)
             cells.append(f"{middle:.1f} % ({min(ratios):.1f} to {max(ratios):.1f})")
-        print(f"| {' | '.join(cells)} |")
+        lines.append(cells)
+    print("\n".join(table(head, lines)))
 
 
 def main() -> None:
     """Train, or evaluate what was logged."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--steps", type=int, default=2500, help="of a cycle")

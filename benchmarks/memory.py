@@ -12,10 +12,14 @@ import argparse
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benchmarks.markdown import table
+
 if TYPE_CHECKING:
+    from roigs_engine.model.scene import PosedImage
     from roigs_engine.training.trainer import Trainer
 
 MIB = 1 << 20
@@ -23,7 +27,7 @@ STATUS = Path("/proc/self/status")
 
 
 def resident(field: str = "VmRSS") -> float:
-    """Resident memory in MiB: now, or with `VmHWM` the most there ever was."""
+    """Resident memory in MiB: now, or the peak (`VmHWM`)."""
     lines = STATUS.read_text(encoding="ascii").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(f"{field}:")) / 1024
 
@@ -43,43 +47,23 @@ def write_photos(folder: Path, count: int, width: int, height: int) -> None:
 
 
 def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
-    """Train in this process, and print one Markdown row per moment and per kind of array."""
+    """Train in this process, and print one row per moment and per kind of array."""
     rows = [("start of Python", resident())]
-    import torch
+    import torch  # noqa: F401 - to measure it
 
     rows.append(("torch imported", resident()))
-    from benchmarks.synthetic import ring_cameras, synthetic_gaussians
+    from benchmarks.synthetic import synthetic_gaussians
+    from benchmarks.training import all_photos
     from roigs_engine.kernels import library
-    from roigs_engine.model.scene import Camera, PosedImage
     from roigs_engine.photos.cache import PhotoCache
-    from roigs_engine.training import photo_order
     from roigs_engine.training.config import TrainConfig
-    from roigs_engine.training.trainer import StageData, Trainer
+    from roigs_engine.training.trainer import Trainer
 
     library.set_threads(args.threads)
     rows.append(("engine imported, kernels loaded", resident()))
-    width, height = args.size
-    focal = 0.87 * width
-    camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
-    poses = ring_cameras().double().numpy()
-    nothing = torch.zeros(0, dtype=torch.int64).numpy()
-    images = [
-        PosedImage(
-            name=path.name,
-            path=path,
-            camera=camera,
-            world_to_camera=poses[k % len(poses)],
-            point_indices=nothing,
-        )
-        for k, path in enumerate(sorted(folder.glob("*.jpg")))
-    ]
-    photos = PhotoCache(images)
-    data = StageData(
-        images=images,
-        photos=photos,
-        photo_at=photo_order.shuffled(range(len(images)), 0),
-        extent=5.0,
-    )
+    images = posed(sorted(folder.glob("*.jpg")), *args.size)
+    cache = PhotoCache(images)
+    data = all_photos(images, 5.0, cache)
     config = TrainConfig(
         steps=args.steps,
         sh_start=3,
@@ -94,14 +78,33 @@ def train(folder: Path, args: argparse.Namespace, densify: bool) -> None:
     rows.append(("after the first step", resident()))
     trainer.run()
     rows.append((f"after {trainer.step} steps", resident()))
-    rows.append(("most there ever was", resident("VmHWM")))
+    rows.append(("peak", resident("VmHWM")))
     print(
-        f"\n{len(images)} photos of {width} x {height}, {args.threads} threads, "
+        f"\n{len(images)} photos of {args.size[0]} x {args.size[1]}, {args.threads} threads, "
         f"{count:,} Gaussians at first, {len(trainer.gaussians):,} at last\n"
     )
-    print("| | MiB |\n|---|---|")
-    for name, megabytes in [*rows, *known(trainer, photos.kept_bytes)]:
-        print(f"| {name} | {megabytes:.0f} |")
+    rows += known(trainer, cache.kept_bytes)
+    print("\n".join(table(["moment", "MiB"], ([name, f"{mib:.0f}"] for name, mib in rows))))
+
+
+def posed(paths: Sequence[Path], width: int, height: int) -> list[PosedImage]:
+    """The photos, at the poses of the synthetic scene's cameras in turn."""
+    import numpy as np
+
+    from benchmarks.synthetic import ring_camera, ring_cameras
+    from roigs_engine.model.scene import PosedImage
+
+    poses = ring_cameras().double().numpy()
+    return [
+        PosedImage(
+            name=path.name,
+            path=path,
+            camera=ring_camera(width, height),
+            world_to_camera=poses[k % len(poses)],
+            point_indices=np.zeros(0, dtype=np.int64),
+        )
+        for k, path in enumerate(paths)
+    ]
 
 
 def known(trainer: Trainer, photo_bytes: int) -> list[tuple[str, float]]:
@@ -116,8 +119,8 @@ def known(trainer: Trainer, photo_bytes: int) -> list[tuple[str, float]]:
 
 
 def main() -> None:
-    """Write the photos, and measure both settings one after the other."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Write the photos, then measure the two settings."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--gaussians", type=int, default=200_000)
     parser.add_argument("--photos", type=int, default=100)
     parser.add_argument("--size", type=int, nargs=2, default=[640, 426], metavar=("W", "H"))

@@ -1,8 +1,8 @@
 """Where a training's time goes: `python -m benchmarks.profile_training SCENE`.
 
-Trains the Full Scene baseline of a preset and takes the time of the training thread: what passes
-inside the compiled kernels, and inside each part of the Python around them. A part's figure leaves
-out the parts and the kernels it calls. Checkpoints are not training and are not written here.
+Trains the Full Scene baseline of a preset and measures the time of the training thread: in the
+compiled kernels, and in each part of the Python around them. A part's time leaves out the parts and
+the kernels that it calls. No checkpoints are written: they are not training.
 """
 
 from __future__ import annotations
@@ -17,16 +17,20 @@ from typing import Any
 
 import torch
 
+from benchmarks.markdown import table
+from benchmarks.training import all_photos
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.kernels import library
+from roigs_engine.context import Context
+from roigs_engine.kernels import bindings, library
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.run.stage_configs import baseline
-from roigs_engine.training import photo_order, trainer
-from roigs_engine.training.densify import DensityStats
+from roigs_engine.training import trainer
+from roigs_engine.training.densification.adaptive import AdaptiveDensity
+from roigs_engine.training.densification.statistics import DensityStats
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.trainer import Trainer
 
 KERNELS = "kernels"
 
@@ -71,36 +75,22 @@ class Clock:
 
 
 class TimedKernels:
-    """The kernels' library; every call of a function of it is counted."""
+    """The kernels' library; every call of one of its functions is counted."""
 
     def __init__(self, kernels: ctypes.CDLL, clock: Clock) -> None:
         self._kernels, self._clock = kernels, clock
 
-    def __getattr__(self, name: str) -> TimedKernel:
-        kernel = TimedKernel(getattr(self._kernels, name), self._clock)
-        setattr(self, name, kernel)
-        return kernel
-
-
-class TimedKernel:
-    """One function of the library; its signature is set on the function itself."""
-
-    def __init__(self, function: Any, clock: Clock) -> None:
-        self.__dict__["function"] = function
-        self.__dict__["call"] = clock.timed(f"{KERNELS}: {function.__name__}", function)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        setattr(self.function, name, value)
-
-    def __call__(self, *arguments: Any) -> Any:
-        return self.call(*arguments)
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        function = self._clock.timed(f"{KERNELS}: {name}", getattr(self._kernels, name))
+        setattr(self, name, function)
+        return function
 
 
 def watch_training() -> Clock:
     """A clock on the parts of every training step from now on, in this process."""
     clock = Clock()
-    kernels = TimedKernels(library.load(), clock)
-    library.load = lambda: kernels  # type: ignore[assignment,return-value]
+    kernels = TimedKernels(bindings.kernels(), clock)
+    bindings.kernels = lambda: kernels  # type: ignore[assignment]
     clock.watch(Trainer, "_run", "the loop itself")
     clock.watch(PhotoCache, "prefetch", "photos")
     clock.watch(PhotoCache, "__getitem__", "photos")
@@ -112,22 +102,18 @@ def watch_training() -> Clock:
     clock.watch(VisibleAdam, "set_lr", "optimizer")
     clock.watch(DensityStats, "add", "statistics")
     clock.watch(Trainer, "_observe", "running loss and PSNR")
-    clock.watch(Trainer, "_edit", "densification")
+    clock.watch(AdaptiveDensity, "edit", "densification")
+    clock.watch(Trainer, "_apply", "densification")
     return clock
 
 
 def train(folder: Path, max_side: int, preset_name: str, steps: int) -> Trainer:
     """The first steps of the Full Scene baseline on all photos of a COLMAP project."""
     scene = load_colmap(folder, max_side=max_side)
-    data = StageData(
-        images=scene.images,
-        photos=PhotoCache(scene.images),
-        photo_at=photo_order.shuffled(range(len(scene.images)), 0),
-        extent=scene.extent(),
-    )
+    data = all_photos(scene.images, scene.extent())
     start = Gaussians.from_points(scene.points, scene.colors)
     work = Trainer(start, data, baseline(preset(preset_name)))
-    work.run(should_stop=lambda: work.step >= steps)
+    work.run(Context(should_stop=lambda: work.step >= steps))
     return work
 
 
@@ -139,17 +125,17 @@ def print_table(clock: Clock, steps: int) -> None:
         for k in (0, 1)
     ]
     rows = sorted(clock.seconds.items(), key=lambda row: -row[1][0])
-    print("| part | ms a step, wall (CPU) | share, wall (CPU) |")
-    print("|---|---|---|")
+    lines = []
     for part, taken in [*rows, ("all kernels", inside), ("all", total)]:
         wall, cpu = (1e3 * t / steps for t in taken)
         share, cpu_share = (100 * taken[k] / total[k] for k in (0, 1))
-        print(f"| {part} | {wall:.3f} ({cpu:.3f}) | {share:.1f} % ({cpu_share:.1f} %) |")
+        lines.append([part, f"{wall:.3f} ({cpu:.3f})", f"{share:.1f} % ({cpu_share:.1f} %)"])
+    print("\n".join(table(["part", "ms a step, wall (CPU)", "share, wall (CPU)"], lines)))
 
 
 def main() -> None:
     """Train, and print one Markdown row per part."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scene", type=Path)
     parser.add_argument("--max-side", type=int, default=640)
     parser.add_argument("--preset", choices=sorted(PRESETS), default="draft")

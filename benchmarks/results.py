@@ -82,10 +82,11 @@ class Measurement:
     def extra_cost(self, option: str, stage: str) -> float:
         """CPU time with optional outputs, relative to without; median over cameras of fastest."""
         cameras = zip(*self.extras, strict=True)  # -> per camera its rounds
-        return statistics.median(
+        ratios: list[float] = [
             min(r[option][stage][CPU] for r in rounds) / min(r["plain"][stage][CPU] for r in rounds)
             for rounds in cameras
-        )
+        ]
+        return statistics.median(ratios)
 
     def _fastest(self, stage: str, clock: int) -> list[float]:
         cameras = zip(*self.rounds, strict=True)

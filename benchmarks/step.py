@@ -35,11 +35,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measures and prints tables in Markdown; progress goes to standard error."""
     options = _options(arguments)
     if options.device == "cuda":
-        _on_card(options)
+        _on_gpu(options)
         return
     rows = [
-        Row(gaussians, *size, threads)
-        for gaussians, size, threads in product(options.gaussians, options.size, options.threads)
+        Row(gaussians, width, height, threads)
+        for gaussians, (width, height), threads in product(
+            options.gaussians, options.size, options.threads
+        )
     ]
     question = "extras" if options.extras else "step"
     measurements: list[Measurement] = []
@@ -66,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(tables.ratio_table(measurements))
 
 
-def _on_card(options: argparse.Namespace) -> None:
+def _on_gpu(options: argparse.Namespace) -> None:
     """Prints the table of `cuda_step`."""
     device = choose_device("cuda")
     rows = []
@@ -74,7 +76,7 @@ def _on_card(options: argparse.Namespace) -> None:
         print(gaussians, *size, file=sys.stderr)
         rows.append(cuda_step.measure(gaussians, size, options.rounds, device))
     print(f"{torch.cuda.get_device_name(device)}, torch {torch.__version__}")
-    _section("Milliseconds a step; share of it inside kernels, waits for the card in one step")
+    _section("Milliseconds a step; share of it inside kernels, waits for the GPU in one step")
     print(cuda_step.table(rows))
 
 

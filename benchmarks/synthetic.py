@@ -2,13 +2,52 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
+from torch import Tensor
 
 from roigs_engine.model.gaussians import SH_C0, Gaussians
-from roigs_engine.training.densify import morton_order
+from roigs_engine.model.scene import Camera
+from roigs_engine.rasterize import RenderOutput, rasterize
+from roigs_engine.training.z_order import morton_order
 
 CAMERAS = 8
+
+
+class SyntheticPhotos:
+    """Cameras of one size around the scene, and one photo of random pixels for all of them.
+
+    Attributes:
+        size: width and height in pixels.
+        poses: (CAMERAS, 4, 4) world_to_camera.
+        intrinsics: (1, 3, 3).
+        photo: (H, W, 3) uint8.
+    """
+
+    def __init__(self, size: tuple[int, int], device: torch.device | None = None) -> None:
+        width, height = self.size = size
+        camera = ring_camera(width, height)
+        matrix = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
+        self.intrinsics = torch.tensor([matrix], device=device)
+        self.poses = ring_cameras().to(device)
+        generator = torch.Generator().manual_seed(0)
+        shape = (height, width, 3)
+        photo = torch.randint(0, 256, shape, dtype=torch.uint8, generator=generator)
+        self.photo = photo.to(device)
+
+    def render(self, gaussians: Gaussians, pose: Tensor, **options: Any) -> RenderOutput:
+        """The Gaussians as one of the cameras sees them; options as of `rasterize`."""
+        g = gaussians
+        return rasterize(
+            *(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh),
+            pose[None],
+            self.intrinsics,
+            *self.size,
+            raw=True,
+            **options,
+        )
 
 
 def synthetic_gaussians(count: int, seed: int = 0) -> Gaussians:
@@ -41,7 +80,19 @@ def synthetic_gaussians(count: int, seed: int = 0) -> Gaussians:
     return model.rows(morton_order(model.means))
 
 
-def ring_cameras() -> torch.Tensor:
+def trainable(count: int, device: torch.device | None = None) -> Gaussians:
+    """`synthetic_gaussians` on a device, as leaves of autograd."""
+    tensors = synthetic_gaussians(count).to(device or torch.device("cpu")).tensors()
+    return Gaussians(**{name: tensor.requires_grad_() for name, tensor in tensors.items()})
+
+
+def ring_camera(width: int, height: int) -> Camera:
+    """The camera of every photo."""
+    focal = 0.87 * width
+    return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+
+
+def ring_cameras() -> Tensor:
     """(CAMERAS, 4, 4) world_to_camera, looking at the middle from around it."""
     poses = []
     for angle in np.arange(CAMERAS) * 2 * np.pi / CAMERAS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
+from benchmarks.markdown import table
 from benchmarks.results import CPU, STAGES, WALL, Measurement, growth
 
 RASTER = ("raster", "raster backward")
@@ -19,7 +20,7 @@ def stage_table(measurements: Sequence[Measurement]) -> str:
         ]
         for m in measurements
     )
-    return _table([*_NAMES, *STAGES], rows)
+    return _table(STAGES, rows)
 
 
 def work_table(measurements: Sequence[Measurement]) -> str:
@@ -40,7 +41,7 @@ def work_table(measurements: Sequence[Measurement]) -> str:
             _number(None if m.memory is None else m.memory / 1e6, ",.0f"),
         ]
 
-    return _table([*_NAMES, *head], ([*_names(m), *cells(m)] for m in measurements))
+    return _table(head, ([*_names(m), *cells(m)] for m in measurements))
 
 
 def growth_table(measurements: Sequence[Measurement]) -> str:
@@ -51,7 +52,9 @@ def growth_table(measurements: Sequence[Measurement]) -> str:
     for _, same in groupby(sorted(measurements, key=_variant), key=_variant):
         group = sorted(same, key=lambda m: m.milliseconds("step", CPU))
         fit = growth(group)
-        for m in group if fit else []:
+        if fit is None:
+            continue
+        for m in group:
             time, expected = m.milliseconds("step", CPU), fit.milliseconds(m)
             rows.append(
                 [
@@ -61,7 +64,7 @@ def growth_table(measurements: Sequence[Measurement]) -> str:
                     *(f"{fit.per_visible:.0f}", f"{fit.per_pair:.2f}", f"{fit.exponent:.2f}"),
                 ]
             )
-    return _table([*_NAMES, *head], rows)
+    return _table(head, rows)
 
 
 def ratio_table(measurements: Sequence[Measurement]) -> str:
@@ -73,7 +76,7 @@ def ratio_table(measurements: Sequence[Measurement]) -> str:
         ]
         for base, m in _pairs(measurements)
     )
-    return _table([*_NAMES, *STAGES], rows)
+    return _table(STAGES, rows)
 
 
 def extras_table(measurements: Sequence[Measurement]) -> str:
@@ -89,7 +92,7 @@ def extras_table(measurements: Sequence[Measurement]) -> str:
         ]
         for m in measurements
     )
-    return _table([*_NAMES, *options], rows)
+    return _table(options, rows)
 
 
 _NAMES = ["engine", "ISA", "Gaussians", "size", "threads"]
@@ -122,5 +125,4 @@ def _number(value: float | None, form: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join(table([*_NAMES, *head], rows))

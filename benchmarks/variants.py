@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
+BINDINGS = "roigs_engine/kernels/bindings.py"  # came with the modules that the benchmarks use
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Worker:
         )
 
     def ask(self, question: str) -> Any:
-        """Its answer; ends the program where there is none, the worker has said why."""
+        """Its answer. Ends the program if there is none; the worker has said why."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(BrokenPipeError):
             print(question, file=self._process.stdin, flush=True)
@@ -69,7 +70,11 @@ class Worker:
 
 @contextmanager
 def engines(revision: str | None) -> Iterator[dict[str, Path]]:
-    """Name -> folder, with kernels built: first a git revision if one is given, then "this"."""
+    """Name -> folder, with kernels built: first a git revision if one is given, then "this".
+
+    Raises:
+        SystemExit: the revision's engine has other modules than the benchmarks use.
+    """
     with tempfile.TemporaryDirectory(prefix="roigs-compare-") as folder:
         found = {}
         if revision is not None:
@@ -82,6 +87,11 @@ def engines(revision: str | None) -> Iterator[dict[str, Path]]:
             )
             with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as tar:
                 tar.extractall(folder, filter="data")
+            if not (Path(folder) / BINDINGS).exists():
+                raise SystemExit(
+                    f"error: the engine of {revision} is too old for these benchmarks;"
+                    " run the benchmarks of that revision instead."
+                )
         found["this"] = ROOT
         for engine in found.values():
             subprocess.run(

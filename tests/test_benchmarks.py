@@ -54,13 +54,14 @@ def counted_pairs(means: torch.Tensor, opacity: float, **options: bool) -> int:
 
 
 def test_a_step_has_all_stages(tiny: StepBenchmark) -> None:
-    before = {name: tensor.detach().clone() for name, tensor in tiny.tensors.items()}
+    before = {name: tensor.detach().clone() for name, tensor in tiny.model.tensors().items()}
     times = tiny.step_times()
     assert len(times) == CAMERAS
     assert all(set(t) == set(STAGES) for t in times)
     wall = [sum(t[stage][0] for stage in STAGES if stage != "step") for t in times]
     assert wall == pytest.approx([t["step"][0] for t in times])
-    assert all(torch.equal(tiny.tensors[name], tensor) for name, tensor in before.items())
+    after = tiny.model.tensors()
+    assert all(torch.equal(after[name], tensor) for name, tensor in before.items())
 
 
 def test_counts_do_not_depend_on_threads(tiny: StepBenchmark) -> None:
@@ -165,7 +166,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "max_weight" in capsys.readouterr().out
 
 
-def test_the_step_on_a_card_is_measured_by_what_runs_anywhere() -> None:
+def test_the_step_on_a_gpu_is_measured_by_what_runs_anywhere() -> None:
     """The engine's side of it, on the CPU; the bare step needs gsplat."""
     row = cuda_step.measure(500, (64, 48), 2, torch.device("cpu"), [cuda_step.our_step])
     assert len(row.ours) == 2 and min(row.ours) > 0 and not row.bare
@@ -175,7 +176,7 @@ def test_the_step_on_a_card_is_measured_by_what_runs_anywhere() -> None:
     assert last.startswith("| 500 | 64x48 |") and "| 2.00 | 97% | 1 |" in last
 
 
-def test_without_a_card_the_step_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_gpu_the_step_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", None)
     with pytest.raises(KernelError, match="without CUDA"):
         step.main(["--device", "cuda"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +20,7 @@ from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.cli import STOPPED
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
-from roigs_engine.run import config as engine_config
+from roigs_engine.run import presets
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
@@ -52,7 +53,7 @@ def small_world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "load_colmap", lambda *args, **options: scene)
-        patch.setitem(engine_config.PRESETS, "tiny", tiny)
+        patch.setitem(presets.PRESETS, "tiny", tiny)
         patch.setattr(TrainConfig, "grad_threshold", 9.0)  # the baselines' own would densify it
         yield
     library.set_threads(None)
@@ -149,6 +150,50 @@ def test_what_is_done_is_not_measured_again(
     assert study(scene_folder, done, "--rows", *ROWS, "--seeds", "0", "1") == 0
     assert measured == []
     assert {path: path.read_bytes() for path in (done / "rows").rglob("*.json")} == before
+
+
+def test_a_record_of_another_manifest_is_archived_and_measured_again(
+    done: Path,
+    scene_folder: Path,
+    tmp_path: Path,
+    measured: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Also one that an earlier version wrote, which has no manifest."""
+    out = tmp_path / "study"
+    shutil.copytree(done, out)
+    path = out / "rows" / "ball" / "seed-0" / "joint.json"
+    record = json.loads(path.read_text(encoding="utf-8"))
+    record["request"] = record.pop("manifest")
+    path.write_text(json.dumps(record), encoding="utf-8")
+    assert study(scene_folder, out, "--rows", *ROWS, "--seeds", "0", "1") == 0
+    assert measured == ["joint 0"]
+    assert "settings, photos or boxes have changed" in capsys.readouterr().err
+    (archived,) = (path.parent / "archive").iterdir()
+    assert json.loads(archived.read_text(encoding="utf-8")) == record
+    assert len(load_records(out / "rows")) == len(load_records(done / "rows"))
+
+
+def test_ablations_start_from_the_scene_of_the_unchanged_settings(
+    scene_folder: Path, tmp_path: Path
+) -> None:
+    options = ("--rows", "full-scene", "independent", "gp6-20", "--keep-models", "--seeds", "0")
+    assert study(scene_folder, tmp_path, *options) == 0
+    folder = tmp_path / "runs" / "ball" / "seed-0"
+    assert (
+        json.loads((folder / "manifest.json").read_text("utf-8"))["config"]["selection"]["method"]
+        == "gp6"
+    )
+    first, second = (
+        next(r for r in load_records(tmp_path / "rows") if r["row"] == row)
+        for row in ("independent", "gp6-20")
+    )
+    assert first["stages"]["scene"] == second["stages"]["scene"]
+    assert {path.name.rpartition("-")[0] for path in (folder / "archive").iterdir()} == {
+        "object-thing",
+        "object-part",
+        "results",
+    }
 
 
 def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: Path) -> None:

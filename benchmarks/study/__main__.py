@@ -1,7 +1,7 @@
-"""The study: `python -m benchmarks.study SCENE ... --out DIR`; benchmarks/README.md explains it.
+"""The study: `python -m benchmarks.study SCENE ... --out DIR`; see benchmarks/README.md.
 
-DIR/rows/SCENE/seed-N/ROW.json has what was measured; what is there is not measured again. Exit
-status: 0 all done, 2 something failed (the rest is done), 3 stopped on request.
+DIR/rows/SCENE/seed-N/ROW.json holds what was measured; a row with a record is not measured again.
+Exit status: 0 all done, 2 something failed (the rest is done), 3 stopped on request.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from benchmarks.study.figures import write_figures
 from benchmarks.study.measure import machine
 from benchmarks.study.results import Results, load_records
-from benchmarks.study.rows import BEYOND, TABLES, VARIANT, Row, all_rows, parse_variant, wanted
+from benchmarks.study.rows import TABLES, Row, all_rows, parse_variant, variant, wanted
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from benchmarks.study.tables import Study, command_line
 from benchmarks.study.work import Work
@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace, given: Sequence[str], console: Console) ->
                 factor=options.steps,
                 max_side=options.max_side,
                 keep_models=options.keep_models,
-                console=console,
+                context=console.context,
             )
             failures = work.do(rows, scenes, options.seeds, lambda: report(figures=False))
     finally:
@@ -77,7 +77,9 @@ def _run(options: argparse.Namespace, given: Sequence[str], console: Console) ->
 
 
 def _claim(options: argparse.Namespace) -> None:
-    """A folder is for one preset, step factor and photo size; they are taken from it to report.
+    """Write the preset, step factor and photo size of a new folder; compare those of an old one.
+
+    To report only, they are taken from the folder.
 
     Raises:
         ConfigError: the folder is for others.
@@ -114,8 +116,7 @@ def _report(
     out, own = options.out, preset(options.preset).strategy
     records = load_records(out / "rows")
     results = Results(records, [scene.name for scene in scenes])
-    names = {row.name for row in rows}
-    shown = [*rows, *(row for row in _variants(records) if row.name not in names)]
+    shown = [*rows, *_other_variants(records, rows, options.preset)]
     drawn = write_figures(results, shown, own, out, console.emit) if figures else {}
     study = Study(
         results=results,
@@ -129,15 +130,18 @@ def _report(
     write_text(out / "study.md", study.markdown())
 
 
-def _variants(records: Sequence[dict[str, Any]]) -> list[Row]:
-    """The variants that were measured, whether they are asked for now or not."""
-    rows = {}
+def _other_variants(
+    records: Sequence[dict[str, Any]], rows: Sequence[Row], preset_name: str
+) -> list[Row]:
+    """The variants that were measured earlier and are not among the rows asked for now."""
+    known = {row.name for row in (*all_rows(preset_name), *rows)}
+    found = {}
     for record in records:
-        if record["request"]["kind"] == VARIANT:
-            changes = tuple((str(name), value) for name, value in record["changes"])
-            name = str(record["row"])
-            rows[name] = Row(name=name, kind=VARIANT, tables=(BEYOND,), rank=1, changes=changes)
-    return list(rows.values())
+        name = str(record["row"])
+        if name not in known:
+            changes = tuple((str(field), value) for field, value in record["changes"])
+            found[name] = variant(name, changes)
+    return list(found.values())
 
 
 def _head(

@@ -1,12 +1,13 @@
-"""Pictures of the study: bars, gain by distance, curves over K, crops; PNGs and one PDF of all.
+"""Figures of the study: bars, gain by distance, curves over K, crops; PNGs and one PDF of all.
 
-They need matplotlib (the extra `study`); without it there are tables only.
+They need matplotlib (the extra `study`); without it there are only tables.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,8 @@ from PIL import Image
 from benchmarks.study.results import Results, Stat
 from benchmarks.study.rows import BEYOND, Row
 from benchmarks.study.tables import LINES, RESULT, Line, kind_of
-from roigs_engine.formats.events import Emit, Message
+from roigs_engine.context import Emit
+from roigs_engine.formats.events import Message
 from roigs_engine.run.strategies import BASELINE
 
 if TYPE_CHECKING:
@@ -64,13 +66,13 @@ Drawing = tuple[str, str, Callable[[], "Figure | None"]]
 def _figures(results: Results, rows: Sequence[Row], own: str, out: Path) -> list[Drawing]:
     """Title, file name and drawing of each figure."""
     found: list[Drawing] = [
-        ("Gain over Full Scene", "gain", lambda: _bars(results, rows)),
-        ("Gain by distance", "distance", lambda: _distances(results, own)),
-        ("Gain by share of selected photos", "selected", lambda: _curves(results, rows)),
+        ("Gain over Full Scene", "gain", partial(_bars, results, rows)),
+        ("Gain by distance", "distance", partial(_distances, results, own)),
+        ("Gain by share of selected photos", "selected", partial(_curves, results, rows)),
     ]
     for scene in dict.fromkeys(scene for scene, _ in results.boxes):
         title = f"{scene}: photo, {BASELINE}, {RESULT[own][0]}"
-        found.append((title, f"crops-{scene}", lambda s=scene: _crops(results, s, own, out)))  # type: ignore[misc]
+        found.append((title, f"crops-{scene}", partial(_crops, results, scene, own, out)))
     return found
 
 
@@ -109,7 +111,7 @@ def _bars(results: Results, rows: Sequence[Row]) -> Figure | None:
         stats = [(label, stat) for label, stat in stats if stat.values]
         for at, (_, stat) in enumerate(stats):
             drawn = True
-            one.barh(at, stat.mean, color=COLOURS[at % 7], alpha=0.6)
+            one.barh(at, stat.mean or 0.0, color=COLOURS[at % 7], alpha=0.6)
             one.plot(list(stat.values.values()), [at] * len(stat.values), "k.", markersize=4)
         one.set_yticks(range(len(stats)), [label for label, _ in stats], fontsize=8)
         one.invert_yaxis()
@@ -162,7 +164,7 @@ def _curves(results: Results, rows: Sequence[Row]) -> Figure | None:
             drawn = True
             one.errorbar(
                 [percent for percent, _ in points],
-                [stat.mean for _, stat in points],
+                [stat.mean or 0.0 for _, stat in points],
                 [stat.deviation or 0 for _, stat in points],
                 color=COLOURS[at % len(COLOURS)],
                 linestyle="-" if at < len(COLOURS) else "--",
@@ -177,7 +179,7 @@ def _curves(results: Results, rows: Sequence[Row]) -> Figure | None:
 
 
 def _crops(results: Results, scene: str, own: str, out: Path) -> Figure | None:
-    """Test photos beside Full Scene and ours, those of the largest gain and of the largest loss."""
+    """Test photos of the largest and of the least gain, beside Full Scene and ours."""
     from matplotlib import pyplot
 
     pictures = []

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.markdown import NONE
 from roigs_engine.evaluation.scores import Evaluation, ModelScore
 from roigs_engine.formats.files import read_json
 from roigs_engine.run.strategies import BASELINE
 
-NONE, ONE_SEED = "-", " †"
+ONE_SEED = " †"
 
 
 @dataclass(frozen=True)

@@ -160,6 +160,11 @@ def parse_variant(text: str, preset_name: str) -> Row:
             f"The variant '{name}' trains for {steps} steps, the baselines for {own}.",
             "Give it as many or fewer.",
         )
+    return variant(name, changes)
+
+
+def variant(name: str, changes: Iterable[Change]) -> Row:
+    """The preset with other settings."""
     return Row(name=name, kind=VARIANT, tables=(BEYOND,), rank=1, changes=tuple(changes))
 
 

@@ -22,7 +22,7 @@ class StudyScene:
 def parse_scenes(texts: Sequence[str]) -> list[StudyScene]:
     """Scenes written as `PATH`, with a rois.json in it, or as `PATH:ROIS.json`.
 
-    They are called as their folder is, or, written as `NAME=PATH`, by that name.
+    A scene has the name of its folder, or NAME if it is written as `NAME=PATH`.
 
     Raises:
         ConfigError: two have one name.

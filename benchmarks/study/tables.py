@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.study.results import METRICS, NONE, Results, Stat, mean_of
+from benchmarks.markdown import NONE, table
+from benchmarks.study.results import METRICS, Results, Stat, mean_of
 from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, REFINED, Row
 from roigs_engine.run.strategies import BASELINE
 
@@ -17,7 +18,7 @@ Line = tuple[str, str, str]
 LINES: tuple[Line, ...] = (
     (BASELINE, "full-scene", BASELINE),
     ("Full Object", "full-object", "Full Object"),
-    ("Full Scene, capacity-matched", MATCHED, "Matched"),
+    ("Full Scene, budget-matched", MATCHED, "Matched"),
     ("Scene-GS", INDEPENDENT, "Scene-GS"),
     ("Object-GS", INDEPENDENT, "Object-GS"),
     ("Composition", INDEPENDENT, "Composition"),
@@ -139,14 +140,14 @@ class Study:
         return [line for line in LINES if line[1] in names]
 
     def _table_one(self) -> list[str]:
-        parts = ["", "## Table I: one region of interest"]
+        parts = ["", "## Table I: one box"]
         for place in self.results.boxes:
             parts += ["", f"### {_place(place)}", ""]
             rows = [
                 [label, *self._cells(place, row, model, TABLE_ONE)]
                 for label, row, model in self._lines()
             ]
-            parts += table(["method", *_headings(TABLE_ONE), "seeds"], rows)
+            parts += table(["method", *_headings(TABLE_ONE), "seeds"], rows, names=1)
         return parts
 
     def _cells(
@@ -184,7 +185,7 @@ class Study:
             means = [mean_of(stats) for stats in zip(*columns, strict=True)]
             seeds = len(means[len(shown)].values)
             rows.append(["mean", "all", *_texts(means, forms), str(seeds)])
-        title = f"## Table II: all regions of interest, ours = {ours}"
+        title = f"## Table II: all boxes, ours = {ours}"
         return ["", title, "", *table(head, rows, names=2)]
 
     def _comparisons(self, place: tuple[str, str]) -> list[Stat]:
@@ -218,7 +219,7 @@ class Study:
                 )
                 line.append(self.results.mean(name, self.results.result(name), "gain").text("+.2f"))
             cells.append(line)
-        parts += table(["mean gain over all boxes", *(f"{p} %" for p in PERCENTS)], cells)
+        parts += table(["mean gain over all boxes", *(f"{p} %" for p in PERCENTS)], cells, names=1)
         for place in self.results.boxes:
             parts += ["", f"### {_place(place)}", ""]
             head = ["method", "K", *_headings(TABLE_THREE), "Object-GS PSNR", "over unchanged"]
@@ -277,20 +278,9 @@ strategy's own Scene-GS, which another selection does not change here. 48 %: wha
 model's). Over unchanged: against the strategy's own row, seed by seed."""
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> list[str]:
-    """A Markdown table whose first `names` columns are text and the others numbers."""
-    rule = ["---"] * names + ["---:"] * (len(head) - names)
-    lines = [head, rule, *rows]
-    return ["| " + " | ".join(_escaped(cell) for cell in line) + " |" for line in lines]
-
-
 def command_line(arguments: Sequence[str]) -> str:
     """The command as one would type it."""
     return f"`python -m benchmarks.study {shlex.join(arguments)}`"
-
-
-def _escaped(cell: str) -> str:
-    return cell.replace("|", "\\|") if cell else NONE
 
 
 def _place(place: tuple[str, str]) -> str:

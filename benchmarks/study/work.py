@@ -1,4 +1,4 @@
-"""What is missing of a study, in an order in which a study cut short is still of use."""
+"""Measures the rows that a study lacks, the most important first."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from benchmarks.study.measure import Bench
 from benchmarks.study.rows import Row
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.commands.console import Console
+from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError
-from roigs_engine.formats.events import Message
 from roigs_engine.formats.files import read_json, write_json
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.names import safe_name
@@ -52,7 +51,7 @@ class Work:
         preset, factor: settings; what their steps are multiplied by.
         max_side: longest side of the photos used; None: as they are.
         keep_models: keep what only an ablation or variant needs.
-        console: takes events, knows whether to stop.
+        context: of the work.
     """
 
     folder: Path
@@ -60,7 +59,7 @@ class Work:
     factor: float
     max_side: int | None
     keep_models: bool
-    console: Console
+    context: Context = QUIET
     _loaded: dict[str, SfmScene] = field(default_factory=dict)
 
     def do(
@@ -70,25 +69,25 @@ class Work:
         seeds: Sequence[int],
         after_each: Callable[[], None],
     ) -> list[str]:
-        """Measure what is missing; what failed, one line each. The other rows are still measured.
+        """Measure what is missing; one line for each row that failed, which stops no other row.
 
         Raises:
-            Stopped: somebody asked to; what was begun goes on where it was.
+            Stopped: on request; the same call resumes later.
         """
         items, failures = in_order(rows, scenes, seeds), []
         for number, (scene, seed, row) in enumerate(items, start=1):
-            self.console.check()
+            self.context.check_cancelled()
             title = f"{scene.name}, seed {seed}, {row.name}"
             try:
                 if self._measure(scene, seed, row, f"[{number}/{len(items)}] {title}"):
                     after_each()
             except EngineError as error:
                 failures.append(f"{title}: {error}")
-                self.console.emit(Message(text=failures[-1], level="warning"))
+                self.context.warn(failures[-1])
         return failures
 
     def _measure(self, scene: StudyScene, seed: int, row: Row, title: str) -> bool:
-        """Write the row's record, unless it is there; whether it was not."""
+        """Measure the row and write its record; False if the record was there already."""
         home = Path(safe_name(scene.name)) / f"seed-{seed}"
         path = self.folder / "rows" / home / f"{row.name}.json"
         bench = Bench(
@@ -99,17 +98,19 @@ class Work:
             factor=self.factor,
             folder=self.folder / "runs" / home,
             pictures=self.folder / "pictures" / home,
-            console=self.console,
+            context=self.context,
         )
-        request = bench.request(row)
-        if path.exists() and (before := read_json(path).get("request")) != request:
+        manifest = bench.manifest(row)
+        if path.exists() and (before := read_json(path).get("manifest")) != manifest:
             archive(path, _digest(before))
-            text = f"{title}: settings, photos or boxes have changed; the earlier one is in older/."
-            self.console.emit(Message(text=text, level="warning"))
-        restore(path, _digest(request))
+            self.context.warn(
+                f"{title}: settings, photos or boxes have changed; the earlier record is in"
+                " archive/."
+            )
+        restore(path, _digest(manifest))
         if path.exists():
             return False
-        self.console.emit(Message(text=title))
+        self.context.info(title)
         with locked(bench.folder):
             write_json(path, bench.measure(row, keep_models=self.keep_models))
         return True
@@ -120,11 +121,10 @@ class Work:
                 scene.path,
                 cache=self.folder / "cache" / safe_name(scene.name),
                 max_side=self.max_side,
-                emit=self.console.emit,
-                check=self.console.check,
+                context=self.context,
             )
         return self._loaded[scene.name]
 
 
-def _digest(request: Any) -> str:
-    return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
+def _digest(manifest: Any) -> str:
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,28 @@
+"""What the benchmarks train on: all photos of a scene, in shuffled epochs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roigs_engine.model.scene import PosedImage
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.training.photo_order import shuffled
+from roigs_engine.training.trainer import StageData
+
+
+def all_photos(
+    images: Sequence[PosedImage], extent: float, cache: PhotoCache | None = None
+) -> StageData:
+    """The data of a stage on these photos.
+
+    Args:
+        images: all photos.
+        extent: of the scene, world units.
+        cache: holds the decoded photos; None: a new one.
+    """
+    return StageData(
+        images=images,
+        photos=cache or PhotoCache(images),
+        photo_at=shuffled(range(len(images)), 0),
+        extent=extent,
+    )
