@@ -2,11 +2,11 @@
 
     python .github/scripts/check_dist.py [DIST] [--complete] [--tag v1.2.3] [--notes]
 
-Reads every wheel, source archive and Blender extension in the folder DIST: the name must be this
-version's; the kernels' sources must be there; the compiled kernels must be those of the platform,
-and no others. `--complete`: DIST must hold all files of a release. `--tag`: the tag must be the
-version of the engine and the add-on, and the list of changes must have a part for it. `--notes`
-prints that part. The script needs nothing but Python.
+Reads every wheel, source archive and Blender extension in the folder DIST. The name must be of this
+version. The engine's modules, the kernels' sources and the compiled kernels of the platform must be
+there, and no other platform's. `--complete`: DIST must hold all files of a release. `--tag`: the tag
+must be the version of the engine and the add-on, and the changelog must have a part for it.
+`--notes` prints that part. The script needs nothing but Python.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = "roigs_engine/kernels/"
-SOURCES = {path.name for path in (ROOT / KERNELS).iterdir() if path.suffix in (".cpp", ".h")}
 
 
 class CheckError(Exception):
@@ -103,9 +102,10 @@ def check_kernels(archive: zipfile.ZipFile, targets: list[str]) -> None:
 
 
 def check_sources(names: Iterable[str]) -> None:
-    """The kernels' sources and their build script are there: they may be compiled later."""
-    there = {name.removeprefix(KERNELS) for name in names if name.startswith(KERNELS)}
-    missing = {*SOURCES, "build.py"} - there
+    """Every module of the engine is there, and the kernels' sources: they may be compiled later."""
+    engine = ROOT / "roigs_engine"
+    wanted = [path for path in engine.rglob("*") if path.suffix in (".py", ".cpp", ".h")]
+    missing = {path.relative_to(ROOT).as_posix() for path in wanted} - set(names)
     if missing:
         raise CheckError(f"missing {sorted(missing)}")
 
@@ -157,7 +157,8 @@ def check_extension(path: Path) -> None:
                 raise CheckError(f"missing {name}")
         tops = {name.partition("/")[0] for name in names}
         for_development = {"tests", "benchmarks", "demo", "docs", "Makefile", "setup.py"}
-        for_development |= {"CONTRIBUTING.md", "MANIFEST.in", "dist", "build", "runs"}
+        for_development |= {"CITATION.cff", "CONTRIBUTING.md", "MANIFEST.in"}
+        for_development |= {"build", "dist", "runs"}
         strange = {name for name in tops if name.startswith(".")} | (tops & for_development)
         if strange:
             raise CheckError(f"it holds {sorted(strange)}")
@@ -193,7 +194,7 @@ def check_folder(folder: Path, *, complete: bool) -> list[str]:
 
 
 def release_notes() -> str:
-    """This version's part of the list of changes."""
+    """This version's part of the changelog."""
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     heading = rf"^## \[{re.escape(engine_version())}\][^\n]*\n"
     match = re.search(rf"{heading}(.*?)(?=^## \[|\Z)", text, flags=re.MULTILINE | re.DOTALL)
