@@ -4,8 +4,8 @@
 
 Reads every wheel, source archive and Blender extension in the folder DIST. The name must be of this
 version. The engine's modules, the kernels' sources and the compiled kernels of the platform must be
-there, and no other platform's. `--complete`: DIST must hold all files of a release. `--tag`: the tag
-must be the version of the engine and the add-on, and the changelog must have a part for it.
+there, and no other platform's. `--complete`: DIST must hold all files of a release. `--tag`: the
+tag must be the version of the engine and the add-on, and the changelog must have a part for it.
 `--notes` prints that part. The script needs nothing but Python.
 """
 
