@@ -43,8 +43,9 @@ def python() -> Path:
         version = ".".join(map(str, PYTHON))
         raise NoBlenderError(f"{REQUIREMENT} needs Python {version}: make PYTHON=python{version}")
     print(f"Installing {REQUIREMENT} into {HOME.name}.", flush=True)
-    pip = [program, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", REQUIREMENT]
-    for command in ([sys.executable, "-m", "venv", HOME], pip):
+    environment = [sys.executable, "-m", "venv", str(HOME)]
+    pip = [str(program), "-m", "pip", "--disable-pip-version-check"]
+    for command in (environment, [*pip, "install", "--quiet", REQUIREMENT]):
         if subprocess.run(command, check=False).returncode:
             raise NoBlenderError(f"{REQUIREMENT} could not be installed, see above")
     complete.touch()
