@@ -78,8 +78,6 @@ class Bench:
         run, plan = self._planned(row)
         open_folder(run, self.context, update=True)
         executor = Executor(run, self.context, update=True)
-        for stage in plan.stages:
-            executor.result(stage)  # one after the other: the executor keeps one stage's photos
         made = executor.execute(plan)
         models = [model.evaluated() for model in made]
         evaluation = evaluate(

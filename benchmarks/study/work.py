@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from benchmarks.study.measure import Bench
 from benchmarks.study.rows import Row
@@ -20,6 +17,7 @@ from roigs_engine.formats.lock import locked
 from roigs_engine.formats.names import safe_name
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.archive import archive, restore
+from roigs_engine.run.manifest import manifest_digest
 
 Item = tuple[StudyScene, int, Row]
 
@@ -102,12 +100,12 @@ class Work:
         )
         manifest = bench.manifest(row)
         if path.exists() and (before := read_json(path).get("manifest")) != manifest:
-            archive(path, _digest(before))
+            archive(path, manifest_digest(before))
             self.context.warn(
                 f"{title}: settings, photos or boxes have changed; the earlier record is in"
                 " archive/."
             )
-        restore(path, _digest(manifest))
+        restore(path, manifest_digest(manifest))
         if path.exists():
             return False
         self.context.info(title)
@@ -124,7 +122,3 @@ class Work:
                 context=self.context,
             )
         return self._loaded[scene.name]
-
-
-def _digest(manifest: Any) -> str:
-    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
