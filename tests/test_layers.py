@@ -17,35 +17,36 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 ENGINE, ADDON = "roigs_engine", "roigs_addon"
 
-# A file of the engine imports files of its own layer or of one above in this list, never of one
-# below. A folder stands for all its files. A new file needs a place here and in architecture.md.
-LAYERS: dict[str, tuple[str, ...]] = {
-    "base": ("errors", "events", "files", "lock", "older", "kernels"),
-    "values": ("scene", "roi", "ply", "gaussians", "sampling", "scores"),
-    "parts": (
-        *(
-            "photo_files",
-            "photo_headers",
-            "images",
-            "colmap_files",
-            "undistort",
-            "colmap_photos",
-            "colmap",
-        ),
-        *("inspect", "export", "selection", "split", "config"),
-        *("cuda", "rasterize", "losses", "optimizer", "metrics", "render"),
-        *("averaging", "breaks", "densify", "floaters", "capacity", "spacing", "region"),
-        *("checkpoint", "health", "memory", "scene_warnings"),
-        *("compose", "report"),
-    ),
-    "jobs": ("trainer", "stages", "evaluate", "crops"),
-    "run": ("request", "pipeline", "strategies", "sessions"),
-    "command line": ("commands", "cli", "__main__"),
-}
+# A room of the engine imports rooms above it in this list, never one below. A new room needs
+# a place here and in architecture.md.
+ROOMS = (
+    "errors",
+    "formats",
+    "machine",
+    "context",
+    "model",
+    "photos",
+    "colmap",
+    "selection",
+    "kernels",
+    "cuda",
+    "rasterize",
+    "training",
+    "evaluation",
+    "run",
+    "commands",
+    "cli",
+    "__main__",
+)
+# What the add-on may import of the engine: nothing else.
+SHARED = ("errors", "formats")
 # Entries that must work, up to their first use of anything else, without torch.
-TORCH_FREE = ("", "cli", "colmap", "config", "export", "inspect", "kernels", "selection", "split")
+TORCH_FREE = (
+    *("", "cli", "colmap", "context", "formats", "kernels.build", "kernels.library", "photos"),
+    *("run.config", "run.presets", "run.scene_warnings", "selection"),
+)
 # Where pycolmap may be imported: the one place that needs it.
-PYCOLMAP = {"undistort"}
+PYCOLMAP = {"colmap.undistort"}
 # What may write to the terminal: the command line, and the build script that setup.py runs.
 PRINTING = {"commands", "cli", "kernels.build"}
 IMPORT_NAMES = {"scikit-learn": "sklearn", "pillow": "PIL"}
@@ -53,10 +54,14 @@ IMPORT_NAMES = {"scikit-learn": "sklearn", "pillow": "PIL"}
 
 @dataclass(frozen=True)
 class Import:
-    """`target` as a dotted name; `late`: inside a function, run when that is called."""
+    """`target` as a dotted name.
+
+    `late`: inside a function, run when that is called; `typing`: for the type checker alone.
+    """
 
     target: str
     late: bool
+    typing: bool = False
 
 
 @cache
@@ -71,77 +76,86 @@ def files(package: str) -> dict[str, Path]:
 
 @cache
 def imports(path: Path) -> tuple[Import, ...]:
-    """Everything a file imports but for `if TYPE_CHECKING:`, relative names resolved."""
+    """Everything a file imports, for the type checker too, relative names resolved."""
     package = path.relative_to(ROOT).parts[:-1]
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return tuple(_walk(tree, package, late=False))
 
 
-def _walk(node: ast.AST, package: tuple[str, ...], *, late: bool) -> Iterator[Import]:
+def _walk(
+    node: ast.AST, package: tuple[str, ...], *, late: bool, typing: bool = False
+) -> Iterator[Import]:
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        for child in node.body:
+            yield from _walk(child, package, late=late, typing=True)
         for child in node.orelse:
-            yield from _walk(child, package, late=late)
+            yield from _walk(child, package, late=late, typing=typing)
         return
     if isinstance(node, ast.Import):
-        yield from (Import(alias.name, late) for alias in node.names)
+        yield from (Import(alias.name, late, typing) for alias in node.names)
     if isinstance(node, ast.ImportFrom):
         base = package[: len(package) - node.level + 1] if node.level else ()
         stem = ".".join([*base, *([node.module] if node.module else [])])
         for alias in node.names:
             # `from package import name`: the name may itself be a module.
             deeper = f"{stem}.{alias.name}"
-            yield Import(deeper if deeper in files(stem.split(".")[0]) else stem, late)
+            target = deeper if deeper in files(stem.split(".")[0]) else stem
+            yield Import(target, late, typing)
     late = late or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
     for child in ast.iter_child_nodes(node):
-        yield from _walk(child, package, late=late)
+        yield from _walk(child, package, late=late, typing=typing)
 
 
 def unit(module: str) -> str:
-    """The file or folder directly below the engine that a module belongs to; "" for itself."""
+    """The room of a module, a file or folder directly below its package; "" for the package."""
     return [*module.split("."), ""][1]
 
 
-def engine_imports(*, late: bool = True) -> dict[str, set[str]]:
-    """Module -> modules of the engine that it imports."""
-    modules = files(ENGINE)
+def package_imports(package: str, *, run: bool = False) -> dict[str, set[str]]:
+    """Module -> modules of its own package that it imports; `run`: only as it is imported."""
+    modules = files(package)
     return {
         name: {
             entry.target
             for entry in imports(path)
-            if entry.target in modules and entry.target != name and (late or not entry.late)
+            if entry.target in modules
+            and entry.target != name
+            and not (run and (entry.late or entry.typing))
         }
         for name, path in modules.items()
     }
 
 
 def outside(path: Path) -> set[str]:
-    """Top-level names of what a file imports."""
-    return {entry.target.split(".")[0] for entry in imports(path)}
+    """Top-level names of what a file imports when it runs."""
+    return {entry.target.split(".")[0] for entry in imports(path) if not entry.typing}
 
 
-def test_every_file_has_a_layer() -> None:
-    placed = [name for names in LAYERS.values() for name in names]
+def test_every_file_has_a_room() -> None:
     there = {unit(module) for module in files(ENGINE)} - {""}
-    assert len(placed) == len(set(placed))
-    assert there == set(placed)
+    assert there == set(ROOMS)
+    flat = list((ROOT / ENGINE).glob("*.py"))
+    assert len(flat) <= 12
 
 
-def test_imports_go_to_the_same_or_a_lower_layer() -> None:
-    rank = {name: depth for depth, names in enumerate(LAYERS.values()) for name in names}
+def test_imports_go_to_the_same_room_or_one_above() -> None:
+    rank = {name: depth for depth, name in enumerate(ROOMS)}
     wrong = [
         f"{module} -> {target}"
-        for module, targets in engine_imports().items()
+        for module, targets in package_imports(ENGINE).items()
         for target in targets
         if unit(module) and unit(target) and rank[unit(target)] > rank[unit(module)]
     ]
     assert not wrong
 
 
-def test_no_circles() -> None:
+@pytest.mark.parametrize("package", [ENGINE, ADDON])
+def test_no_circles(package: str) -> None:
+    """Counted are imports inside functions and for the type checker, too."""
     graph = {
-        module: {t for t in targets if t != ENGINE and not module.startswith(f"{t}.")}
-        for module, targets in engine_imports(late=False).items()
-        if module != ENGINE
+        module: {t for t in targets if t != package and not module.startswith(f"{t}.")}
+        for module, targets in package_imports(package).items()
+        if module != package
     }
     while graph:
         leaves = {module for module, targets in graph.items() if not targets & graph.keys()}
@@ -151,7 +165,7 @@ def test_no_circles() -> None:
 
 @pytest.mark.parametrize("entry", TORCH_FREE)
 def test_everything_before_training_needs_no_torch(entry: str) -> None:
-    graph = engine_imports(late=False)
+    graph = package_imports(ENGINE, run=True)
     start = f"{ENGINE}.{entry}" if entry else ENGINE
     todo = [module for module in graph if f"{module}.".startswith(f"{start}.") or module == start]
     if not entry:
@@ -163,7 +177,11 @@ def test_everything_before_training_needs_no_torch(entry: str) -> None:
             continue
         seen.add(module)
         todo += graph[module]
-        early = {e.target.split(".")[0] for e in imports(files(ENGINE)[module]) if not e.late}
+        early = {
+            e.target.split(".")[0]
+            for e in imports(files(ENGINE)[module])
+            if not e.late and not e.typing
+        }
         assert "torch" not in early, f"{entry or ENGINE} imports torch through {module}"
 
 
@@ -196,7 +214,11 @@ def test_the_addon_knows_nothing_of_the_engines_code() -> None:
 
 
 def test_pycolmap_stays_where_photos_are_undistorted() -> None:
-    users = {unit(n) for n, path in files(ENGINE).items() if "pycolmap" in outside(path)}
+    users = {
+        name.removeprefix(f"{ENGINE}.")
+        for name, path in files(ENGINE).items()
+        if "pycolmap" in outside(path)
+    }
     assert users == PYCOLMAP
 
 

@@ -570,7 +570,7 @@ def test_what_does_not_fit_into_memory_is_one_line(
         assert "memory" in refused(capsys, "inspect", project.folder)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/files.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/commands.md", "docs/files.md"])
 def test_commands_in_the_documents_are_accepted(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
     start = "python -m roigs_engine "
