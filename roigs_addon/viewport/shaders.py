@@ -1,4 +1,4 @@
-"""The GPU programs. Their text lies in `shaders/`; here stands what they are given."""
+"""The GPU programs: their inputs. Their source is in `shaders/`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FOLDER = Path(__file__).parent / "shaders"
 
 
 def text(name: str) -> str:
-    """One file of GLSL."""
+    """The text of a GLSL file."""
     return (FOLDER / name).read_text(encoding="utf-8")
 
 
@@ -38,7 +38,7 @@ def splat_shader() -> gpu.types.GPUShader:
 
 
 def composite_shader() -> gpu.types.GPUShader:
-    """Lays the splats' picture over the bound framebuffer; given the same quad."""
+    """Draws the splats' image over the bound framebuffer; uses the same quad."""
     info = gpu.types.GPUShaderCreateInfo()
     info.push_constant("IVEC2", "origin")
     info.push_constant("BOOL", "linear_target")

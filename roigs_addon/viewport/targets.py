@@ -1,13 +1,14 @@
-"""Pictures on the GPU."""
+"""Images on the GPU."""
 
 from __future__ import annotations
 
 import gpu
 import numpy as np
+from numpy.typing import NDArray
 
 
-def texture(values: np.ndarray, form: str) -> gpu.types.GPUTexture:
-    """Float32 values (H, W) or (H, W, 4) as a texture of that form."""
+def texture(values: NDArray[np.float32], form: str) -> gpu.types.GPUTexture:
+    """Float32 values (H, W) or (H, W, 4) as a texture of that format."""
     height, width = values.shape[:2]
     data = gpu.types.Buffer("FLOAT", values.size, np.ascontiguousarray(values).reshape(-1))
     return gpu.types.GPUTexture((width, height), format=form, data=data)
@@ -16,8 +17,8 @@ def texture(values: np.ndarray, form: str) -> gpu.types.GPUTexture:
 class SplatPicture:
     """What the splats are blended in: premultiplied sRGB values, half floats.
 
-    A picture of their own, because blending in the viewport's would happen in linear light and in
-    8 bits.
+    They need an image of their own: in the viewport's, they would be blended in linear light and
+    with 8 bits.
     """
 
     def __init__(self) -> None:
@@ -36,9 +37,9 @@ class SplatPicture:
 
 
 def bound_depth(width: int, height: int) -> gpu.types.GPUTexture:
-    """The bound framebuffer's depth, 0 (near) to 1, copied.
+    """A copy of the bound framebuffer's depth, 0 (near) to 1.
 
-    Blender's Python has no access to the depth texture itself, so it goes through main memory.
+    Python cannot access the depth texture itself, so the copy goes through main memory.
     """
     bound = gpu.state.active_framebuffer_get()
     x, y = gpu.state.viewport_get()[:2]

@@ -15,13 +15,13 @@ from roigs_addon.viewport import draw
 
 
 def picture(
-    things: list[bpy.types.Object], view: Matrix, projection: Matrix, width: int, height: int
+    objects: list[bpy.types.Object], view: Matrix, projection: Matrix, width: int, height: int
 ) -> np.ndarray:
     """(H, W, 4) premultiplied sRGB values of objects, first row on top."""
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA32F")
     with offscreen.bind():
         gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
-        draw.draw_view(things, view, projection, width, height)
+        draw.draw_view(objects, view, projection, width, height)
         data = offscreen.texture_color.read()
     data.dimensions = width * height * 4
     offscreen.free()

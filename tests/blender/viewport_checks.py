@@ -19,8 +19,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from roigs_addon import clouds, properties
-from roigs_addon.gaussian_ply import read_splats
+from roigs_addon import properties
+from roigs_addon.formats.splat_ply import read_splats
+from roigs_addon.scene import clouds
 from roigs_addon.viewport import draw, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
@@ -33,19 +34,19 @@ TURN = Matrix.Rotation(radians(40), 4, "Y") @ Matrix.Rotation(radians(25), 4, "X
 
 def splats(name: str, path: Path) -> bpy.types.Object:
     """An object that stands for a PLY."""
-    thing = bpy.data.objects.new(name, None)
-    bpy.context.scene.collection.objects.link(thing)
-    thing.roigs.kind, thing.roigs.ply = "SPLATS", str(path)
-    return thing
+    item = bpy.data.objects.new(name, None)
+    bpy.context.scene.collection.objects.link(item)
+    item.roigs.kind, item.roigs.ply = "SPLATS", str(path)
+    return item
 
 
-def seen(*things: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
+def seen(*objects: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
     """Things about the origin, which fills the picture, from a distance."""
     focal = 0.4 * SIDE * distance
     camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2 + 3}
     clip = perspective({**camera, "cy": SIDE / 2}, distance / 100, distance * 10)
     view = Matrix.Translation((0, 0, -distance)) @ TURN
-    return picture(list(things), view, clip, SIDE, SIDE)
+    return picture(list(objects), view, clip, SIDE, SIDE)
 
 
 def check_orthographic(a: bpy.types.Object, b: bpy.types.Object) -> None:
@@ -208,7 +209,7 @@ def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
     other = bpy.data.scenes.new("other")
     bpy.context.scene.collection.objects.unlink(b)
     other.collection.objects.link(b)
-    assert [thing.visible for thing in splat_objects(bpy.context)] == [True, False]
+    assert [item.visible for item in splat_objects(bpy.context)] == [True, False]
     assert (seen(a, b) == alone).all()
     other.collection.objects.unlink(b)
     bpy.context.scene.collection.objects.link(b)
