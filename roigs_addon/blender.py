@@ -7,7 +7,7 @@ be of any kind. The functions here say where that is not so.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import bpy
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     OperatorResult = set[OperatorReturnItems]
 
 Registration = Callable[[], None]
+Handler = TypeVar("Handler", bound=Callable[..., None])
 
 
 def scene_of(context: bpy.types.Context) -> bpy.types.Scene:
@@ -88,6 +89,12 @@ def camera_of(item: bpy.types.Object) -> bpy.types.Camera:
     """The data of a camera object."""
     assert isinstance(item.data, bpy.types.Camera)
     return item.data
+
+
+def persistent(handler: Handler) -> Handler:
+    """Have Blender keep a handler when another file is loaded."""
+    kept: Handler = bpy.app.handlers.persistent(handler)
+    return kept
 
 
 def registration(*classes: type) -> tuple[Registration, Registration]:

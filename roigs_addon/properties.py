@@ -171,7 +171,9 @@ def object_props(item: bpy.types.Object) -> RoigsObject:
     return group
 
 
+# Blender's stubs know neither what add-ons add to its types nor what this returns.
 OWNERS: Any = bpy.types
+DEFINE: Any = PointerProperty
 CLASSES = (RoigsPhotoItem, RoigsObject, RoigsScene)
 
 
@@ -179,8 +181,8 @@ def register() -> None:
     """Register the classes first, then the pointers to them."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    OWNERS.Scene.roigs = PointerProperty(type=RoigsScene)
-    OWNERS.Object.roigs = PointerProperty(type=RoigsObject)
+    OWNERS.Scene.roigs = DEFINE(type=RoigsScene)
+    OWNERS.Object.roigs = DEFINE(type=RoigsObject)
 
 
 def unregister() -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import bpy
-from bpy.app.handlers import persistent
 
+from ..blender import persistent
 from ..jobs import current
 from . import engine_ability, photo_names, point_counts, run_facts
 

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable
 
 import bpy
-from bpy.app.handlers import persistent
 
+from ..blender import persistent
 from ..engine.command import Engine
 from ..engine.process import JobResult
 from ..errors import AddonError

@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 
 from .. import settings
+from ..blender import persistent
 from ..errors import AddonError, writing
 from ..properties import scene_props
 

@@ -77,7 +77,7 @@ class AddBox(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class LoadRois(bpy.types.Operator, ImportHelper):
+class LoadRois(bpy.types.Operator, ImportHelper):  # type: ignore[misc] # the stub's mixin
     """Add the boxes of a rois.json file"""
 
     bl_idname = "roigs.load_rois"

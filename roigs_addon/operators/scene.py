@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-class ImportColmap(EngineOperator, ImportHelper):
+class ImportColmap(EngineOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
     """Import the cameras, photos and points of a COLMAP model"""
 
     bl_idname = "roigs.import_colmap"
@@ -50,7 +50,9 @@ class ImportColmap(EngineOperator, ImportHelper):
         """Export the model to the cache, then build objects from that."""
         return import_job.spec(scene_of(context), self.directory or self.filepath, self.images)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+    def invoke(  # type: ignore[override] # the stub of the mixin returns nothing
+        self, context: bpy.types.Context, event: bpy.types.Event
+    ) -> OperatorResult:
         """Ask for the folder, unless it was given; the file browser then calls `execute`."""
         if self.directory or self.filepath:
             return EngineOperator.invoke(self, context, event)
@@ -118,7 +120,9 @@ class LookThrough(bpy.types.Operator):
 
 def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """The entry in File ▸ Import."""
-    menu.layout.operator(ImportColmap.bl_idname, text="COLMAP (ROI-GS)")
+    layout = menu.layout
+    assert layout is not None
+    layout.operator(ImportColmap.bl_idname, text="COLMAP (ROI-GS)")
 
 
 _register, _unregister = registration(ImportColmap, LookThrough)

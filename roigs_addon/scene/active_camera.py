@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import bpy
-from bpy.app.handlers import persistent
+from typing import Any
 
+import bpy
+
+from ..blender import persistent
 from . import cameras, lookup
 
 _active: dict[str, str] = {}  # scene -> its active camera, by name
@@ -22,7 +24,8 @@ def follow(scene: bpy.types.Scene, *_: object) -> None:
     _active[scene.name] = name
     if before is None or before == name or not camera or not lookup.is_photo_camera(camera):
         return
-    if not bpy.app.is_job_running("RENDER"):  # cameras change with markers, the size must not
+    app: Any = bpy.app
+    if not app.is_job_running("RENDER"):  # cameras change with markers, the size must not
         cameras.activate(scene, camera)
 
 

@@ -6,13 +6,16 @@ geometry-nodes modifier turns them into points, with a radius and a material.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ..blender import mesh_of
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import AttributeTypeItems
 
 COLOUR = "Color"
 """Attribute with the points' colours, linear light."""
@@ -38,13 +41,12 @@ def new_points(name: str, positions: NDArray[np.float32]) -> bpy.types.Object:
 
 
 def set_attribute(
-    mesh: bpy.types.Mesh, name: str, kind: str, values: NDArray[np.float32]
-) -> bpy.types.Attribute:
+    mesh: bpy.types.Mesh, name: str, kind: AttributeTypeItems, values: NDArray[np.float32]
+) -> None:
     """Give the vertices an attribute; `values` has a row per vertex."""
-    attribute = mesh.attributes.new(name, kind, "POINT")
+    attribute: Any = mesh.attributes.new(name, kind, "POINT")
     flat = np.ascontiguousarray(values, np.float32).ravel()
     attribute.data.foreach_set(ATTRIBUTE_KEYS[kind], flat)
-    return attribute
 
 
 def positions(item: bpy.types.Object) -> NDArray[np.float32]:
@@ -60,8 +62,7 @@ def show_as_points(
 ) -> None:
     """Add the modifier: points of a radius, or of the radius that an attribute holds."""
     group = _points_group(f"{item.name} points", material, radius)
-    modifier = item.modifiers.new(POINTS, "NODES")
-    modifier.node_group = group
+    add_nodes_modifier(item, POINTS, group)
 
 
 def shown_radius(item: bpy.types.Object) -> float | None:
@@ -70,20 +71,31 @@ def shown_radius(item: bpy.types.Object) -> float | None:
     None if the viewport shows no points, because the modifier is off or gone.
     """
     modifier = item.modifiers.get(POINTS)
-    group = getattr(modifier, "node_group", None)
-    if group is None or not modifier.show_viewport:
+    group: Any = getattr(modifier, "node_group", None)
+    if modifier is None or group is None or not modifier.show_viewport:
         return None
     made = (n for n in group.nodes if n.bl_idname == "GeometryNodeMeshToPoints")
     return next((float(node.inputs["Radius"].default_value) for node in made), None)
 
 
-def _points_group(
-    name: str, material: bpy.types.Material, radius: float | str
-) -> bpy.types.NodeTree:
-    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+def geometry_group(name: str) -> Any:
+    """A new geometry-nodes group for a modifier; its nodes are of types that the stubs lack."""
+    group: Any = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group.is_modifier = True
     for direction in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    return group
+
+
+def add_nodes_modifier(item: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> None:
+    """Add a modifier with a geometry-nodes group to an object."""
+    modifier = item.modifiers.new(name, "NODES")
+    assert isinstance(modifier, bpy.types.NodesModifier)
+    modifier.node_group = group
+
+
+def _points_group(name: str, material: bpy.types.Material, radius: float | str) -> Any:
+    group = geometry_group(name)
     start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
     to_points = group.nodes.new("GeometryNodeMeshToPoints")
     set_material = group.nodes.new("GeometryNodeSetMaterial")
@@ -93,7 +105,7 @@ def _points_group(
         attribute = group.nodes.new("GeometryNodeInputNamedAttribute")
         attribute.data_type = "FLOAT"
         attribute.inputs["Name"].default_value = radius
-        value: Any = next(s for s in attribute.outputs if s.enabled and s.name == "Attribute")
+        value = next(s for s in attribute.outputs if s.enabled and s.name == "Attribute")
         link(value, to_points.inputs["Radius"])
     else:
         to_points.inputs["Radius"].default_value = radius
@@ -112,7 +124,7 @@ def colour_material(name: str, opacity: str = "") -> bpy.types.Material:
         name: of the material.
         opacity: name of an attribute from 0 to 1; empty: opaque.
     """
-    material = bpy.data.materials.new(name)
+    material: Any = bpy.data.materials.new(name)
     if material.node_tree is None:  # before Blender 5
         material.use_nodes = True
     nodes, link = material.node_tree.nodes, material.node_tree.links.new
@@ -133,7 +145,8 @@ def colour_material(name: str, opacity: str = "") -> bpy.types.Material:
         link(mix.outputs[0], output.inputs["Surface"])
     else:
         link(light.outputs[0], output.inputs["Surface"])
-    return material
+    shown: bpy.types.Material = material
+    return shown
 
 
 def to_linear(srgb: NDArray[np.float32]) -> NDArray[np.float32]:

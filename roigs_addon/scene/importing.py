@@ -154,7 +154,7 @@ def upright(photos: list[Photo]) -> Quaternion:
     up = -np.sum([photo.pose[1, :3] for photo in photos], axis=0) if photos else np.zeros(3)
     if np.linalg.norm(up) < 1e-6 * max(len(photos), 1):
         return Quaternion()
-    return Vector(up).rotation_difference(Vector((0, 0, 1)))
+    return Vector(up.tolist()).rotation_difference(Vector((0, 0, 1)))
 
 
 def _new_cloud(

@@ -74,8 +74,9 @@ def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Ob
 
     Objects are named after their photos; only long names and duplicates differ.
     """
-    found = (scene.objects.get(name) for name in photos)
-    return [item for item in found if item is not None and is_photo_camera(item)]
+    objects = scene.objects
+    found = [objects[name] for name in photos if name in objects]
+    return [item for item in found if is_photo_camera(item)]
 
 
 def points(scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -106,11 +106,8 @@ def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
 def _along(root: Matrix, centre: Vector, half_sides: Vector) -> Matrix:
     """A box with the root's axes around a world-aligned box."""
     rotation = root.to_quaternion().to_matrix()
-    turned = Vector(
-        sum(abs(rotation[world][axis]) * half_sides[world] for world in range(3))
-        for axis in range(3)
-    )
-    return Matrix.LocRotScale(centre, rotation.to_quaternion(), turned)
+    turned = np.abs(np.array(rotation)).T @ np.array(half_sides)
+    return Matrix.LocRotScale(centre, rotation.to_quaternion(), Vector(turned.tolist()))
 
 
 def _free_name(scene: bpy.types.Scene) -> str:
@@ -133,7 +130,7 @@ def default_size(scene: bpy.types.Scene) -> float:
 def around_objects(items: list[bpy.types.Object]) -> Place | None:
     """The world-aligned box around objects; None if they are all in one point."""
     corners = [item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box]
-    return _around(np.array([tuple(corner) for corner in corners])) if corners else None
+    return _around(np.array(corners)) if corners else None
 
 
 def around_selected_vertices(item: bpy.types.Object) -> Place | None:

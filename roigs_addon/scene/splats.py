@@ -10,9 +10,11 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..blender import mesh_of
 from ..engine import run_files
@@ -20,6 +22,9 @@ from ..errors import AddonError
 from ..formats.splat_ply import SplatCloud, read_splats
 from ..properties import object_props, scene_props
 from . import clouds, lookup, native_splats
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import AttributeTypeItems
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
@@ -58,7 +63,9 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
     """Show the model that is being trained; earlier results are hidden meanwhile."""
     item = _of(scene, "PREVIEW", "")
     if item is None:
-        item = _new_object(scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3))))
+        item = _new_object(
+            scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
+        )
         object_props(item).level = "PREVIEW"
         for other in lookup.splats(scene):
             if other != item:
@@ -184,23 +191,20 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
         return item
     material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
     clouds.show_as_points(item, material, "radius")
-    item.modifiers.new(HIDE, "NODES").node_group = _nothing_group()
+    clouds.add_nodes_modifier(item, HIDE, _nothing_group())
     item.modifiers[HIDE].show_render = False
     return item
 
 
 def _nothing_group() -> bpy.types.NodeTree:
     """A geometry-nodes group without any geometry."""
-    group = bpy.data.node_groups.get(HIDE)
-    if group is None:
-        group = bpy.data.node_groups.new(HIDE, "GeometryNodeTree")
-        group.is_modifier = True
-        for direction in ("INPUT", "OUTPUT"):
-            group.interface.new_socket(
-                "Geometry", in_out=direction, socket_type="NodeSocketGeometry"
-            )
-        group.nodes.new("NodeGroupOutput")
-    return group
+    known = bpy.data.node_groups.get(HIDE)
+    if known is not None:
+        return known
+    group = clouds.geometry_group(HIDE)
+    group.nodes.new("NodeGroupOutput")
+    made: bpy.types.NodeTree = group
+    return made
 
 
 def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
@@ -209,7 +213,7 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
     radiance = np.column_stack((base, cloud.opacities))
     colour = np.ones((len(base), 4), np.float32)
     colour[:, :3] = clouds.to_linear(np.clip(0.5 + SH_C0 * base, 0, 1))
-    columns = {
+    columns: dict[str, tuple[AttributeTypeItems, NDArray[np.float32]]] = {
         clouds.COLOUR: ("FLOAT_COLOR", colour),
         "opacity": ("FLOAT", cloud.opacities),
         "radius": ("FLOAT", np.cbrt(cloud.scales.prod(axis=1))),

@@ -33,7 +33,7 @@ class PhotoList(bpy.types.UIList):
 
     bl_idname = "ROIGS_UL_photos"
 
-    def draw_item(
+    def draw_item(  # type: ignore[override] # Blender passes as much as the function takes
         self,
         context: bpy.types.Context,
         layout: bpy.types.UILayout,

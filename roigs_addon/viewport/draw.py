@@ -52,7 +52,7 @@ def draw_view(
     """
     objects = splat_objects(source) if isinstance(source, bpy.types.Context) else marked(source)
     painter().draw(
-        objects, Matrix(view_matrix), Matrix(projection_matrix), (width, height), key="", wait=True
+        objects, view_matrix.copy(), projection_matrix.copy(), (width, height), key="", wait=True
     )
 
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import bpy
 import gpu
-import numpy as np
 from gpu_extras.batch import batch_for_shader
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from .. import blender
 from ..blender import camera_of, region_of, scene_of
@@ -53,10 +52,15 @@ def camera_lines(camera: bpy.types.Object, scene: bpy.types.Scene) -> list[Vecto
     eye = matrix.translation
     # `view_frame` is at some distance; what Blender draws is `display_size` wide.
     wide = max((frame[0] - frame[3]).length, (frame[0] - frame[1]).length)
-    size = data.display_size * float(np.mean(matrix.to_scale())) / max(wide, 1e-12)
+    size = data.display_size * _mean_scale(matrix) / max(wide, 1e-12)
     corners = [eye + (corner - eye) * size for corner in frame]
     around = [end for k in range(4) for end in (corners[k], corners[(k + 1) % 4])]
     return around + [end for corner in corners for end in (eye, corner)]
+
+
+def _mean_scale(matrix: Matrix) -> float:
+    scale = matrix.to_scale()
+    return (scale.x + scale.y + scale.z) / 3
 
 
 def _lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, ...]) -> None:
@@ -64,7 +68,7 @@ def _lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, 
         return
     region = region_of(context)
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
-    batch = batch_for_shader(shader, "LINES", {"pos": ends})
+    batch = batch_for_shader(shader, "LINES", {"pos": [(end.x, end.y, end.z) for end in ends]})
     shader.bind()
     shader.uniform_float("viewportSize", (region.width, region.height))
     shader.uniform_float("lineWidth", WIDTH * blender.interface_scale())

@@ -137,7 +137,7 @@ class Painter:
             tools.quad.draw_instanced(shader, instance_count=order.count)
         shader = tools.composite
         shader.bind()
-        shader.uniform_int("origin", gpu.state.viewport_get()[:2])
+        shader.uniform_int("origin", targets.viewport_origin())
         shader.uniform_bool("linear_target", [linear_target])
         shader.uniform_sampler("picture", self._picture.texture)
         shader.uniform_sampler("scene_depth", depth)
@@ -309,8 +309,8 @@ def object_texels(
         back = matrix.inverted()
         texel[:3] = np.array(matrix)[:3]
         if perspective:
-            texel[3] = (*back.translation, NEAR * scale)
+            texel[3, :3], texel[3, 3] = back.translation, NEAR * scale
         else:
-            sight = (back.to_3x3() @ Vector((0, 0, -1))).normalized()
-            texel[3] = (*sight, -np.inf)
+            sight = back.to_3x3() @ Vector((0, 0, -1))
+            texel[3, :3], texel[3, 3] = sight.normalized(), -np.inf
     return texels

@@ -10,11 +10,10 @@ from __future__ import annotations
 import bpy
 import gpu
 import numpy as np
-from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from .. import blender
-from ..blender import mesh_of, region_of, region_view_of, scene_of
+from ..blender import mesh_of, persistent, region_of, region_view_of, scene_of
 from ..scene import clouds, lookup
 from . import shaders
 from .handler import ViewHandler
@@ -25,7 +24,7 @@ SMALLEST = 2.5
 _batches: dict[int, gpu.types.GPUBatch | None] = {}
 """Mesh, by its number in this session -> its points on the GPU; None if they have no colour."""
 
-_shader: gpu.types.GPUShader | None = None
+_shader: shaders.Shader = None
 
 
 def problem() -> str:
@@ -126,7 +125,8 @@ def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
         return
     for update in graph.updates:
         if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
-            _batches.pop(update.id.original.session_uid, None)
+            original = update.id.original
+            _batches.pop(original.session_uid if original else 0, None)
 
 
 @persistent
