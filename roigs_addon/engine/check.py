@@ -28,23 +28,23 @@ last: tuple[Finding, ...] = ()
 """What the last `check` found, for the preferences page: a check takes too long for drawing."""
 
 
-def check(chosen: str, home: Path) -> tuple[Finding, ...]:
+def check(chosen: str, environments: Path) -> tuple[Finding, ...]:
     """Ask every candidate again.
 
     Args:
         chosen: Python named by the user, or empty.
-        home: folder of the environments that 'Set Up the Engine' makes.
+        environments: folder of those that 'Set Up the Engine' makes.
     """
     global last
     python.ability.cache_clear()
-    there = python.candidates(chosen, home)
+    there = python.candidates(chosen, environments)
     used: list[Path] = []
     findings = []
     for task, packages in TASKS:
         able = [path for path in there if not python.ability(path).lacks(packages)]
         path = (able or there)[0]
         used += [path] if path not in used else []
-        says = "ready" if able else f"not yet; {_lack(path, packages)}"
+        says = "ready" if able else f"not ready: {_lack(path, packages)}"
         findings.append(Finding(works=bool(able), text=f"{task}: {says}"))
     last = (*findings, *(_place(path) for path in used))
     return last

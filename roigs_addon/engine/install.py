@@ -21,7 +21,7 @@ from ..errors import AddonError
 from .base_python import choose_python
 from .command import HIDDEN, without_blender
 from .install_steps import Plan, Step, requirements, steps
-from .python import MARKER, environment_python, whole_environments
+from .python import MARKER, complete_environments, environment_python
 
 _RAW_PROGRESS = re.compile(r"Progress (\d+) of (\d+)")
 
@@ -42,7 +42,7 @@ class Installation:
     def __init__(self, plan: Plan) -> None:
         """Prepare it; `start` begins."""
         self.plan = plan
-        self.log = plan.home / "setup.log"
+        self.log = plan.environments / "setup.log"
         self.title, self.line, self.message = "Looking for a Python", "", ""
         self.fraction = 0.0
         self.finished = self.stopped = False
@@ -77,13 +77,13 @@ class Installation:
             self.finished = True
 
     def _make(self) -> None:
-        home = self.plan.home
-        home.mkdir(parents=True, exist_ok=True)
+        folder = self.plan.environments
+        folder.mkdir(parents=True, exist_ok=True)
         base = choose_python(self.plan.wheels)
         self.title = "Cleaning up"
-        before = [int(p.name) for p in home.iterdir() if p.is_dir() and p.name.isdecimal()]
-        remove_replaced(home)
-        environment = home / str(max(before, default=0) + 1)
+        before = [int(p.name) for p in folder.iterdir() if p.is_dir() and p.name.isdecimal()]
+        remove_replaced(folder)
+        environment = folder / str(max(before, default=0) + 1)
         with self.log.open("w", encoding="utf-8") as log:
             planned = steps(self.plan, base, environment)
             for number, step in enumerate(planned):
@@ -97,7 +97,7 @@ class Installation:
         self.python, self.fraction = environment_python(environment), 1.0
         self.title = "The engine is set up"
         if not self.plan.in_use():  # otherwise the next installation removes it
-            remove_replaced(home)
+            remove_replaced(folder)
 
     def _run_step(self, step: Step, log: IO[str], begin: float, share: float) -> None:
         """Run one program to its end; its output goes to the log.
@@ -143,10 +143,10 @@ class Installation:
         return {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"} | raw
 
 
-def remove_replaced(home: Path) -> None:
+def remove_replaced(folder: Path) -> None:
     """Remove incomplete environments and all but the newest complete one."""
-    newest = whole_environments(home)[:1]
-    for path in home.iterdir():
+    newest = complete_environments(folder)[:1]
+    for path in folder.iterdir():
         if path.is_dir() and path not in newest:
             shutil.rmtree(path, ignore_errors=True)
 

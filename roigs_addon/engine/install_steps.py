@@ -21,13 +21,13 @@ class Plan:
     """What to install and from where.
 
     Attributes:
-        home: folder of the environments.
+        environments: folder for the new one, and of earlier ones.
         cuda: torch for NVIDIA GPUs instead of the one for the CPU, and gsplat.
         wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
         in_use: whether an engine runs, maybe in an older environment; called at the end.
     """
 
-    home: Path
+    environments: Path
     cuda: bool = False
     wheels: Path | None = None
     in_use: Callable[[], bool] = lambda: False

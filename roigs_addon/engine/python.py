@@ -42,7 +42,7 @@ class Ability:
     """What a Python has.
 
     Attributes:
-        version: (major, minor); (0, 0) when it does not start.
+        version: (major, minor); (0, 0) if it does not start.
         missing: packages of PACKAGES that it lacks.
         fault: why it does not start; empty if it does.
     """
@@ -99,36 +99,38 @@ def environment_python(environment: Path) -> Path:
     return environment / "bin" / "python"
 
 
-def whole_environments(home: Path) -> list[Path]:
+def complete_environments(environments: Path) -> list[Path]:
     """The complete environments in a folder, newest first."""
-    found = [path.parent for path in home.glob(f"*/{MARKER}") if path.parent.name.isdecimal()]
+    found = [
+        path.parent for path in environments.glob(f"*/{MARKER}") if path.parent.name.isdecimal()
+    ]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 
 
-def candidates(chosen: str, home: Path) -> list[Path]:
+def candidates(chosen: str, environments: Path) -> list[Path]:
     """Pythons to try, in order of preference. If the user named one, no other is tried.
 
     Args:
         chosen: by the user, or empty.
-        home: folder of the environments that 'Set Up the Engine' makes.
+        environments: folder of those that 'Set Up the Engine' makes.
     """
     named = chosen or os.environ.get(VARIABLE, "")
     if named:
         return [Path(named)]
-    made = [environment_python(environment) for environment in whole_environments(home)]
+    made = [environment_python(environment) for environment in complete_environments(environments)]
     return [*made, own_python()]
 
 
-def find(chosen: str, home: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
+def find(chosen: str, environments: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
     """The first Python that has the packages, or why there is none.
 
     Returns:
         The engine, or None and a sentence for the user.
     """
     reasons = []
-    for python in candidates(chosen, home):
+    for python in candidates(chosen, environments):
         reason = ability(python).lacks(packages)
         if not reason:
             return Engine(python=python, source=SOURCE), ""
         reasons.append(f"{python}: {reason}")
-    return None, f"No Python for the engine ({'; '.join(reasons)})."
+    return None, f"No Python can run the engine ({'; '.join(reasons)})."

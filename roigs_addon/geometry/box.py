@@ -12,7 +12,7 @@ from .frames import Matrix, nearest_rotation
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """An oriented box in the COLMAP frame, as `rois.json` has it (files.md)."""
+    """An oriented box in the COLMAP frame, as `rois.json` has it (docs/files.md)."""
 
     world_to_box: Matrix
     half_extents: NDArray[np.float64]
@@ -33,7 +33,7 @@ def box_from_matrix(empty: Matrix, root: Matrix, half_size: float) -> Box:
 
     Args:
         empty: the empty's `matrix_world`.
-        root: `matrix_world` of the root that the COLMAP model hangs on.
+        root: `matrix_world` of the root, the parent of the COLMAP model.
         half_size: the empty's display size, half the cube's side.
 
     Raises:

@@ -1,4 +1,4 @@
-"""COLMAP frames and Blender frames: the only place where one becomes the other. No bpy.
+"""Conversion between COLMAP's frame and Blender's, done nowhere else. No bpy.
 
 All matrices are float64 numpy arrays (4, 4) that act on columns (docs/conventions.md, section
 Blender).
@@ -17,7 +17,7 @@ Matrix = NDArray[np.float64]
 FLIP: Matrix = np.diag([1.0, -1.0, -1.0, 1.0])
 
 SENSOR_WIDTH = 36.0
-"""Millimetres, as Blender's default camera; lens lengths are in proportion to it."""
+"""Millimetres, as for Blender's default camera; focal lengths are relative to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,8 @@ class Lens:
     Attributes:
         lens: focal length in millimetres on a sensor of SENSOR_WIDTH.
         shift_x, shift_y: in widths of the image.
-        aspect_x, aspect_y: the scene's pixel aspect; the smaller one is 1, for Blender takes none
-            below.
+        aspect_x, aspect_y: the scene's pixel aspect; the smaller one is 1, the least that Blender
+            accepts.
     """
 
     lens: float
@@ -51,7 +51,7 @@ class Lens:
 
 
 def lens_from_intrinsics(k: Intrinsics) -> Lens:
-    """What makes Blender's camera project as `k` does."""
+    """The camera `k` in Blender's terms."""
     ratio = k.fx / k.fy
     return Lens(
         lens=k.fx * SENSOR_WIDTH / k.width,
@@ -84,7 +84,7 @@ def camera_matrix(world_to_camera: Matrix) -> Matrix:
 def world_to_camera(matrix: Matrix, root: Matrix) -> Matrix:
     """The pose in the COLMAP frame of a camera whose `matrix_world` is `matrix`.
 
-    Scale is taken out: a scaled root scales its cameras' axes too, which does not change what they
+    Scale is removed: a scaled root also scales its cameras' axes, which does not change what they
     see.
     """
     local = np.linalg.inv(root) @ matrix @ FLIP

@@ -1,7 +1,7 @@
-"""What the add-on keeps of a photo, on its camera object, exactly as COLMAP has it. No bpy.
+"""The record of a photo, kept on its camera object, exactly as COLMAP has it. No bpy.
 
-Blender stores numbers and matrices as 32-bit floats, and a lens and shift in place of pixels; the
-record keeps the original beside them, so that what goes back to COLMAP is what came.
+Blender stores matrices as 32-bit floats, and a lens and a shift instead of pixels. The record keeps
+the original, so that the engine gets back exactly the numbers that it gave.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class Photo:
     """A posed photo.
 
     Attributes:
-        name: as the COLMAP model has it, with `/` when in a subfolder.
-        path: of the file; empty when it is missing.
+        name: as in the COLMAP model; with `/` if it is in a subfolder.
+        path: of the file; empty if it is missing.
         intrinsics: in pixels.
         world_to_camera: rows of the pose in the COLMAP frame, OpenCV axes.
     """
@@ -63,7 +63,7 @@ class Photo:
 
     @classmethod
     def from_json(cls, text: str) -> Photo | None:
-        """The photo of a record, or None when there is no valid one."""
+        """The photo of a record, or None if the record is not valid."""
         try:
             return cls.from_dict(json.loads(text))
         except (ValueError, KeyError, TypeError):

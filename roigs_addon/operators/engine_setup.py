@@ -89,7 +89,10 @@ class SetUpEngine(bpy.types.Operator):
         if wheels is not None and not wheels.is_dir():
             raise AddonError(f"There is no folder {wheels}. Choose the folder with the wheels.")
         return Plan(
-            home=settings.environments(), cuda=self.cuda, wheels=wheels, in_use=current.busy
+            environments=settings.environments(),
+            cuda=self.cuda,
+            wheels=wheels,
+            in_use=current.busy,
         )
 
 

@@ -1,4 +1,4 @@
-"""The environment for the engine: which Python, which steps, and half-made ones."""
+"""The environment for the engine: which Python, which steps, incomplete ones."""
 
 from __future__ import annotations
 
@@ -52,43 +52,43 @@ def test_requirements_are_those_of_the_project() -> None:
     assert any(r.startswith("numpy") for r in wanted)
 
 
-def test_success_leaves_one_whole_environment(
+def test_success_leaves_one_complete_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_steps(monkeypatch, "print('Progress 5 of 10'); print('fine')")
     for _ in range(2):
-        done = run(Installation(Plan(home=tmp_path)))
+        done = run(Installation(Plan(environments=tmp_path)))
         assert done.message == "" and done.fraction == 1.0
-    (environment,) = python.whole_environments(tmp_path)
+    (environment,) = python.complete_environments(tmp_path)
     assert environment == tmp_path / "2"
     assert done.python == python.environment_python(environment)
     assert "fine" in done.log.read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["2"]
 
 
-def test_an_environment_in_use_stays_until_the_next_set_up(
+def test_an_environment_in_use_stays_until_the_next_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_steps(monkeypatch)
     for made in (["1"], ["1", "2"]):
-        run(Installation(Plan(home=tmp_path, in_use=lambda: True)))
+        run(Installation(Plan(environments=tmp_path, in_use=lambda: True)))
         assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == made
-    run(Installation(Plan(home=tmp_path, in_use=lambda: True)))
-    assert [path.name for path in python.whole_environments(tmp_path)] == ["3", "2"]
+    run(Installation(Plan(environments=tmp_path, in_use=lambda: True)))
+    assert [path.name for path in python.complete_environments(tmp_path)] == ["3", "2"]
 
 
 def test_failure_says_pips_last_error_and_keeps_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_steps(monkeypatch)
-    run(Installation(Plan(home=tmp_path)))
+    run(Installation(Plan(environments=tmp_path)))
     fake_steps(monkeypatch, "print('ERROR: No space left'); print('notice'); raise SystemExit(1)")
-    failed = run(Installation(Plan(home=tmp_path)))
+    failed = run(Installation(Plan(environments=tmp_path)))
     assert failed.message == f"Step 1 failed: No space left. See the log {tmp_path / 'setup.log'}"
-    assert [path.name for path in python.whole_environments(tmp_path)] == ["1"]
-    assert (tmp_path / "2").is_dir()  # half made: not whole, and gone with the next set-up
+    assert [path.name for path in python.complete_environments(tmp_path)] == ["1"]
+    assert (tmp_path / "2").is_dir()  # incomplete, and removed by the next installation
     fake_steps(monkeypatch)
-    run(Installation(Plan(home=tmp_path)))
+    run(Installation(Plan(environments=tmp_path)))
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["3"]
 
 
@@ -100,7 +100,7 @@ def test_stop_ends_what_the_step_started(tmp_path: Path, monkeypatch: pytest.Mon
         f" {child!r}]); print('pid', p.pid, flush=True); p.wait()"
     )
     fake_steps(monkeypatch, code)
-    installation = Installation(Plan(home=tmp_path))
+    installation = Installation(Plan(environments=tmp_path))
     installation.start()
     deadline = time.monotonic() + 30
     said = ""
@@ -110,7 +110,7 @@ def test_stop_ends_what_the_step_started(tmp_path: Path, monkeypatch: pytest.Mon
     pid = int(next(line for line in said.splitlines() if line.startswith("pid "))[4:])
     installation.stop()
     assert installation.finished and installation.message == "Setting up was stopped."
-    assert not python.whole_environments(tmp_path)
+    assert not python.complete_environments(tmp_path)
     deadline = time.monotonic() + 5
     while _lives(pid) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -145,14 +145,14 @@ def test_a_program_that_is_no_python_is_passed_over() -> None:
 
 def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     base, made = Path("python"), tmp_path / "1"
-    offline = install_steps.steps(Plan(home=tmp_path, wheels=tmp_path), base, made)
+    offline = install_steps.steps(Plan(environments=tmp_path, wheels=tmp_path), base, made)
     assert [step.title for step in offline] == [
         "Creating the environment",
         "Installing",
         "Testing the environment",
     ]
     assert "--no-index" in offline[1].command
-    online = install_steps.steps(Plan(home=tmp_path, cuda=True), base, made)
+    online = install_steps.steps(Plan(environments=tmp_path, cuda=True), base, made)
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
     assert scripts == [str(ROOT / "tools" / "install_torch.py")]
     index = install_steps.CUDA_INDEX
@@ -170,7 +170,7 @@ def test_check_says_what_works_and_what_is_missing(
     said = {f.text: f.works for f in check.check("/opt/python", tmp_path)}
     assert said["Reading models: ready"]
     assert said["Selecting by Gaussian process: ready"]
-    assert not said["Training and rendering: not yet; Python 3.12 lacks torch"]
+    assert not said["Training and rendering: not ready: Python 3.12 lacks torch"]
     assert said["Python 3.12: /opt/python"]
     check.forget()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from types import ModuleType
@@ -37,7 +38,8 @@ def test_counts_are_those_of_the_engine(demo) -> None:
     found = {roi.name: point_counts.count(roi, demo) for roi in lookup.rois(demo)}
     assert len(found) == 3
     for name, (points, photos) in found.items():
-        described = text.split(f"ROI «{name}»")[1].splitlines()[1].split()
+        _, after = re.split(rf"(?:ROI|[Bb]ox) .{re.escape(name)}.", text)
+        described = after.splitlines()[1].split()
         assert points == int(described[0]) > 0
         assert photos == int(described[described.index("on") + 1]) > 0
 

@@ -122,7 +122,7 @@ def test_a_photos_record_is_exact() -> None:
     random = np.random.default_rng(1)
     rows = tuple(tuple(row) for row in matrix(random).tolist())
     photo = Photo(
-        name="für/a «b».jpg", path="", intrinsics=intrinsics(random), world_to_camera=rows
+        name="für/a “b”.jpg", path="", intrinsics=intrinsics(random), world_to_camera=rows
     )
     assert Photo.from_json(photo.to_json()) == photo
 

@@ -234,7 +234,7 @@ def test_what_the_engine_reads(blender: ModuleType, addon: ModuleType, tmp_path:
     np.testing.assert_allclose(roi.half_extents, numbers[16:])
 
 
-@pytest.mark.parametrize("name", ["a/b", "a\\b", "c:", "who?", "«*»", "...", 'a"', "<", "|"])
+@pytest.mark.parametrize("name", ["a/b", "a\\b", "c:", "who?", "(*)", "...", 'a"', "<", "|"])
 def test_names_that_no_file_can_have(
     blender: ModuleType, addon: ModuleType, tmp_path: Path, name: str
 ) -> None:
