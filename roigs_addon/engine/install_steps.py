@@ -41,9 +41,9 @@ class Step:
     command: list[str]
 
 
-def requirements(*extras: str, pyproject: Path = SOURCE / "pyproject.toml") -> list[str]:
+def requirements(*extras: str) -> list[str]:
     """What training needs, and the given extras of the project, as pip expects it."""
-    project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((SOURCE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     optional = project["optional-dependencies"]
     return [
         *project["dependencies"],

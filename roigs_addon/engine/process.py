@@ -12,7 +12,7 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -54,12 +54,7 @@ class EngineProcess:
     """A running engine command. All methods are for one thread, the owner's."""
 
     def __init__(
-        self,
-        engine: Engine,
-        arguments: Sequence[str],
-        *,
-        log: Path | None = None,
-        extra_environment: Mapping[str, str] | None = None,
+        self, engine: Engine, arguments: Sequence[str], *, log: Path | None = None
     ) -> None:
         """Start it; `arguments` begin with the command, and `--events` is added.
 
@@ -75,7 +70,7 @@ class EngineProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env=engine.environment() | dict(extra_environment or {}),
+            env=engine.environment(),
             text=True,
             encoding="utf-8",
             errors="replace",

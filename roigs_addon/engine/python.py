@@ -101,9 +101,8 @@ def environment_python(environment: Path) -> Path:
 
 def complete_environments(environments: Path) -> list[Path]:
     """The complete environments in a folder, newest first."""
-    found = [
-        path.parent for path in environments.glob(f"*/{MARKER}") if path.parent.name.isdecimal()
-    ]
+    marked = (path.parent for path in environments.glob(f"*/{MARKER}"))
+    found = [folder for folder in marked if folder.name.isdecimal()]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 
 

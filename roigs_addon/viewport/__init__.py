@@ -9,7 +9,7 @@
 | `targets` | images on the GPU: the splats' own, and the scene's depth |
 | `painter` | keeps the sets and orders on the GPU, and draws them |
 | `handler` | what Blender calls for each viewport |
-| `draw` | the Gaussians in the viewport; `draw_view` for any other image |
+| `draw` | the Gaussians in the viewport |
 | `points` | the sparse points in their colours |
 | `marks` | boxes and chosen cameras as coloured lines |
 

@@ -1,17 +1,14 @@
-"""Draws Gaussians in every 3D viewport, and in any other image."""
+"""Draws Gaussians in every 3D viewport."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import bpy
-from mathutils import Matrix
 
 from ..blender import region_of, region_view_of
 from ..windows import Timer, redraw
 from . import targets
 from .handler import ViewHandler
-from .objects import marked, splat_objects, surfaces_are_visible
+from .objects import splat_objects, surfaces_are_visible
 from .painter import Painter
 
 POLL = 0.02
@@ -32,28 +29,6 @@ def problems() -> dict[str, str]:
     """Path -> why it cannot be drawn, in one line; path "" for what concerns all of them."""
     own = {"": _handler.failure} if _handler.failure else {}
     return {**own, **(_painter.problems if _painter else {})}
-
-
-def draw_view(
-    source: bpy.types.Context | Iterable[bpy.types.Object],
-    view_matrix: Matrix,
-    projection_matrix: Matrix,
-    width: int,
-    height: int,
-) -> None:
-    """Draw splats over the bound framebuffer, in sRGB values; wait for files and sorting.
-
-    Args:
-        source: a context, or the objects that may be drawn.
-        view_matrix: world -> camera; the camera looks along -z, y is up.
-        projection_matrix: camera -> clip space, perspective or orthographic, shifted or not.
-        width: of the framebuffer, pixels.
-        height: likewise.
-    """
-    objects = splat_objects(source) if isinstance(source, bpy.types.Context) else marked(source)
-    painter().draw(
-        objects, view_matrix.copy(), projection_matrix.copy(), (width, height), key="", wait=True
-    )
 
 
 def _draw_region(context: bpy.types.Context) -> None:

@@ -22,7 +22,7 @@ ROOMS = (
     {"operators"},
     {"ui"},
 )
-"""From the top: rooms, and files that belong to none. Those side by side do not import one another."""
+"""Rooms and single files, from the top. Those in one line do not import one another."""
 RANK = {name: rank for rank, names in enumerate(ROOMS) for name in names}
 MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): path

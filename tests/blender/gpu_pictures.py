@@ -12,6 +12,7 @@ import numpy as np
 from mathutils import Matrix
 
 from roigs_addon.viewport import draw
+from roigs_addon.viewport.objects import marked
 
 
 def picture(
@@ -21,7 +22,8 @@ def picture(
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA32F")
     with offscreen.bind():
         gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
-        draw.draw_view(objects, view, projection, width, height)
+        drawn, size = marked(objects), (width, height)
+        draw.painter().draw(drawn, view, projection, size, key="", wait=True)
         data = offscreen.texture_color.read()
     data.dimensions = width * height * 4
     offscreen.free()
