@@ -79,9 +79,8 @@ def _proposed(scene: bpy.types.Scene) -> Path:
         # A folder there is this scene's: the file was not saved after its training.
         return next(folder for folder in _beside_blend(scene) if folder not in taken)
     name: str = scene_props(scene).colmap or scene.name
-    mark = hashlib.sha256(name.encode()).hexdigest()[
-        :8
-    ]  # many projects' folders have the same name
+    # Many projects' folders have the same name.
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]
     folders = _numbered(settings.unsaved_folder() / f"{_plain(name)}-{mark}")
     return next(f for f in folders if f not in taken and not os.path.lexists(f))
 

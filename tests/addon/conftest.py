@@ -50,7 +50,7 @@ def blender() -> ModuleType:
 
 @pytest.fixture
 def addon(blender: ModuleType) -> Iterator[ModuleType]:
-    """The registered add-on. What stays registered when Python exits would make bpy 4.5 hang."""
+    """The registered add-on. Anything that stays registered would make bpy 4.5 hang at exit."""
     import roigs_addon
 
     roigs_addon.register()

@@ -12,6 +12,12 @@ import pytest
 import roigs_addon
 
 
+def below(cls: type) -> set[type]:
+    """The subclasses of a class, and theirs."""
+    direct = set(cls.__subclasses__())
+    return direct.union(*map(below, direct))
+
+
 def registered(bpy: ModuleType) -> dict[str, set[str]]:
     """Everything that an add-on can leave in Blender."""
     handlers = {
@@ -28,7 +34,7 @@ def registered(bpy: ModuleType) -> dict[str, set[str]]:
     subclasses = {
         cls.__name__
         for base in (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup)
-        for cls in base.__subclasses__()
+        for cls in below(base)
         if cls.is_registered
     }
     owners = ("Scene", "Object", "WindowManager", "Camera", "Collection", "Mesh")

@@ -55,7 +55,7 @@ def load_png(path: Path) -> np.ndarray:
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    """dB, of values in 0 to 1; what lies outside is taken as the nearest of them."""
+    """dB, of values in 0 to 1; values outside are clipped."""
     error = np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2, dtype=float)
     return float(-10 * np.log10(max(error, 1e-12)))
 

@@ -41,7 +41,7 @@ def splats(name: str, path: Path) -> bpy.types.Object:
 
 
 def seen(*objects: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
-    """Things about the origin, which fills the picture, from a distance."""
+    """Objects around the origin, which fill the picture, from a distance."""
     focal = 0.4 * SIDE * distance
     camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2 + 3}
     clip = perspective({**camera, "cy": SIDE / 2}, distance / 100, distance * 10)
@@ -69,7 +69,7 @@ def check_one_order_for_all(a: bpy.types.Object, b: bpy.types.Object) -> None:
 
 
 def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
-    """Marks and visibility are obeyed; a path that leads nowhere is passed over."""
+    """Marks and visibility are respected; a path to a missing file is ignored."""
     alone = seen(a)
     assert psnr(alone, seen(a, b)) < 40
     b.roigs.as_points = True
@@ -158,7 +158,7 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
 
 
 def check_points(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
-    """Points have their colours, size and depth; what changes or is switched off is seen to."""
+    """Points have their colours, size and depth; changes and hiding are followed."""
     shown = np.array([[1, 0, 0], [0, 0.5, 1], [0.1, 0.1, 0.1]], np.float32)
     places = np.array([[0, 0, 0], [0.5, 0, 0], [0, 0, -2]], np.float32)  # the last behind the first
     cloud = clouds.new_points("points", places)
@@ -204,7 +204,7 @@ def check_points(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
 
 
 def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
-    """A scene shows its own objects; those of another stay at hand."""
+    """A scene shows its own objects; those of another stay loaded."""
     alone = seen(a)
     other = bpy.data.scenes.new("other")
     bpy.context.scene.collection.objects.unlink(b)
@@ -217,7 +217,7 @@ def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
 
 
 def check_freed(a: bpy.types.Object, _b: bpy.types.Object) -> None:
-    """Nothing stays behind; drawing begins anew."""
+    """Nothing stays in memory; drawing can start again."""
     before = seen(a)
     draw.unregister()
     draw.unregister()

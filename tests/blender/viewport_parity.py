@@ -40,7 +40,7 @@ POSES = {
 
 
 def main(folder: Path) -> bool:
-    """Draw and compare everything in a case; is it all alike enough?"""
+    """Draw and compare everything in a case; whether all of it is similar enough."""
     item = bpy.data.objects.new("splats", None)
     bpy.context.scene.collection.objects.link(item)
     item.roigs.kind, item.roigs.ply = "SPLATS", str(folder / "splats.ply")

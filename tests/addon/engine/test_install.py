@@ -33,7 +33,7 @@ def run(installation: Installation) -> Installation:
 
 
 def fake_steps(monkeypatch: pytest.MonkeyPatch, *codes: str) -> None:
-    """Programs in place of venv and pip; the first makes the folder."""
+    """Replace venv and pip by other programs; the first makes the folder."""
 
     def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
         made = f"import os; os.makedirs({str(environment)!r})"
@@ -175,7 +175,7 @@ def test_check_says_what_works_and_what_is_missing(
     check.forget()
 
 
-def test_check_of_a_python_that_is_none(tmp_path: Path) -> None:
+def test_check_of_a_python_that_does_not_exist(tmp_path: Path) -> None:
     findings = check.check(str(tmp_path / "python"), tmp_path)
     assert not any(finding.works for finding in findings)
     assert "does not start" in findings[-1].text

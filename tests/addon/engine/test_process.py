@@ -31,7 +31,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize("line", BROKEN, ids=lambda line: repr(line[:20]))
-def test_lines_that_are_no_events(line: str) -> None:
+def test_lines_that_are_not_events(line: str) -> None:
     assert parse_event(line) is None
 
 
@@ -80,7 +80,7 @@ def test_events_are_taken_and_text_goes_to_the_log(tmp_path: Path) -> None:
         ('raise ValueError("broken")', "ValueError: broken"),
     ],
 )  # fmt: skip
-def test_every_end_has_words(tmp_path: Path, code: str, message: str) -> None:
+def test_every_end_has_a_message(tmp_path: Path, code: str, message: str) -> None:
     result, _ = finished(EngineProcess(fake(tmp_path, code), ["train"]))
     assert result.failed and message in result.message and "\n" not in result.message
 
@@ -104,7 +104,7 @@ def test_stop_is_the_end_of_input(tmp_path: Path) -> None:
     process.stop()
 
 
-def test_a_python_that_is_none(tmp_path: Path) -> None:
+def test_a_python_that_does_not_exist(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"):
         EngineProcess(Engine(python=tmp_path / "nowhere", source=tmp_path), ["train"])
 

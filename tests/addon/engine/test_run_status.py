@@ -41,7 +41,7 @@ def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:
     assert run_status.read(tmp_path).boxes is None
 
 
-def test_an_engine_at_work_is_told_from_a_lock_that_was_left(tmp_path: Path) -> None:
+def test_a_running_engine_is_told_from_a_leftover_lock(tmp_path: Path) -> None:
     write(tmp_path / "run.lock", '{"pid": 1}')
     assert run_status.read(tmp_path).holder == 0
     with subprocess.Popen(

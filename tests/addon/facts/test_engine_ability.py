@@ -10,7 +10,7 @@ import pytest
 pytestmark = pytest.mark.blender
 
 
-def test_an_engine_that_lacked_something_is_asked_afresh(
+def test_an_engine_that_lacked_something_is_asked_again(
     blender: ModuleType, addon: ModuleType, monkeypatch
 ) -> None:
     from roigs_addon.engine import python

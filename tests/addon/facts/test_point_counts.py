@@ -27,7 +27,7 @@ def demo(blender: ModuleType, addon: ModuleType):
 
 
 def test_counts_are_those_of_the_engine(demo) -> None:
-    """Also: boxes written by the add-on hold what the boxes of rois.json hold."""
+    """Also, boxes written by the add-on contain the same points as those of rois.json."""
     from roigs_addon import settings
     from roigs_addon.engine.python import FOR_READING
     from roigs_addon.facts import point_counts

@@ -60,7 +60,7 @@ def test_columns_are_found_by_name(tmp_path: Path, types: dict[str, str]) -> Non
         np.testing.assert_array_equal(getattr(found, name), values)
 
 
-def test_what_cannot_be_drawn_is_left_out(tmp_path: Path) -> None:
+def test_what_cannot_be_drawn_is_skipped(tmp_path: Path) -> None:
     arrays = random_arrays(6, seed=2)
     arrays["means"][0, 1] = np.nan
     arrays["quats"][1] = 0

@@ -113,7 +113,7 @@ def test_uneven_root_scale_keeps_an_aligned_box_and_slants_a_turned_one() -> Non
 
 
 @pytest.mark.parametrize("scale", [0.0, np.nan, np.inf])
-def test_a_flat_or_broken_cube_is_no_box(scale: float) -> None:
+def test_a_flat_or_broken_cube_is_not_a_box(scale: float) -> None:
     with pytest.raises(ValueError, match="no volume"):
         box_from_matrix(np.diag([1.0, scale, 1.0, 1.0]), np.eye(4), 1.0)
 
@@ -128,5 +128,5 @@ def test_a_photos_record_is_exact() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"name": 1}', "nonsense"])
-def test_no_photo_in_a_broken_record(text: str) -> None:
+def test_a_broken_record_has_no_photo(text: str) -> None:
     assert Photo.from_json(text) is None

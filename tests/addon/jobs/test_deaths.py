@@ -1,4 +1,4 @@
-"""What becomes of a training that is stopped or killed, with the real engine."""
+"""Trainings that are stopped or killed, with the real engine."""
 
 from __future__ import annotations
 

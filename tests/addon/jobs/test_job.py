@@ -16,7 +16,7 @@ pytestmark = pytest.mark.blender
 
 @pytest.fixture
 def spec(addon: ModuleType, tmp_path: Path):
-    """Makes the `JobSpec` of a fake job; `taken` grows when its results are taken in."""
+    """Makes the `JobSpec` of a fake job; `taken` grows when its results are imported."""
     from roigs_addon.jobs.spec import JobSpec
 
     taken: list[str] = []
@@ -202,10 +202,10 @@ def test_a_failed_result_is_an_error(blender: ModuleType, spec, tmp_path: Path) 
     assert not current.busy()
 
 
-def test_what_is_taken_in_can_be_undone(
+def test_results_can_be_undone(
     blender: ModuleType, spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By a step of its own, after the results are in."""
+    """With an undo step of their own, after they were imported."""
     from roigs_addon.errors import AddonError
     from roigs_addon.jobs import current, undo
 
@@ -227,7 +227,7 @@ def test_what_is_taken_in_can_be_undone(
 
 
 def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
-    """Operators that run the engine end before it does when the file browser calls them."""
+    """Called by the file browser, such an operator ends before its engine does."""
     from roigs_addon.operators import photos, results, scene, train
     from roigs_addon.operators.base import EngineOperator
 
@@ -243,7 +243,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
 def test_esc_is_offered_where_it_is_heard(
     blender: ModuleType, spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not in an import by the file browser, whose operator has ended."""
+    """It is not after the file browser, whose operator has ended."""
     from unittest.mock import MagicMock
 
     from roigs_addon.jobs import current

@@ -1,4 +1,4 @@
-"""Where things are kept: what outlives the extension, whose run a folder holds."""
+"""Run folders: what outlives the extension, and which run a folder belongs to."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_a_result_finds_its_scene_and_no_other(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an unusable folder, the POSIX way")
-def test_unusable_folders_are_one_line(
+def test_an_unusable_folder_gives_one_line(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
     from roigs_addon.errors import AddonError
@@ -208,7 +208,7 @@ def test_unusable_folders_are_one_line(
         assert not run_facts.run(scene).result and not run_facts.is_file(folder)
 
 
-def test_an_unusable_cache_is_one_line(
+def test_an_unusable_cache_gives_one_line(
     blender: ModuleType,
     addon: ModuleType,
     project: Path,

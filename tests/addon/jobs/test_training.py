@@ -183,10 +183,10 @@ def test_rendering_works_where_training_does(
     assert options_files.machine_options() == ["--device", "cpu", "--threads", "3"]
 
 
-def test_a_boxs_name_leads_nowhere_else(
+def test_the_name_of_a_box_cannot_lead_elsewhere(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
-    """A .blend may come from anybody, with any names in it."""
+    """A .blend may come from anybody and contain any names."""
     from roigs_addon.errors import AddonError
     from roigs_addon.jobs import options_files
     from roigs_addon.scene import lookup
@@ -323,7 +323,7 @@ def test_a_list_of_photos_is_used(
     assert record["names"] == ["photo 6.png", "photo 1.png"] and record["method"] == "given"
 
 
-def test_scene_gs_is_used_again_for_another_box(
+def test_the_whole_scene_is_reused_for_another_box(
     blender: ModuleType, engine, project: Path, tmp_path: Path
 ) -> None:
     from roigs_addon.scene import lookup
@@ -362,10 +362,10 @@ def test_a_stopped_training_resumes_to_the_same_bytes(
     assert plys(run) == by_hand(engine, options(run, "train"))
 
 
-def test_resuming_is_with_the_boxes_of_before(
+def test_resuming_trains_the_same_boxes(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
-    """To train others too would archive what a stopped 'Only …' has."""
+    """Training others too would archive the work of a stopped 'Only …'."""
     from roigs_addon.operators.train import TrainRoi
 
     class Asker:

@@ -17,7 +17,7 @@ from tests.addon.scenes import add_box, drawn_points, imported, record
 pytestmark = pytest.mark.blender
 
 
-def test_what_comes_in(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+def test_what_is_imported(blender: ModuleType, addon: ModuleType, project: Path) -> None:
     from roigs_addon.scene import cameras, clouds, lookup
 
     scene = imported(blender, project)
@@ -97,7 +97,7 @@ def test_looking_through_a_photo(blender: ModuleType, addon: ModuleType, project
 
 
 def test_the_photo_at_hand(blender: ModuleType, addon: ModuleType, project: Path) -> None:
-    """What the button between the arrows names is what it looks through."""
+    """The button between the arrows looks through the photo that it names."""
     from roigs_addon.scene import lookup
     from roigs_addon.ui.scene import photo_at_hand
 
@@ -147,7 +147,7 @@ def test_any_way_of_making_a_camera_active(
     assert render.resolution_x == 500
 
 
-def test_a_missing_photo_does_not_stop_the_look(
+def test_looking_through_a_missing_photo(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:
     scene = imported(blender, write_project(tmp_path / "a"))

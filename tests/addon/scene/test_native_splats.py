@@ -1,4 +1,4 @@
-"""Blender's own splats: what the probe takes, and that nothing is left of what it refuses."""
+"""Blender's own splats: what is accepted; nothing remains of what is refused."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ HALVES = {
 }
 
 
-def test_half_of_it_is_not_taken(
+def test_incomplete_splats_are_refused(
     blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from roigs_addon.scene import lookup
@@ -118,7 +118,9 @@ def test_half_of_it_is_not_taken(
         assert camera.select_get() and blender.context.view_layer.objects.active == camera, half
 
 
-def test_the_whole_is_taken(blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_complete_splats_are_used(
+    blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from roigs_addon.scene import lookup
 
     blender.ops.roigs.load_results()

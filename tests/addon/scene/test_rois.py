@@ -130,10 +130,10 @@ def test_the_active_box(blender: ModuleType, addon: ModuleType) -> None:
         bpy.ops.roigs.select_roi(name="vase")
 
 
-def test_a_deleted_box_leaves_its_name(
+def test_the_name_of_a_deleted_box_is_free(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:
-    """Blender's own delete takes a box out of the scene only: the panel's list points to it."""
+    """Blender's own delete only removes it from the scene: the panel's list still points to it."""
     from roigs_addon.scene import lookup
 
     bpy, scene = blender, blender.context.scene
@@ -153,7 +153,9 @@ def test_a_deleted_box_leaves_its_name(
     assert add_roi(bpy).name == "Box 1"
 
 
-def test_boxes_come_in_all_or_none(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
+def test_all_boxes_are_added_or_none(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
     from roigs_addon.scene import lookup
 
     bpy, scene = blender, blender.context.scene
@@ -219,7 +221,7 @@ def test_moving_root_and_boxes_together_changes_nothing(
 
 
 def test_what_the_engine_reads(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
-    """The file is one that the engine takes, with boxes where the empties are."""
+    """The engine reads the file, and its boxes are where the empties are."""
     from roigs_engine.roi import load_rois
 
     scene = blender.context.scene
@@ -235,7 +237,7 @@ def test_what_the_engine_reads(blender: ModuleType, addon: ModuleType, tmp_path:
 
 
 @pytest.mark.parametrize("name", ["a/b", "a\\b", "c:", "who?", "(*)", "...", 'a"', "<", "|"])
-def test_names_that_no_file_can_have(
+def test_names_that_cannot_name_files(
     blender: ModuleType, addon: ModuleType, tmp_path: Path, name: str
 ) -> None:
     from roigs_addon.errors import AddonError

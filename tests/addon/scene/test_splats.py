@@ -77,7 +77,7 @@ def test_attributes(blender: ModuleType, run, coefficients: int) -> None:
 
 
 def test_points_and_gaussians(blender: ModuleType, run) -> None:
-    """As points the objects have geometry in the viewport; as Gaussians they give way."""
+    """As points the objects have geometry in the viewport; as Gaussians they have none."""
     scene, _ = run
     blender.ops.roigs.load_results()
     item = levels(scene)["RESULT"]

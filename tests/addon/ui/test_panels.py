@@ -10,7 +10,7 @@ pytestmark = pytest.mark.blender
 
 
 def stand_in(cls: type):
-    """An object with a panel's methods: Blender makes none without a window."""
+    """An object with a panel's methods; without a window Blender makes no panels."""
     methods = {
         name: value
         for c in cls.__mro__
@@ -21,7 +21,7 @@ def stand_in(cls: type):
 
 
 class Layout:
-    """A layout that takes anything, and keeps the labels."""
+    """A layout that accepts everything, and keeps the labels."""
 
     def __init__(self, labels: list[str]) -> None:
         vars(self)["labels"] = labels
@@ -62,7 +62,7 @@ def test_missing_files_are_named(blender: ModuleType, run) -> None:
 
 
 def test_panels_draw(blender: ModuleType, run) -> None:
-    """Every panel's `draw`, on a layout that takes anything."""
+    """Every panel's `draw`, on a layout that accepts everything."""
     from roigs_addon.jobs import current
     from roigs_addon.ui import boxes, cameras, result, scene, train
 
