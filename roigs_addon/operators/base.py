@@ -50,7 +50,7 @@ def engine_problem(context: bpy.types.Context) -> str:
         return BUSY
     if not scene_props(scene).colmap:
         return "Import a COLMAP model first"
-    return "" if lookup.rois(scene) else "Add a box around each object to sharpen first"
+    return "" if lookup.rois(scene) else "First add a box around each object to sharpen"
 
 
 class EngineOperator(bpy.types.Operator):

@@ -177,7 +177,7 @@ def file_name(roi: bpy.types.Object) -> str:
     """
     if not can_name_a_file(roi.name):
         raise AddonError(
-            f"'{roi.name}' cannot name a file. Rename the box without / \\ : * ? \" < > |"
+            f"'{roi.name}' cannot name a file. Rename the box, without / \\ : * ? \" < > |"
         )
     return roi.name
 
