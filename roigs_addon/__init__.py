@@ -1,7 +1,19 @@
 """The Blender side of ROI-GS: the only code of the project that may import `bpy`.
 
-It talks to the engine as to another program: a request file, JSON lines and a run folder
-(docs/files.md); it imports nothing of `roigs_engine`.
+It talks to the engine as to another program, through options files, JSON lines and a run folder
+(docs/files.md), and imports nothing of `roigs_engine`. A room imports only from those above it:
+
+| room | what |
+|---|---|
+| `geometry/` | cameras and boxes in COLMAP's frame and in Blender's; no bpy |
+| `formats/` | the files and lines shared with the engine; no bpy |
+| `engine/` | the engine as another program: run, find, install, look at its runs; no bpy |
+| `scene/` | COLMAP models, boxes and Gaussians as Blender objects |
+| `jobs/` | the one engine job that runs at a time, and what is asked of it |
+| `facts/` | what panels and buttons need to know, cached |
+| `viewport/` | Gaussians, points and boxes drawn in the 3D view |
+| `operators/` | what the user can do |
+| `ui/` | the sidebar and the preferences page |
 """
 
 from __future__ import annotations
@@ -10,27 +22,31 @@ from importlib import import_module
 from types import ModuleType
 
 # Modules with `register()` and `unregister()`; a later one may use what an earlier one registered.
-# They are imported then, so that the files that need no bpy can be used where there is none.
+# They are imported only then, so that files without bpy can be used where there is none.
 MODULES = (
-    "preferences",
+    "ui.preferences",
     "properties",
-    "run_folders",
-    "active_camera",
-    "jobs",
+    "jobs.run_folders",
+    "scene.active_camera",
+    "jobs.current",
     "operators.engine_setup",
     "operators.scene",
-    "operators.regions",
-    "operators.select",
+    "operators.boxes",
+    "operators.photos",
     "operators.train",
     "operators.results",
     "viewport",
-    "facts",
-    "panels",
+    "facts.caches",
+    "ui.scene",
+    "ui.boxes",
+    "ui.cameras",
+    "ui.train",
+    "ui.result",
 )
 
 
 def register() -> None:
-    """Register every module, in order; on a failure, what was registered is taken back."""
+    """Register every module, in order; if one fails, unregister those before it."""
     done: list[ModuleType] = []
     try:
         for name in MODULES:
@@ -44,6 +60,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister every module, last one first."""
+    """Unregister every module, the last one first."""
     for name in reversed(MODULES):
         import_module(f".{name}", __package__).unregister()

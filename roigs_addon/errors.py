@@ -8,20 +8,20 @@ from pathlib import Path
 
 
 class AddonError(Exception):
-    """Something the user can put right; its text is one line that says how."""
+    """Something the user can fix; its text is one line that says how."""
 
 
 @contextmanager
 def writing(folder: Path, setting: str) -> Iterator[None]:
-    """Around what writes into a folder; `setting`: what chooses another one.
+    """Wrap code that writes into a folder; `setting` is where the user chooses another one.
 
     Raises:
-        AddonError: it cannot be written.
+        AddonError: the folder cannot be created or written to.
     """
     try:
         yield
     except OSError as error:
         raise AddonError(
-            f"{folder} cannot be made or written ({error.strerror or error})."
+            f"{folder} cannot be created or written to ({error.strerror or error})."
             f" Choose another {setting}."
         ) from error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -14,101 +16,117 @@ from bpy.props import (
 )
 
 KINDS = (
-    ("NONE", "None", "Not of ROI-GS"),
-    ("ROOT", "Root", "What an imported COLMAP model hangs on"),
+    ("NONE", "None", "Not an object of ROI-GS"),
+    ("ROOT", "Root", "Parent of everything that belongs to an imported COLMAP model"),
     ("CAMERA", "Photo", "A photo of the COLMAP model"),
     ("POINTS", "Points", "The sparse points of the COLMAP model"),
-    ("ROI", "ROI", "A box around an object of interest"),
-    ("SPLATS", "Gaussians", "Gaussians that were trained"),
+    ("ROI", "Box", "A box (ROI, region of interest) around something to sharpen"),
+    ("SPLATS", "Gaussians", "Trained Gaussians"),
 )
 METHODS = (
-    ("coverage", "Coverage", "Photos that together show the box from all sides, near and large"),
-    ("gp9", "Gaussian process (paper)", "Best by a Gaussian process over nine view parameters"),
-    ("gp6", "Gaussian process, 6", "Best by a Gaussian process over six view parameters"),
-    ("greedy", "Greedy", "Always the photo that raises the score most"),
-    ("static", "Static", "Photos ranked once by distance, size and points"),
-    ("fvs", "Farthest views", "Viewpoints as far from each other as they can be"),
-    ("random", "Random", "For comparison"),
+    (
+        "coverage",
+        "Coverage",
+        "Photos that together show the box from all sides, as large as possible",
+    ),
+    ("gp9", "Gaussian process (paper)", "A Gaussian process over nine view parameters"),
+    ("gp6", "Gaussian process, 6", "A Gaussian process over six view parameters"),
+    ("greedy", "Greedy", "At each step the photo that improves the score most"),
+    ("static", "Static", "Photos ranked once, by distance, size and points"),
+    ("fvs", "Farthest views", "Viewpoints as far apart as possible"),
+    ("random", "Random", "Random photos, for comparison"),
 )
 PRESETS = (
     ("draft", "Draft", "5,000 steps: minutes on a CPU"),
     ("standard", "Standard", "15,000 steps"),
-    ("paper", "Paper", "50,000 steps, boxes one by one, photos by the paper's Gaussian process"),
+    (
+        "paper",
+        "Paper",
+        "50,000 steps, boxes one by one, photos chosen by the paper's Gaussian process",
+    ),
 )
 STRATEGIES = (
-    ("joint", "All boxes together", "One stage for all boxes that goes on with the whole scene"),
-    ("independent", "One by one (paper)", "A model per box, which then replaces the coarse one"),
+    ("joint", "All boxes together", "One stage refines all boxes within the whole scene"),
+    (
+        "independent",
+        "One by one (paper)",
+        "A model for each box, which then replaces the coarse one",
+    ),
 )
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
-"""Of a path that may begin with «//»; earlier Blenders do not ask for it."""
+"""For a path that may begin with `//`; earlier Blenders need no such option."""
 
-PAPERS_WAY = {"strategy": "independent", "method": "gp9"}
-OUR_WAY = {"strategy": "joint", "method": "coverage"}
+PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9"}
+JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage"}
 LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
-    ("SCENE", "Coarse", "Scene-GS, before the boxes were refined"),
-    ("ROI", "Box", "The refined Gaussians of one box"),
-    ("PREVIEW", "Preview", "The model in training"),
+    ("SCENE", "Coarse", "The whole-scene model, before the boxes were refined"),
+    ("ROI", "Box", "The refined Gaussians of a box"),
+    ("PREVIEW", "Preview", "The model that is being trained"),
 )
 
 
 class RoigsPhotoItem(bpy.types.PropertyGroup):
-    """A chosen photo; `name`, which every property group has, is the photo's."""
+    """A selected photo; `name`, which every property group has, is the photo's."""
 
-    score: FloatProperty(description="How well the box is covered by the photos up to this one")
+    score: FloatProperty(description="How well the photos up to this one cover the box")
 
 
 class RoigsObject(bpy.types.PropertyGroup):
-    """What an object is to the add-on. Only the fields of its kind are in use."""
+    """What an object is to the add-on. Only the fields of its kind are used."""
 
     kind: EnumProperty(items=KINDS, default="NONE")
-    photo: StringProperty(description="Photo: its record, see photo.py")
-    selection: CollectionProperty(type=RoigsPhotoItem, description="ROI: its photos, best first")
-    selection_index: IntProperty(description="ROI: the photo that is active in the list")
-    selected_box: StringProperty(description="ROI: the box that the photos were selected for")
+    photo: StringProperty(description="Photo: its record, see geometry/photo.py")
+    selection: CollectionProperty(type=RoigsPhotoItem, description="Box: its photos, best first")
+    selection_index: IntProperty(description="Box: the photo that is active in the list")
+    selected_box: StringProperty(description="Box: where it was when its photos were selected")
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
-    level: EnumProperty(items=LEVELS, description="Gaussians: which model they are from")
-    as_points: BoolProperty(description="Gaussians: the viewport shows points in their place")
-    roi: StringProperty(description="Gaussians: name of the box they are in")
+    level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
+    as_points: BoolProperty(description="Gaussians: the viewport shows points instead")
+    roi: StringProperty(description="Gaussians: name of their box")
 
 
 def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
-    """The paper's way comes and goes with its preset; what was chosen by hand stays."""
-    left, taken = OUR_WAY, PAPERS_WAY
+    """The paper's preset sets the paper's method and strategy; what the user chose stays."""
+    left, taken = JOINT_DEFAULTS, PAPER_DEFAULTS
     if settings.preset != "paper":
-        left, taken = PAPERS_WAY, OUR_WAY
+        left, taken = PAPER_DEFAULTS, JOINT_DEFAULTS
     for name, value in taken.items():
         if getattr(settings, name) == left[name]:
             setattr(settings, name, value)
 
 
 class RoigsScene(bpy.types.PropertyGroup):
-    """The job that this scene describes."""
+    """What a scene is trained on, and how."""
 
     root: PointerProperty(
-        type=bpy.types.Object, name="Root", description="Empty that the COLMAP model hangs on"
+        type=bpy.types.Object,
+        name="Root",
+        description="Empty that is the parent of the COLMAP model",
     )
     colmap: StringProperty(
         name="COLMAP", subtype="DIR_PATH", description="Folder of the COLMAP project"
     )
     images: StringProperty(
-        name="Photos", subtype="DIR_PATH", description="Folder of the photos (empty: found)"
+        name="Photos",
+        subtype="DIR_PATH",
+        description="Folder of the photos (empty: found automatically)",
     )
     run_dir: StringProperty(
         name="Run Folder",
         subtype="DIR_PATH",
         options=RELATIVE,
-        description="Where training keeps its work (empty: chosen at the first job)",
+        description="Where training keeps its files (empty: chosen when the first job starts)",
     )
-    active_roi: PointerProperty(type=bpy.types.Object, name="Active ROI")
+    active_roi: PointerProperty(type=bpy.types.Object, name="Active Box")
     method: EnumProperty(items=METHODS, name="Method", default="coverage")
     count: IntProperty(
         name="Photos",
         default=0,
         min=0,
-        description="How many photos each box gets; 0: as many as the method finds useful",
+        description="How many photos each box gets; 0: the method decides",
     )
-    seed: IntProperty(name="Seed", default=0, min=0, description="Of everything random")
+    seed: IntProperty(name="Seed", default=0, min=0, description="Seed of all random choices")
     preset: EnumProperty(items=PRESETS, name="Preset", default="draft", update=_follow_preset)
     strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
     steps_factor: FloatProperty(
@@ -117,7 +135,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         min=0.001,
         max=1000.0,
         soft_max=10.0,
-        description="Times the preset's steps: less is faster, more is finer",
+        description="Multiplies the preset's steps: fewer are faster, more are finer",
     )
     max_side: IntProperty(
         name="Photo Size",
@@ -127,48 +145,48 @@ class RoigsScene(bpy.types.PropertyGroup):
         max=1 << 20,
         soft_max=16384,
         subtype="PIXEL",
-        description="Longest side of the photos in training; larger shows more and takes longer",
+        description="Longest side of the photos in training; larger is sharper and slower",
     )
     test_every: IntProperty(
-        name="Keep for Tests",
+        name="Test Photos",
         default=0,
         min=0,
-        description="Every n-th photo of a box is kept out of training, to measure with; 0: none",
+        description="Keep every n-th photo of a box out of training, to measure with; 0: none",
     )
-    model_cache: StringProperty(description="Folder of the model as the engine exported it")
-    skipped: StringProperty(description="What the import left out, in words")
+    model_cache: StringProperty(description="Folder of the model as exported by the engine")
+    skipped: StringProperty(description="What the import skipped, in words")
 
 
-class RoigsRunState(bpy.types.PropertyGroup):
-    """What the panel shows of the engine; on the window manager, which is never saved."""
-
-    title: StringProperty()
-    stage: StringProperty()
-    step: IntProperty()
-    total: IntProperty()
-    loss: FloatProperty()
-    psnr: FloatProperty()
-    gaussians: IntProperty()
-    seconds_left: FloatProperty()
-    message: StringProperty()
-    error: StringProperty()
-    log: StringProperty()
+def scene_props(scene: bpy.types.Scene) -> RoigsScene:
+    """The add-on's settings of a scene."""
+    described: Any = scene  # Blender's stubs know nothing of what add-ons add
+    group: RoigsScene = described.roigs
+    return group
 
 
-CLASSES = (RoigsPhotoItem, RoigsObject, RoigsScene, RoigsRunState)
+def object_props(item: bpy.types.Object) -> RoigsObject:
+    """What an object is to the add-on."""
+    described: Any = item
+    group: RoigsObject = described.roigs
+    return group
+
+
+# Blender's stubs know neither what add-ons add to its types nor what this returns.
+OWNERS: Any = bpy.types
+DEFINE: Any = PointerProperty
+CLASSES = (RoigsPhotoItem, RoigsObject, RoigsScene)
 
 
 def register() -> None:
-    """Classes first, then the pointers to them."""
+    """Register the classes first, then the pointers to them."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.Scene.roigs = PointerProperty(type=RoigsScene)
-    bpy.types.Object.roigs = PointerProperty(type=RoigsObject)
-    bpy.types.WindowManager.roigs = PointerProperty(type=RoigsRunState, options={"SKIP_SAVE"})
+    OWNERS.Scene.roigs = DEFINE(type=RoigsScene)
+    OWNERS.Object.roigs = DEFINE(type=RoigsObject)
 
 
 def unregister() -> None:
-    """Everything `register` made."""
-    del bpy.types.WindowManager.roigs, bpy.types.Object.roigs, bpy.types.Scene.roigs
+    """Remove everything that `register` made."""
+    del OWNERS.Object.roigs, OWNERS.Scene.roigs
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roigs_addon.engine import client
-from roigs_addon.engine.client import Engine, Job
+from roigs_addon.engine import process
+from roigs_addon.engine.command import Engine
+from roigs_addon.engine.process import EngineProcess
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.errors import RoiError
@@ -26,7 +27,7 @@ from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.headers import PhotoError, photo_size
 from tests.addon.colmap_project import write_project
-from tests.addon.test_jobs import PYTHON, fake, finished
+from tests.addon.fake_engine import PYTHON, fake, finished
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ("roigs_engine", "roigs_addon")
@@ -81,13 +82,13 @@ def test_the_engine_is_started_without_a_shell(
         started.append((command, given))
         return popen(command, **given)
 
-    monkeypatch.setattr(client.subprocess, "Popen", noted)
+    monkeypatch.setattr(process.subprocess, "Popen", noted)
     engine = fake(
         tmp_path, "say(event='done', outputs={str(k): a for k, a in enumerate(sys.argv)})"
     )
     odd = ["train", "; touch x", "$(touch x)", "`touch x`", '"', "'", "*", "a b", "& touch x", "|"]
     monkeypatch.chdir(tmp_path)
-    outcome, _ = finished(Job(engine, odd))
+    outcome, _ = finished(EngineProcess(engine, odd))
     ((command, given),) = started
     assert isinstance(command, list) and not given.get("shell") and "executable" not in given
     assert list(outcome.outputs.values())[1:] == [*odd, "--events"]
@@ -108,9 +109,9 @@ def test_secrets_of_the_environment_are_not_written(
         [*common, "--steps-factor", "0.002"],  # refused: another request
         ["inspect", str(tmp_path / "nothing")],
     ):
-        job = Job(engine, arguments, log=run / "blender" / "engine.log")
+        job = EngineProcess(engine, arguments, log=run / "blender" / "engine.log")
         assert job.wait(120)
-        outcome = job.outcome()
+        outcome = job.result()
         assert outcome.failed == (arguments[-1] != "0.001"), outcome.message
         assert secret not in outcome.message
     written = [path for path in run.rglob("*") if path.is_file()]

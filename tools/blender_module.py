@@ -43,9 +43,9 @@ def python() -> Path:
         version = ".".join(map(str, PYTHON))
         raise NoBlenderError(f"{REQUIREMENT} needs Python {version}: make PYTHON=python{version}")
     print(f"Installing {REQUIREMENT} into {HOME.name}.", flush=True)
-    environment = [sys.executable, "-m", "venv", str(HOME)]
-    pip = [str(program), "-m", "pip", "--disable-pip-version-check"]
-    for command in (environment, [*pip, "install", "--quiet", REQUIREMENT]):
+    make = [sys.executable, "-m", "venv", str(HOME)]
+    install = ["-m", "pip", "--disable-pip-version-check", "install", "--quiet", REQUIREMENT]
+    for command in (make, [str(program), *install]):
         if subprocess.run(command, check=False).returncode:
             raise NoBlenderError(f"{REQUIREMENT} could not be installed, see above")
     complete.touch()

@@ -1,4 +1,4 @@
-"""Says what works and what is missing, job by job. No bpy."""
+"""What works and what is missing, task by task. No bpy."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from . import python
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A line: a job that can be done, or what it lacks; or a Python and its place."""
+    """One line: a task and whether it works here, or a Python and its path."""
 
     works: bool
     text: str
 
 
-JOBS = (
+TASKS = (
     ("Reading models", python.FOR_READING),
     ("Selecting photos", python.FOR_READING),
     ("Selecting by Gaussian process", python.FOR_GAUSSIAN_PROCESS),
@@ -25,27 +25,27 @@ JOBS = (
 )
 
 last: tuple[Finding, ...] = ()
-"""What the last `check` found, for the preferences page: asking takes too long to be drawn."""
+"""What the last `check` found, for the preferences page: a check takes too long for drawing."""
 
 
-def check(chosen: str, home: Path) -> tuple[Finding, ...]:
-    """Ask every candidate afresh.
+def check(chosen: str, environments: Path) -> tuple[Finding, ...]:
+    """Ask every candidate again.
 
     Args:
         chosen: Python named by the user, or empty.
-        home: folder of the environments that «Set up the engine» makes.
+        environments: folder of those that 'Set Up the Engine' makes.
     """
     global last
     python.ability.cache_clear()
-    there = python.candidates(chosen, home)
+    there = python.candidates(chosen, environments)
     used: list[Path] = []
     findings = []
-    for job, packages in JOBS:
+    for task, packages in TASKS:
         able = [path for path in there if not python.ability(path).lacks(packages)]
         path = (able or there)[0]
         used += [path] if path not in used else []
-        says = "ready" if able else f"not yet; {_lack(path, packages)}"
-        findings.append(Finding(works=bool(able), text=f"{job}: {says}"))
+        says = "ready" if able else f"not ready: {_lack(path, packages)}"
+        findings.append(Finding(works=bool(able), text=f"{task}: {says}"))
     last = (*findings, *(_place(path) for path in used))
     return last
 

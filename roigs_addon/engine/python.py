@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from .client import Engine
+from .command import HIDDEN, Engine
 
 SOURCE = Path(__file__).resolve().parents[2]
 """The folder that holds `roigs_engine`: the extension's own."""
@@ -25,7 +25,7 @@ FOR_DISTORTION = ("numpy", "PIL", "pycolmap")
 FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
 
 MARKER = "roigs-complete.json"
-"""In the folder of an environment that was made to its end: what it was made from."""
+"""In the folder of a complete environment: what it was made from."""
 
 OLDEST = (3, 11)
 PROBE_SECONDS = 60.0
@@ -42,9 +42,9 @@ class Ability:
     """What a Python has.
 
     Attributes:
-        version: (major, minor); (0, 0) when it does not start.
+        version: (major, minor); (0, 0) if it does not start.
         missing: packages of PACKAGES that it lacks.
-        fault: why it does not start; empty when it does.
+        fault: why it does not start; empty if it does.
     """
 
     version: tuple[int, int]
@@ -52,7 +52,7 @@ class Ability:
     fault: str = ""
 
     def lacks(self, packages: tuple[str, ...]) -> str:
-        """What stands in the way of using it, as a phrase; empty when nothing does."""
+        """Why it cannot be used, as a phrase; empty if it can."""
         if self.fault:
             return self.fault
         if self.version < OLDEST:
@@ -63,7 +63,7 @@ class Ability:
 
 @functools.lru_cache(maxsize=32)
 def ability(python: Path) -> Ability:
-    """Start a Python once and ask it; `ability.cache_clear()` after an installation."""
+    """Start a Python and ask it, once; call `ability.cache_clear()` after an installation."""
     try:
         result = subprocess.run(
             [str(python), "-c", _PROBE],
@@ -72,7 +72,7 @@ def ability(python: Path) -> Ability:
             timeout=PROBE_SECONDS,
             env=Engine(python=python, source=SOURCE).environment(),
             check=False,
-            creationflags=0x08000000 if os.name == "nt" else 0,  # CREATE_NO_WINDOW
+            creationflags=HIDDEN,
         )
         found = json.loads(result.stdout.strip().splitlines()[-1])
         version = (int(found["version"][0]), int(found["version"][1]))
@@ -83,7 +83,7 @@ def ability(python: Path) -> Ability:
 
 
 def own_python() -> Path:
-    """The Python that Blender carries, as a program."""
+    """Blender's own Python, as a program."""
     own = Path(sys.executable)
     if "python" in own.name.lower():
         return own
@@ -99,36 +99,37 @@ def environment_python(environment: Path) -> Path:
     return environment / "bin" / "python"
 
 
-def whole_environments(home: Path) -> list[Path]:
-    """The environments in a folder that were made to their end, newest first."""
-    found = [path.parent for path in home.glob(f"*/{MARKER}") if path.parent.name.isdecimal()]
+def complete_environments(environments: Path) -> list[Path]:
+    """The complete environments in a folder, newest first."""
+    marked = (path.parent for path in environments.glob(f"*/{MARKER}"))
+    found = [folder for folder in marked if folder.name.isdecimal()]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 
 
-def candidates(chosen: str, home: Path) -> list[Path]:
-    """Pythons to try, in order of preference; one that the user named is the only one.
+def candidates(chosen: str, environments: Path) -> list[Path]:
+    """Pythons to try, in order of preference. If the user named one, no other is tried.
 
     Args:
         chosen: by the user, or empty.
-        home: folder of the environments that «Set up the engine» makes.
+        environments: folder of those that 'Set Up the Engine' makes.
     """
     named = chosen or os.environ.get(VARIABLE, "")
     if named:
         return [Path(named)]
-    made = [environment_python(environment) for environment in whole_environments(home)]
+    made = [environment_python(environment) for environment in complete_environments(environments)]
     return [*made, own_python()]
 
 
-def find(chosen: str, home: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
-    """The first Python that has what is needed, or why there is none.
+def find(chosen: str, environments: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
+    """The first Python that has the packages, or why there is none.
 
     Returns:
         The engine, or None and a sentence for the user.
     """
     reasons = []
-    for python in candidates(chosen, home):
+    for python in candidates(chosen, environments):
         reason = ability(python).lacks(packages)
         if not reason:
             return Engine(python=python, source=SOURCE), ""
         reasons.append(f"{python}: {reason}")
-    return None, f"No Python for the engine ({'; '.join(reasons)})."
+    return None, f"No Python can run the engine ({'; '.join(reasons)})."

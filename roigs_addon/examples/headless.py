@@ -3,7 +3,7 @@
     blender -b --python headless.py -- --colmap garden --roi vase=-0.4,0,-0.4,0.4,1.3,0.4 --out out
 
 Also with the `bpy` module: `python headless.py --colmap …`. Exit status: 0 done, 2 an error (one
-line on standard error), 3 stopped by Ctrl-C or SIGTERM; the same command then goes on.
+line on standard error), 3 stopped by Ctrl-C or SIGTERM; the same command then resumes.
 docs/scripting.md explains the steps.
 """
 
@@ -19,10 +19,12 @@ from typing import Any
 import bpy
 
 STOPPED = 3
+ops: Any = bpy.ops
+"""Operators, those of add-ons among them."""
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
-    """The options; Blender's own come before `--`."""
+    """The options; those of Blender itself come before `--`."""
     own = argv[argv.index("--") + 1 :] if "--" in argv else argv[1:]
     parser = argparse.ArgumentParser(prog="headless.py", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--colmap", type=Path, required=True, help="folder of the COLMAP project")
@@ -35,17 +37,23 @@ def parse(argv: list[str]) -> argparse.Namespace:
         help="a box by two corners in the COLMAP frame; repeatable",
     )
     parser.add_argument("--rois", type=Path, help="rois.json with boxes")
-    parser.add_argument("--out", type=Path, required=True, help="folder of all that is made")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for everything that is made"
+    )
     parser.add_argument("--preset", choices=("draft", "standard", "paper"), default="draft")
     parser.add_argument(
         "--strategy", choices=("joint", "independent"), help="default: the preset's own"
     )
     parser.add_argument("--max-side", type=int, default=640, help="longest side of photos (640)")
-    parser.add_argument("--steps-factor", type=float, default=1.0, help="times the preset's steps")
     parser.add_argument(
-        "--test-every", type=int, default=0, help="keep every n-th photo for tests (0: none)"
+        "--steps-factor", type=float, default=1.0, help="multiplies the preset's steps"
     )
-    parser.add_argument("--photo", help="the photo to render (default: the first box's best)")
+    parser.add_argument(
+        "--test-every", type=int, default=0, help="use every n-th photo as a test photo (0: none)"
+    )
+    parser.add_argument(
+        "--photo", help="the photo to render (default: the best one of the first box)"
+    )
     options = parser.parse_args(own)
     if not options.roi and not options.rois:
         parser.error("give at least one box, with --roi or --rois")
@@ -60,7 +68,7 @@ def _corners(parser: argparse.ArgumentParser, text: str) -> tuple[str, list[floa
     except ValueError:
         values = []
     if not name or len(values) != 6:
-        parser.error(f"cannot read ROI «{text}»: write NAME=x0,y0,z0,x1,y1,z1")
+        parser.error(f"cannot read the box '{text}': write NAME=x0,y0,z0,x1,y1,z1")
     return name, values
 
 
@@ -75,10 +83,10 @@ def do(operator: Callable[..., set[str]], **properties: Any) -> None:
 
 
 def make(options: argparse.Namespace) -> None:
-    """Every step of the panel, in its order."""
+    """Do every step of the panel, in order."""
     out = options.out.resolve()
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    scene = bpy.context.scene
+    ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene: Any = bpy.context.scene
     settings = scene.roigs
     settings.run_dir = str(out)
     settings.preset = options.preset  # sets strategy and selection, too
@@ -88,31 +96,32 @@ def make(options: argparse.Namespace) -> None:
     settings.test_every = options.test_every
 
     images = str(options.images.resolve()) if options.images else ""
-    do(bpy.ops.roigs.import_colmap, directory=str(options.colmap.resolve()), images=images)
+    do(ops.roigs.import_colmap, directory=str(options.colmap.resolve()), images=images)
     if options.rois:
-        do(bpy.ops.roigs.load_rois, filepath=str(options.rois.resolve()))
+        do(ops.roigs.load_rois, filepath=str(options.rois.resolve()))
     for name, numbers in options.roi:
-        do(bpy.ops.roigs.add_box, name=name, low=numbers[:3], high=numbers[3:])
-    do(bpy.ops.roigs.select_cameras)
-    do(bpy.ops.roigs.train_roi)
+        do(ops.roigs.add_box, name=name, low=numbers[:3], high=numbers[3:])
+    do(ops.roigs.select_cameras)
+    do(ops.roigs.train_roi)
 
     boxes = sorted((o for o in scene.objects if o.roigs.kind == "ROI"), key=lambda o: o.name)
-    do(bpy.ops.roigs.look_through, photo=options.photo or boxes[0].roigs.selection[0].name)
-    do(bpy.ops.roigs.render, directory=str(out / "renders"))
-    do(bpy.ops.wm.save_as_mainfile, filepath=str(out / "scene.blend"))
+    do(ops.roigs.look_through, photo=options.photo or boxes[0].roigs.selection[0].name)
+    do(ops.roigs.render, directory=str(out / "renders"))
+    do(ops.wm.save_as_mainfile, filepath=str(out / "scene.blend"))
     for what, where in (("file", "scene.blend"), ("result", "result.ply"), ("pictures", "renders")):
         print(f"{what + ':':10}{options.out / where}")
 
 
 @contextmanager
 def add_on() -> Iterator[None]:
-    """The add-on, as it is installed, or else from the folder that this script is part of."""
+    """The installed add-on, or else the one that this script is part of."""
     if hasattr(bpy.types.Scene, "roigs"):
         yield
         return
-    import addon_utils  # there once bpy is
+    import addon_utils  # available once bpy is imported
 
-    for module in addon_utils.modules():
+    installed: Any = addon_utils
+    for module in installed.modules():
         if module.__name__.rpartition(".")[2] == "roigs":
             addon_utils.enable(module.__name__)
             yield
@@ -123,22 +132,22 @@ def add_on() -> Iterator[None]:
     roigs_addon.register()
     try:
         yield
-    finally:  # the bpy module does not end while classes are registered
+    finally:  # the bpy module does not exit while classes are registered
         roigs_addon.unregister()
 
 
 def main() -> int:
-    """Do it; the exit status."""
+    """Do everything; returns the exit status."""
     options = parse(sys.argv)
     try:
         with add_on():
             make(options)
-    except RuntimeError as error:  # what an operator that fails raises: «Error: …»
+    except RuntimeError as error:  # a failed operator raises this, with the text 'Error: …'
         lines = [line.removeprefix("Error: ") for line in str(error).splitlines() if line.strip()]
         print(f"error: {lines[-1] if lines else 'no reason was given'}", file=sys.stderr)
         return 2
     except Stopped:
-        print("Stopped; the same command goes on from here.", file=sys.stderr)
+        print("Stopped. Run the same command again to resume.", file=sys.stderr)
         return STOPPED
     except KeyboardInterrupt:
         return 130

@@ -1,1 +1,1 @@
-"""Everything that the user can do: one file per step of the panel."""
+"""What the user can do; one file for each step of the panel."""

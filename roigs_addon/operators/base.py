@@ -2,86 +2,119 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import bpy
 
-from .. import jobs, preferences
+from .. import settings
+from ..blender import scene_of
 from ..engine.python import FOR_TRAINING
 from ..errors import AddonError
+from ..jobs import current
+from ..jobs.job import Job
+from ..jobs.spec import JobSpec
+from ..properties import scene_props
+from ..scene import lookup
 
-OperatorResult = set[str]
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
 
+BUSY = "The engine is busy"
+NO_BOX = "Add a box first"
 FRESH = {"SKIP_SAVE"}
-"""For every property: else Blender takes over what the call before had, be it another button's."""
+"""For every property: otherwise Blender reuses the value of the previous call, from any button."""
 
 
-def failed(operator: bpy.types.Operator, error: AddonError) -> OperatorResult:
+def failed(operator: bpy.types.Operator, error: AddonError | str) -> OperatorResult:
     """Report an error: a line in the window, RuntimeError in a script."""
     operator.report({"ERROR"}, str(error))
     return {"CANCELLED"}
 
 
 def available(cls: type[bpy.types.Operator], reason: str) -> bool:
-    """For `poll`: False with a tooltip that says why, when there is a reason."""
+    """For `poll`: False, with a tooltip that gives the reason, if there is one."""
     if reason:
         cls.poll_message_set(reason)
     return not reason
 
 
-class EngineJob:
-    """Mixin of operators that run the engine.
+def box_problem(context: bpy.types.Context) -> str:
+    """Why an operator on the active box is not available; empty if it is."""
+    return "" if lookup.active_roi(context) else NO_BOX
 
-    `execute` waits for the end: scripts and `blender -b`. `invoke`, which buttons call, returns at
-    once; the operator then stays only to hear Esc, while `jobs` follows the engine, takes in what
-    it has made and makes the undo step: these operators have no «UNDO» among their options.
+
+def engine_problem(context: bpy.types.Context) -> str:
+    """Why neither selection nor training can start; empty if they can."""
+    scene = scene_of(context)
+    if current.busy():
+        return BUSY
+    if not scene_props(scene).colmap:
+        return "Import a COLMAP model first"
+    return "" if lookup.rois(scene) else "First add a box around each object to sharpen"
+
+
+class EngineOperator(bpy.types.Operator):
+    """Base of the operators that run the engine.
+
+    `execute` waits for the end: for scripts and `blender -b`. `invoke`, which buttons call, returns
+    at once. The operator then only stays to hear Esc, while `jobs.current` follows the engine,
+    imports its results and makes the undo step. So these operators do not have the option UNDO.
     """
 
-    packages: tuple[str, ...] = FOR_TRAINING
+    _job: Job
 
-    def work(self, context: bpy.types.Context) -> jobs.Work:
+    def spec(self, context: bpy.types.Context) -> JobSpec:
         """What to run; raises AddonError."""
         raise NotImplementedError
+
+    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
+        """What the engine's Python needs for it."""
+        return FOR_TRAINING
+
+    def start(self, context: bpy.types.Context) -> Job:
+        """Start the job; raises AddonError."""
+        return current.start(settings.engine(self.packages(context)), self.spec(context))
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Run to the end."""
         try:
-            runner = jobs.start(preferences.engine(self.packages), self.work(context))
+            job = self.start(context)
         except AddonError as error:
             return failed(self, error)
-        outcome = jobs.wait(runner)
-        if outcome.failed:
-            return failed(self, AddonError(outcome.message))
-        if outcome.stopped:
+        result = current.wait(job)
+        if result.failed:
+            return failed(self, result.message)
+        if result.stopped:
             self.report({"WARNING"}, "Stopped.")
             return {"CANCELLED"}
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Start, and leave the window to its user."""
+        """Start, and leave the window free."""
         if bpy.app.background:
             return self.execute(context)
         try:
-            self._runner = jobs.start(preferences.engine(self.packages), self.work(context))
+            self._job = self.start(context)
         except AddonError as error:
             return failed(self, error)
-        # Events other than the timer's would come only when the mouse moves.
-        self._timer = context.window_manager.event_timer_add(0.2, window=context.window)
+        assert context.window_manager is not None
         context.window_manager.modal_handler_add(self)
-        self._runner.hears_esc = True
+        self._job.hears_esc = True
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Esc stops the job; everything else goes to the window."""
-        runner: Any = self._runner
-        if runner.finished:
-            context.window_manager.event_timer_remove(self._timer)
-            if runner.outcome.failed:
-                # An error would pop up over the panel, which has the message to stay.
-                self.report({"WARNING"}, runner.outcome.message)
-                return {"CANCELLED"}
-            return {"FINISHED"}
-        if event.type == "ESC" and event.value == "PRESS" and not runner.stopping:
-            runner.stop()
+        """Stop the job at Esc; all other events go to the window.
+
+        Blender calls this at events only, so the operator ends with the first one after its job.
+        """
+        job = self._job
+        if job.result is not None:
+            if job.result.failed:
+                # An error would pop up over the panel, which shows the message anyway.
+                self.report({"WARNING"}, job.result.message)
+                return {"CANCELLED", "PASS_THROUGH"}
+            return {"FINISHED", "PASS_THROUGH"}
+        if event.type == "ESC" and event.value == "PRESS" and not job.stopping:
+            job.stop()
             return {"RUNNING_MODAL"}
         return {"PASS_THROUGH"}

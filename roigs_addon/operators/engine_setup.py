@@ -1,35 +1,43 @@
-"""The preferences' buttons: set up the engine, stop that, say what is missing."""
+"""The preferences' buttons: set up the engine, stop setting up, check what is missing."""
 
 from __future__ import annotations
 
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from .. import jobs, preferences, terminal
+from .. import settings
+from ..blender import registration
 from ..engine import check, install
+from ..engine.install_steps import Plan
 from ..errors import AddonError
-from .base import FRESH, OperatorResult, available, failed
+from ..jobs import current, terminal
+from ..windows import Timer, redraw
+from .base import BUSY, FRESH, available, failed
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
 
 POLL_SECONDS = 0.3
 OFFLINE = (
-    "Blender is offline. Allow online access in Preferences ▸ System ▸ Network, or set up from a"
+    "Blender is offline. Allow online access in Preferences ▸ System ▸ Network, or choose a"
     " folder of wheels."
 )
 
 
 class SetUpEngine(bpy.types.Operator):
-    """Make a Python environment with torch for the engine, in the extension's own folder"""
+    """Create a Python environment with torch for the engine, in the extension's own folder"""
 
     bl_idname = "roigs.setup_engine"
     bl_label = "Set Up the Engine"
 
     cuda: BoolProperty(
-        name="For NVIDIA Cards",
-        description="The build of torch for CUDA: a download of several gigabytes",
+        name="For NVIDIA GPUs",
+        description="Install the CUDA build of torch: a download of several gigabytes",
         options=FRESH,
     )
     wheels: StringProperty(
@@ -41,12 +49,12 @@ class SetUpEngine(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """One at a time."""
+        """There must be nothing else at work."""
         reason = "The engine is being set up" if install.running() else ""
-        return available(cls, reason or ("The engine is busy" if jobs.busy() else ""))
+        return available(cls, reason or (BUSY if current.busy() else ""))
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """In a script: wait for the end."""
+        """In a script: run to the end."""
         try:
             installation = install.begin(self._plan())
         except AddonError as error:
@@ -57,94 +65,96 @@ class SetUpEngine(bpy.types.Operator):
                 line.show(f"{installation.title}, {installation.fraction:.0%}")
                 time.sleep(POLL_SECONDS)
         line.close()
-        finish()
+        look_again()
         if installation.message:
-            return failed(self, AddonError(installation.message))
+            return failed(self, installation.message)
         self.report({"INFO"}, f"The engine is set up: {installation.python}")
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Start, and leave the window to its user; the preferences page shows how it goes."""
+        """Start, and leave the window free; the preferences page shows the progress."""
         if bpy.app.background:
             return self.execute(context)
         try:
             install.begin(self._plan())
         except AddonError as error:
             return failed(self, error)
-        bpy.app.timers.register(_tick, first_interval=POLL_SECONDS, persistent=True)
+        timer.start()
         return {"FINISHED"}
 
-    def _plan(self) -> install.Plan:
+    def _plan(self) -> Plan:
         wheels = Path(bpy.path.abspath(self.wheels)) if self.wheels else None
         if wheels is None and not bpy.app.online_access:
             raise AddonError(OFFLINE)
         if wheels is not None and not wheels.is_dir():
-            raise AddonError(f"There is no folder {wheels}. Choose the folder of the wheels.")
-        return install.Plan(
-            home=preferences.environments(), cuda=self.cuda, wheels=wheels, in_use=jobs.busy
+            raise AddonError(f"There is no folder {wheels}. Choose the folder with the wheels.")
+        return Plan(
+            environments=settings.environments(),
+            cuda=self.cuda,
+            wheels=wheels,
+            in_use=current.busy,
         )
 
 
-def _tick() -> float | None:
-    """Blender's timer: again in so many seconds, or never."""
-    jobs.redraw("PREFERENCES")
-    if install.running():
-        return POLL_SECONDS
-    finish()
-    jobs.redraw("PREFERENCES")
-    return None
+def _poll() -> bool:
+    running = install.running()
+    if not running:
+        look_again()
+    redraw("PREFERENCES")
+    return running
 
 
-def finish() -> None:
-    """Look again at what there is."""
-    check.check(preferences.chosen_python(), preferences.environments())
+timer = Timer(_poll, POLL_SECONDS, persistent=True)
+"""Draws the preferences page again while an environment is being made."""
+
+
+def look_again() -> tuple[check.Finding, ...]:
+    """Check what the engine can do."""
+    return check.check(settings.chosen_python(), settings.environments())
 
 
 class StopSetUp(bpy.types.Operator):
-    """Stop setting up; an engine that was there before stays"""
+    """Stop setting up the engine; an earlier one is kept"""
 
     bl_idname = "roigs.stop_setup"
     bl_label = "Stop"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Something must be running."""
+        """It must be running."""
         return available(cls, "" if install.running() else "Nothing is being set up")
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """End it."""
-        assert install.current is not None
-        install.current.stop()
+        if install.current is not None:
+            install.current.stop()
         return {"FINISHED"}
 
 
 class CheckEngine(bpy.types.Operator):
-    """Say what the engine can do here, and what it lacks"""
+    """Check what the engine can do on this computer, and what is missing"""
 
     bl_idname = "roigs.check_engine"
     bl_label = "Check"
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Ask the Pythons that there are."""
-        for finding in check.check(preferences.chosen_python(), preferences.environments()):
+        """Report every finding."""
+        for finding in look_again():
             self.report({"INFO" if finding.works else "WARNING"}, finding.text)
         return {"FINISHED"}
 
 
-CLASSES = (SetUpEngine, StopSetUp, CheckEngine)
+_register, _unregister = registration(SetUpEngine, StopSetUp, CheckEngine)
 
 
 def register() -> None:
-    """The classes."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    """Register the classes."""
+    _register()
 
 
 def unregister() -> None:
-    """The reverse; a set-up that runs is ended."""
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
+    """Unregister the classes; an installation that runs is ended."""
+    timer.stop()
     install.forget()
     check.forget()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister()

@@ -1,23 +1,29 @@
-"""Step «Result»: Gaussians in, box by box; renders through the engine."""
+"""Step 5, Result: import the Gaussians, choose what is shown, render with the engine."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from .. import cameras, facts, jobs, lookup, requests, run_folders, splats
-from ..engine.client import Outcome
-from ..errors import AddonError, writing
-from .base import FRESH, EngineJob, OperatorResult, available, failed
+from ..blender import registration, scene_of
+from ..errors import AddonError
+from ..facts import caches, run_facts
+from ..jobs import current, render_job, run_folders
+from ..jobs.spec import JobSpec
+from ..scene import splats
+from ..windows import redraw
+from .base import BUSY, FRESH, EngineOperator, available, failed
 
-NO_RESULT = "Train first: the run folder holds no result"
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
+
+NO_RESULT = "Train first: the run folder has no result"
 
 
 class LoadResults(bpy.types.Operator):
-    """Bring the trained Gaussians of the run folder into the scene"""
+    """Import the trained Gaussians from the run folder into the scene"""
 
     bl_idname = "roigs.load_results"
     bl_label = "Load Results"
@@ -25,22 +31,23 @@ class LoadResults(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A finished training must be there."""
-        there = facts.run(context.scene).result
-        return available(cls, "" if there else NO_RESULT)
+        """There must be a finished training."""
+        found = run_facts.run(scene_of(context)).result
+        return available(cls, "" if found else NO_RESULT)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """One object for the surroundings, two for each box."""
+        """Make an object for the background, and two for each box."""
+        scene = scene_of(context)
         try:
-            splats.show_results(context.scene, run_folders.run_folder(context.scene))
+            splats.show_results(scene, run_folders.run_folder(scene))
         except AddonError as error:
             return failed(self, error)
-        facts.forget()
+        caches.forget()
         return {"FINISHED"}
 
 
 class SetDetail(bpy.types.Operator):
-    """Show this box as it was refined, or as the coarse model has it"""
+    """Show this box refined, or as the whole-scene model has it"""
 
     bl_idname = "roigs.set_detail"
     bl_label = "Coarse or Fine"
@@ -51,12 +58,12 @@ class SetDetail(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide one, show the other."""
-        splats.set_detail(context.scene, self.roi, self.fine)
+        splats.set_detail(scene_of(context), self.roi, self.fine)
         return {"FINISHED"}
 
 
 class ShowPoints(bpy.types.Operator):
-    """Show the Gaussians as points, or as what they are"""
+    """Show the Gaussians as points, or as they are"""
 
     bl_idname = "roigs.show_points"
     bl_label = "Points or Gaussians"
@@ -64,99 +71,43 @@ class ShowPoints(bpy.types.Operator):
     points: BoolProperty(default=True, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """For all of the scene's."""
-        splats.set_points(context.scene, self.points)
-        jobs.redraw()
+        """Switch all Gaussians of the scene."""
+        splats.set_points(scene_of(context), self.points)
+        redraw()
         return {"FINISHED"}
 
 
-class RenderSplats(EngineJob, bpy.types.Operator):
-    """Render the trained scene through the active camera with the engine's own rasterizer"""
+class RenderSplats(EngineOperator):
+    """Render the trained scene through the active camera, with the engine's own rasterizer"""
 
     bl_idname = "roigs.render"
     bl_label = "Render Gaussians"
 
     animation: BoolProperty(
-        name="Animation", description="All frames of the scene's range", options=FRESH
+        name="Animation", description="Render all frames of the scene's range", options=FRESH
     )
     directory: StringProperty(
         name="Folder",
         subtype="DIR_PATH",
-        description="Where pictures go (empty: the run folder)",
+        description="Where the pictures are saved (empty: in the run folder)",
         options=FRESH,
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A camera, a result, and an engine at rest."""
-        reason = ""
-        if jobs.busy():
-            reason = "The engine is busy"
-        elif not facts.run(context.scene).result:
+        """There must be a camera, a result, and an idle engine."""
+        reason, scene = "", scene_of(context)
+        if current.busy():
+            reason = BUSY
+        elif not run_facts.run(scene).result:
             reason = NO_RESULT
-        elif context.scene.camera is None:
+        elif scene.camera is None:
             reason = "The scene has no active camera"
         return available(cls, reason)
 
-    def work(self, context: bpy.types.Context) -> jobs.Work:
-        """A camera path for the engine; the pictures come back as images."""
-        scene = context.scene
-        folder = run_folders.run_folder(scene)
-        out = Path(bpy.path.abspath(self.directory)) if self.directory else folder / "renders"
-        path = folder / "blender" / "path.json"
-        frames = self._frames(scene)
-        with writing(folder, "Run Folder"):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps({"cameras": frames}), encoding="utf-8")
-
-        def take(_: Outcome) -> None:
-            picture = out / f"{frames[0]['name']}.png"
-            if picture.is_file():
-                image = bpy.data.images.load(str(picture), check_existing=True)
-                image.reload()
-
-        return jobs.Work(
-            title="Rendering",
-            arguments=[
-                "render",
-                str(folder / "result.ply"),
-                "--path",
-                str(path),
-                "--out",
-                str(out),
-                *requests.machine_options(),
-            ],
-            log=folder / "blender" / "engine.log",
-            on_done=take,
-        )
-
-    def _frames(self, scene: bpy.types.Scene) -> list[dict[str, object]]:
-        """The active camera at each frame, as a camera path (docs/files.md)."""
-        now = scene.frame_current
-        numbers = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
-        frames = []
-        for number in numbers if self.animation else [now]:
-            if number != scene.frame_current:
-                scene.frame_set(number)
-            photo = cameras.scene_camera(scene, scene.roigs.root)
-            if photo is None:
-                scene.frame_set(now)
-                raise AddonError("The active camera is not a perspective camera. Set its type.")
-            frames.append(json.loads(photo.to_json()))
-        if scene.frame_current != now:
-            scene.frame_set(now)
-        return frames
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """Render along a camera path; the first picture comes back as an image."""
+        return render_job.spec(scene_of(context), self.directory, animation=self.animation)
 
 
-def box_levels(scene: bpy.types.Scene) -> dict[str, bool]:
-    """Box -> whether its refined Gaussians are the ones that show."""
-    return {
-        item.roigs.roi: not item.hide_get()
-        for item in lookup.splats(scene)
-        if item.roigs.level == "ROI"
-    }
-
-
-CLASSES = (LoadResults, SetDetail, ShowPoints, RenderSplats)
-
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = registration(LoadResults, SetDetail, ShowPoints, RenderSplats)

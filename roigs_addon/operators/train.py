@@ -1,100 +1,82 @@
-"""Step «Train»: the engine refines the boxes; stop, go on, see the log."""
+"""Step 4, Train: the engine refines the boxes; stop, continue, show the log."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import BoolProperty
 
-from .. import facts, jobs, lookup, preferences, requests, run_folders, splats
-from ..engine import runs
-from ..engine.client import Outcome
-from .base import FRESH, EngineJob, OperatorResult, available
-from .select import blocked
+from .. import blender
+from ..blender import registration, scene_of
+from ..engine.run_files import log_file
+from ..facts import engine_ability, run_facts
+from ..jobs import current, run_folders, train_job
+from ..jobs.spec import JobSpec
+from ..scene import lookup
+from .base import FRESH, EngineOperator, available, engine_problem, failed
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
 
 LOG = "ROI-GS log"
 LAST_LINES = 20
-"""How many lines of the log's end are in sight when it is opened."""
+"""How many lines at the end of the log are visible when it is opened."""
+NO_LOG = "There is no log yet"
 
 
-class TrainRoi(EngineJob, bpy.types.Operator):
-    """Train the scene and refine the boxes; a training that was stopped goes on"""
+class TrainRoi(EngineOperator):
+    """Train the scene and refine the boxes; a training that was stopped resumes"""
 
     bl_idname = "roigs.train_roi"
-    bl_label = "Train ROI"
+    bl_label = "Train"
 
     active_only: BoolProperty(name="Active Box Only", default=False, options=FRESH)
     selected_only: BoolProperty(name="Selected Boxes Only", default=False, options=FRESH)
-    go_on: BoolProperty(
+    resume: BoolProperty(
         name="Continue",
-        description="Only the boxes of the training that was stopped, unless one of them is gone",
+        description="Only the boxes of the training that was stopped; all if one of them is gone",
         default=False,
         options=FRESH,
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A model, a box, and an engine, at rest."""
-        missing = "" if bpy.app.background else facts.engine_problem()
-        return available(cls, blocked(context) or missing)
+        """There must be a model, a box, and an idle engine that can train."""
+        missing = "" if bpy.app.background else engine_ability.problem()
+        return available(cls, engine_problem(context) or missing)
 
-    def work(self, context: bpy.types.Context) -> jobs.Work:
-        """Train in the scene's run folder, then bring the Gaussians back."""
-        scene = context.scene
-        rois = self._rois(context)
-        seconds = getattr(preferences.get(), "preview_seconds", 5.0)
-        request = requests.write_training_request(
-            scene, rois, 0.0 if bpy.app.background else seconds
-        )
-        folder, find = run_folders.run_folder(scene), run_folders.finder(scene)
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """Train in the scene's run folder, then import the Gaussians."""
+        return train_job.spec(scene_of(context), self._boxes(context))
 
-        def preview(path: Path) -> None:
-            if now := find():
-                splats.show_preview(now, path)
-
-        def take(_: Outcome) -> None:
-            if now := find():
-                splats.show_results(now, folder)
-
-        return jobs.Work(
-            title="Training",
-            arguments=["train", str(request), "--run-dir", str(folder)],
-            log=folder / "blender" / "engine.log",
-            folder=folder,
-            on_preview=preview,
-            on_done=take,
-        )
-
-    def _rois(self, context: bpy.types.Context) -> list[bpy.types.Object]:
-        active, every = lookup.active_roi(context), lookup.rois(context.scene)
+    def _boxes(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        scene, active = scene_of(context), lookup.active_roi(context)
         if self.active_only and active is not None:
             return [active]
         if self.selected_only:
-            return [roi for roi in every if roi.select_get()]
-        found = facts.run(context.scene)
-        if self.go_on and found.begun and found.boxes:
-            # With other boxes the engine would put away what it has of these.
-            theirs = [roi for roi in every if roi.name in found.boxes]
-            return theirs if len(theirs) == len(found.boxes) else every
-        return every
+            return [box for box in lookup.rois(scene) if box.select_get()]
+        if self.resume:
+            return train_job.boxes_to_resume(scene, run_facts.run(scene))
+        return lookup.rois(scene)
 
 
 class StopJob(bpy.types.Operator):
-    """Stop the engine; what it has done is kept, and «Train ROI» goes on from there"""
+    """Stop the engine; its work so far is kept, and training resumes from there"""
 
     bl_idname = "roigs.stop"
     bl_label = "Stop"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Something must be running."""
-        return available(cls, "" if jobs.busy() else "Nothing is running")
+        """A job must be running."""
+        return available(cls, "" if current.busy() else "Nothing is running")
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Ask the engine."""
-        assert jobs.current is not None
-        jobs.current.stop()
+        """Ask the engine to stop."""
+        if current.job is not None:
+            current.job.stop()
         return {"FINISHED"}
 
 
@@ -106,49 +88,37 @@ class ShowLog(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be one."""
-        return available(cls, "" if log_path(context) else "There is no log yet")
+        """There must be a log."""
+        return available(cls, "" if log_path(scene_of(context)) else NO_LOG)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Load it as a text, in an editor when one is open, else in a window of its own."""
-        path = log_path(context)
-        assert path is not None
+        """Load it as a text; show it in an open text editor, else in a new window."""
+        path = log_path(scene_of(context))
+        if path is None:
+            return failed(self, f"{NO_LOG}.")
         text = bpy.data.texts.get(LOG) or bpy.data.texts.new(LOG)
         text.from_string(path.read_text(encoding="utf-8", errors="replace"))
         if bpy.app.background:
             return {"FINISHED"}
-        windows = context.window_manager.windows
-        areas = (area for window in windows for area in window.screen.areas)
-        area = next((area for area in areas if area.type == "TEXT_EDITOR"), None)
-        if area is None:
-            bpy.ops.wm.window_new()
-            area = windows[-1].screen.areas[0]
-            area.type = "TEXT_EDITOR"
-        space = area.spaces.active
-        space.text, space.show_word_wrap = text, True
-        space.top = max(0, len(text.lines) - LAST_LINES)
+        editor = next(blender.areas("TEXT_EDITOR"), None) or _new_editor()
+        space = editor.spaces.active
+        if isinstance(space, bpy.types.SpaceTextEditor):
+            space.text, space.show_word_wrap = text, True
+            space.top = max(0, len(text.lines) - LAST_LINES)
         return {"FINISHED"}
 
 
-def log_path(context: bpy.types.Context) -> Path | None:
-    """The log of the last job, or of the run folder's."""
-    named = context.window_manager.roigs.log
-    path = (
-        Path(named) if named else run_folders.run_folder(context.scene) / "blender" / "engine.log"
-    )
-    return path if facts.is_file(path) else None
+def _new_editor() -> bpy.types.Area:
+    bpy.ops.wm.window_new()
+    area = blender.windows()[-1].screen.areas[0]
+    area.type = "TEXT_EDITOR"
+    return area
 
 
-def unfinished(scene: bpy.types.Scene) -> str:
-    """The stage at which the run folder's training was left, or nothing."""
-    return runs.read(run_folders.run_folder(scene)).left
+def log_path(scene: bpy.types.Scene) -> Path | None:
+    """The log of the last job, else that of the scene's run folder; None if there is none."""
+    path = current.state().log or log_file(run_folders.run_folder(scene))
+    return path if run_facts.is_file(path) else None
 
 
-def finished(scene: bpy.types.Scene) -> list[str]:
-    """The stages that are done in the run folder."""
-    return list(runs.read(run_folders.run_folder(scene)).done)
-
-
-CLASSES = (TrainRoi, StopJob, ShowLog)
-
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = registration(TrainRoi, StopJob, ShowLog)

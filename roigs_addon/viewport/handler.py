@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from typing import Any
 
 import bpy
 
@@ -11,27 +12,27 @@ import bpy
 class ViewHandler:
     """Has a function draw in every 3D viewport.
 
-    What fails once, a shader for instance, would fail at every redraw: drawing then stops.
+    What fails once, such as a shader, would fail at every redraw, so drawing then stops.
 
     Attributes:
-        failure: why it has stopped, in one line; empty while all is well.
+        failure: why drawing has stopped, in one line; empty if it has not.
     """
 
     def __init__(self, draw: Callable[[bpy.types.Context], None], failing: str) -> None:
-        """Args: `draw`: draws in the context's region; `failing`: begins the line that says why."""
+        """`draw` draws in the context's region; `failing` begins the line about a failure."""
         self._draw, self._failing = draw, failing
-        self._handle: object | None = None
+        self._handle: Any = None
         self.failure = ""
 
     def start(self) -> None:
-        """Begin; in background mode there is no viewport."""
+        """Start drawing; in background mode there is no viewport."""
         if self._handle is None and not bpy.app.background:
             self._handle = bpy.types.SpaceView3D.draw_handler_add(
                 self._on_redraw, (), "WINDOW", "POST_VIEW"
             )
 
     def stop(self) -> None:
-        """End, and forget what failed."""
+        """Stop drawing, and forget what failed."""
         if self._handle is not None:
             bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
             self._handle = None

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 import bpy
 from mathutils import Matrix
 
+from ..blender import view_layer_of
+from ..properties import object_props
+
 SURFACES = frozenset(
     {
         *("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"),
@@ -20,7 +23,7 @@ SURFACES = frozenset(
 
 @dataclass(frozen=True)
 class FileKey:
-    """One state of a file; another one of the same path is read again."""
+    """A file in one state; if it has changed, it is read again."""
 
     path: str
     modified: int  # ns
@@ -37,9 +40,9 @@ class SplatObject:
 
 
 def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
-    """All objects of the file that stand for a PLY, whether this context shows them or not.
+    """All objects of the .blend that stand for a PLY, whether this context shows them or not.
 
-    Those that another window shows belong to the set on the GPU, too.
+    Those that another window shows also belong to the set on the GPU.
     """
     return marked(bpy.data.objects, context.space_data)
 
@@ -47,11 +50,12 @@ def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
 def marked(
     objects: Iterable[bpy.types.Object], space: bpy.types.Space | None = None
 ) -> list[SplatObject]:
-    """Those of `objects` that stand for a PLY that exists; visible in `space`, if one is given."""
+    """Those of `objects` that stand for an existing PLY; visible in `space`, if it is given."""
     found = []
-    for thing in objects:
-        path = thing.roigs.ply
-        if thing.roigs.kind != "SPLATS" or not path:
+    for item in objects:
+        props = object_props(item)
+        path = props.ply
+        if props.kind != "SPLATS" or not path:
             continue
         try:
             state = os.stat(path)
@@ -60,26 +64,26 @@ def marked(
         found.append(
             SplatObject(
                 FileKey(path, state.st_mtime_ns, state.st_size),
-                thing.matrix_world.copy(),
-                not thing.roigs.as_points and seen(thing, space),
+                item.matrix_world.copy(),
+                not props.as_points and seen(item, space),
             )
         )
     return found
 
 
 def surfaces_are_visible(context: bpy.types.Context) -> bool:
-    """Is there anything in the view that could hide Gaussians?"""
+    """Whether the view shows anything that could hide Gaussians."""
     return any(
-        thing.type in SURFACES
-        and (thing.roigs.kind != "SPLATS" or thing.roigs.as_points)
-        and thing.display_type in ("SOLID", "TEXTURED")
-        and seen(thing, context.space_data)
-        for thing in context.view_layer.objects
+        item.type in SURFACES
+        and (object_props(item).kind != "SPLATS" or object_props(item).as_points)
+        and item.display_type in ("SOLID", "TEXTURED")
+        and seen(item, context.space_data)
+        for item in view_layer_of(context).objects
     )
 
 
-def seen(thing: bpy.types.Object, space: bpy.types.Space | None) -> bool:
-    """Is the object visible, in `space` when that is a 3D view (which may be in local view)?"""
-    if space is not None and space.type == "VIEW_3D":
-        return thing.visible_get(viewport=space)
-    return thing.visible_get()
+def seen(item: bpy.types.Object, space: bpy.types.Space | None) -> bool:
+    """Whether the object is visible; in `space` if that is a 3D view, maybe in local view."""
+    if isinstance(space, bpy.types.SpaceView3D):
+        return item.visible_get(viewport=space)
+    return item.visible_get()

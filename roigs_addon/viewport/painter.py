@@ -10,21 +10,23 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix, Vector
+from numpy.typing import NDArray
 
-from ..gaussian_ply import SplatCloud, read_splats
+from ..formats.splat_ply import SplatCloud, read_splats
+from ..worker import Worker
 from . import shaders, targets
 from .objects import FileKey, SplatObject
 from .packing import PackedSet, pack, pack_order
-from .sorting import Segment, View, back_to_front
-from .worker import Worker
+from .sorting import Segment, SortingView, back_to_front
 
 Files = tuple[FileKey, ...]
+Float32 = NDArray[np.float32]
 
 NEAR = 0.01
 """Gaussians nearer to the eye than this (units of their object) are not drawn, as in the engine."""
 
 VIEWS = 8
-"""So many viewports keep an order of their own."""
+"""How many viewports keep an order of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,7 @@ class GpuSet:
     """A set of Gaussians on the GPU; `files` has one entry per object in it."""
 
     files: Files
-    means: np.ndarray
+    means: Float32
     ranges: tuple[tuple[int, int], ...]
     extent: float
     sh_texels: int
@@ -55,15 +57,15 @@ class GpuSet:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """Back to front, on the GPU, for one view of one set."""
+    """The rows of a set from back to front, on the GPU, for one view."""
 
     gaussians: GpuSet
-    view: View
+    view: SortingView
     count: int
     texture: gpu.types.GPUTexture
 
     @classmethod
-    def upload(cls, gaussians: GpuSet, view: View, count: int, texels: np.ndarray) -> Order:
+    def upload(cls, gaussians: GpuSet, view: SortingView, count: int, texels: Float32) -> Order:
         """Copy an order's texels to the GPU."""
         return cls(gaussians, view, count, targets.texture(texels, "R32F"))
 
@@ -71,8 +73,8 @@ class Order:
 class Painter:
     """Draws splat objects, all in one order.
 
-    Reading and sorting happen in threads; until they are done, the last order of a viewport stays
-    in use. Where `wait` is given, they are waited for instead.
+    Reading and sorting happen in threads; until they are done, a viewport keeps its last order.
+    With `wait`, they are waited for instead.
     """
 
     def __init__(self) -> None:
@@ -88,7 +90,7 @@ class Painter:
 
     def draw(
         self,
-        things: Sequence[SplatObject],
+        objects: Sequence[SplatObject],
         view: Matrix,
         projection: Matrix,
         size: tuple[int, int],
@@ -101,23 +103,23 @@ class Painter:
         """Draw over the bound framebuffer.
 
         Args:
-            things: what there is, hidden or not.
+            objects: all there are, hidden or not.
             view: world -> camera, OpenGL's axes.
             projection: camera -> clip space.
             size: width and height in pixels.
             key: which viewport this is.
-            depth: what hides splats, 0 to 1 per pixel; None for nothing.
-            linear_target: whether the framebuffer turns linear light into sRGB as it is written.
-            wait: for files and order.
+            depth: of what hides splats, 0 to 1 per pixel; None: nothing does.
+            linear_target: whether the framebuffer converts linear light to sRGB when written.
+            wait: whether to wait for files and sorting.
         """
-        self._update_set(things, wait)
-        order = self._update_order(things, view, key, wait)
+        self._update_set(objects, wait)
+        order = self._update_order(objects, view, key, wait)
         if order is None or not order.count:
             return
         tools = self._tools = self._tools or Tools()
         depth = depth or tools.no_depth
         files = order.gaussians.files
-        matrices = targets.texture(object_texels(files, things, view, projection), "RGBA32F")
+        matrices = targets.texture(object_texels(files, objects, view, projection), "RGBA32F")
         with self._picture.cleared(*size).bind():
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
@@ -135,7 +137,7 @@ class Painter:
             tools.quad.draw_instanced(shader, instance_count=order.count)
         shader = tools.composite
         shader.bind()
-        shader.uniform_int("origin", gpu.state.viewport_get()[:2])
+        shader.uniform_int("origin", targets.viewport_origin())
         shader.uniform_bool("linear_target", [linear_target])
         shader.uniform_sampler("picture", self._picture.texture)
         shader.uniform_sampler("scene_depth", depth)
@@ -143,15 +145,15 @@ class Painter:
         gpu.state.blend_set("NONE")
 
     def pending(self, key: Hashable) -> bool:
-        """Will that viewport look better when it is drawn again?"""
+        """Whether that viewport will look better when it is drawn again."""
         return self._reader.pending("set") or self._sorter.pending(key)
 
     def idle(self) -> bool:
-        """True while nothing is being read or sorted."""
+        """Whether nothing is being read or sorted."""
         return self._reader.idle() and self._sorter.idle()
 
     def forget(self) -> None:
-        """Free what belongs to files; for when no object asks for any."""
+        """Free everything that belongs to files, when no object needs any."""
         self._reader.forget("set")
         self._set, self._asked = None, ()
         self._clouds, self._broken, self.problems = {}, set(), {}
@@ -164,13 +166,13 @@ class Painter:
         self._sorter.close()
         self._picture, self._tools = targets.SplatPicture(), None
 
-    def _update_set(self, things: Sequence[SplatObject], wait: bool) -> None:
-        """Have the visible objects' files on the GPU; hidden ones stay while they are there."""
+    def _update_set(self, objects: Sequence[SplatObject], wait: bool) -> None:
+        """Have the visible objects' files on the GPU; those of hidden objects may stay."""
         there = self._set.files if self._set else ()
         files = tuple(
-            thing.file
-            for thing in things
-            if (thing.visible or thing.file in there) and thing.file not in self._broken
+            item.file
+            for item in objects
+            if (item.visible or item.file in there) and item.file not in self._broken
         )
         if wait and files != there:
             self._reader.forget("set")
@@ -193,7 +195,7 @@ class Painter:
         problems: dict[FileKey, str],
     ) -> None:
         if packed.rows > gpu.capabilities.max_texture_size_get():
-            text = f"{len(packed)} Gaussians are more than this GPU's textures hold."
+            text = f"{len(packed)} Gaussians are more than fit into this GPU's textures."
             problems = {**problems, **dict.fromkeys(files, text)}
             files, packed, clouds = (), pack([]), {}
         self._set = GpuSet.upload(files, packed)
@@ -203,9 +205,9 @@ class Painter:
         self._asked = files
 
     def _update_order(
-        self, things: Sequence[SplatObject], view: Matrix, key: Hashable, wait: bool
+        self, objects: Sequence[SplatObject], view: Matrix, key: Hashable, wait: bool
     ) -> Order | None:
-        """The newest order of a viewport; a better one is asked for where it is not good enough."""
+        """The newest order of a viewport; if it is not good enough, a better one is requested."""
         gaussians = self._set
         outcome = None if wait else self._sorter.take(key)
         if outcome is not None:
@@ -215,10 +217,10 @@ class Painter:
             if gaussians is not None and means is gaussians.means:
                 self._orders[key] = Order.upload(gaussians, *order)
         if gaussians is not None:
-            wanted = sorting_view(gaussians, things, view)
+            wanted = sorting_view(gaussians, objects, view)
             held = self._orders.get(key)
             good = held and held.gaussians is gaussians and not held.view.differs(wanted)
-            # The thread gets nothing of the GPU's: what it drops last would be freed there.
+            # The thread gets no GPU objects: it might be the last to drop one, and free it there.
             means = gaussians.means
             if not good and wait:
                 self._orders[key] = Order.upload(gaussians, *sort_means(means, wanted)[1:])
@@ -233,7 +235,7 @@ class Painter:
 
 
 class Tools:
-    """What every picture needs, made with the first one."""
+    """What every image needs, made with the first one."""
 
     def __init__(self) -> None:
         self.splat = shaders.splat_shader()
@@ -246,9 +248,9 @@ class Tools:
 def read_set(
     files: Files, known: dict[FileKey, SplatCloud]
 ) -> tuple[Files, PackedSet, dict[FileKey, SplatCloud], dict[FileKey, str]]:
-    """Read what is not known yet, and pack all that can be read.
+    """Read what is not known yet, and pack everything that can be read.
 
-    Returns the files that could be read, the set, their clouds, and why others could not.
+    Returns the files that could be read, the set, their clouds, and why others could not be read.
     """
     clouds, problems = {}, {}
     for key in files:
@@ -262,53 +264,53 @@ def read_set(
     return good, pack([clouds[key] for key in good]), clouds, problems
 
 
-def sort_means(means: np.ndarray, view: View) -> tuple[np.ndarray, View, int, np.ndarray]:
-    """What was given, the number of Gaussians in the order, and its texels."""
+def sort_means(means: Float32, view: SortingView) -> tuple[Float32, SortingView, int, Float32]:
+    """The arguments, the number of Gaussians in the order, and its texels."""
     order = back_to_front(means, view)
     return means, view, len(order), pack_order(order)
 
 
-def objects_of(files: Files, things: Sequence[SplatObject]) -> list[SplatObject | None]:
+def objects_of(files: Files, objects: Sequence[SplatObject]) -> list[SplatObject | None]:
     """For each file of a set the object that stands for it.
 
-    Told by paths, in order: while a file that has changed is read, the Gaussians of its last state
-    go with the object.
+    They are matched by path, in order: while a changed file is being read, the Gaussians of its
+    last state still belong to the object.
     """
     by_path: dict[str, list[SplatObject]] = {}
-    for thing in things:
-        by_path.setdefault(thing.file.path, []).append(thing)
+    for item in objects:
+        by_path.setdefault(item.file.path, []).append(item)
     return [by_path[f.path].pop(0) if by_path.get(f.path) else None for f in files]
 
 
-def sorting_view(gaussians: GpuSet, things: Sequence[SplatObject], view: Matrix) -> View:
-    """Depth along the camera's axis, for the objects that are visible."""
+def sorting_view(gaussians: GpuSet, objects: Sequence[SplatObject], view: Matrix) -> SortingView:
+    """Depth along the camera's axis, for the visible objects."""
     segments = []
-    for range_, thing in zip(gaussians.ranges, objects_of(gaussians.files, things), strict=True):
-        if thing is not None and thing.visible:
-            row = np.array((view @ thing.matrix)[2])
+    for range_, item in zip(gaussians.ranges, objects_of(gaussians.files, objects), strict=True):
+        if item is not None and item.visible:
+            row = np.array((view @ item.matrix)[2])
             segments.append(Segment(*range_, axis=-row[:3], offset=float(-row[3])))
-    return View(tuple(segments), gaussians.extent)
+    return SortingView(tuple(segments), gaussians.extent)
 
 
 def object_texels(
-    files: Files, things: Sequence[SplatObject], view: Matrix, projection: Matrix
-) -> np.ndarray:
+    files: Files, objects: Sequence[SplatObject], view: Matrix, projection: Matrix
+) -> Float32:
     """(objects, 4, 4): object -> camera as three rows; eye or direction of sight, least depth."""
     texels = np.zeros((max(1, len(files)), 4, 4), np.float32)
-    texels[:, 3, 3] = np.inf  # nothing is that far: an object that is gone is not drawn
+    texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
     perspective = projection[3][3] == 0.0
-    for texel, thing in zip(texels, objects_of(files, things), strict=False):
-        if thing is None or not thing.visible:
+    for texel, item in zip(texels, objects_of(files, objects), strict=False):
+        if item is None or not item.visible:
             continue
-        matrix = view @ thing.matrix
+        matrix = view @ item.matrix
         scale = abs(matrix.to_3x3().determinant()) ** (1 / 3)
         if not scale:
             continue
         back = matrix.inverted()
         texel[:3] = np.array(matrix)[:3]
         if perspective:
-            texel[3] = (*back.translation, NEAR * scale)
+            texel[3, :3], texel[3, 3] = back.translation, NEAR * scale
         else:
-            sight = (back.to_3x3() @ Vector((0, 0, -1))).normalized()
-            texel[3] = (*sight, -np.inf)
+            sight = back.to_3x3() @ Vector((0, 0, -1))
+            texel[3, :3], texel[3, 3] = sight.normalized(), -np.inf
     return texels

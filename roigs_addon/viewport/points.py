@@ -1,8 +1,8 @@
 """The sparse points in their colours, in Solid shading.
 
-There, Blender draws all points of an object in one colour, whatever their attributes and its
-settings say. Each point is covered by a disc of its size, a little nearer; the object and the
-view's settings stay as they are. Other shadings show the colours by the points' material.
+There, Blender draws all points of an object in one colour, whatever the attributes and settings
+are. So each point is covered by a disc of its size, a little nearer; the object and the settings of
+the view stay as they are. Other shadings show the colours through the points' material.
 """
 
 from __future__ import annotations
@@ -10,24 +10,25 @@ from __future__ import annotations
 import bpy
 import gpu
 import numpy as np
-from bpy.app.handlers import persistent
 from mathutils import Matrix
 
-from .. import clouds, lookup
+from .. import blender
+from ..blender import mesh_of, persistent, region_of, region_view_of, scene_of
+from ..scene import clouds, lookup
 from . import shaders
 from .handler import ViewHandler
 
 SMALLEST = 2.5
-"""Pixels across, at an interface scale of 1: points that are far away are still seen."""
+"""Pixels across, at an interface scale of 1, so that far points are still visible."""
 
 _batches: dict[int, gpu.types.GPUBatch | None] = {}
-"""Mesh, by its number in this session -> its points on the GPU; None when they have no colour."""
+"""Mesh, by its number in this session -> its points on the GPU; None if they have no colour."""
 
-_shader: gpu.types.GPUShader | None = None
+_shader: shaders.Shader = None
 
 
 def problem() -> str:
-    """Why the points cannot be drawn, in one line; empty when they can."""
+    """Why the points cannot be drawn, in one line; empty if they can."""
     return _handler.failure
 
 
@@ -51,7 +52,7 @@ def draw(
         linear_target: the framebuffer takes linear light, as the viewport's does; else sRGB values.
     """
     global _shader
-    radius, batch = clouds.shown_radius(item), _batch(item.data)
+    radius, batch = clouds.shown_radius(item), _batch(mesh_of(item))
     if radius is None or batch is None:
         return
     if _shader is None:
@@ -74,7 +75,7 @@ def draw(
 
 
 def _batch(mesh: bpy.types.Mesh) -> gpu.types.GPUBatch | None:
-    """Kept until the mesh changes: a million points take a moment to upload."""
+    """The points on the GPU, uploaded once: a million of them take a moment."""
     if mesh.session_uid not in _batches:
         _batches.clear()  # there is one cloud at a time
         _batches[mesh.session_uid] = _uploaded(mesh)
@@ -98,16 +99,18 @@ def _uploaded(mesh: bpy.types.Mesh) -> gpu.types.GPUBatch | None:
 
 
 def _draw_region(context: bpy.types.Context) -> None:
-    space, data = context.space_data, context.region_data
-    item = lookup.points(context.scene) if space.shading.type == "SOLID" else None
+    space, data = blender.view_3d_of(context), region_view_of(context)
+    if space is None or space.shading.type != "SOLID":
+        return
+    item = lookup.points(scene_of(context))
     if item is None or item.mode == "EDIT" or not item.visible_get(viewport=space):
         return
     draw(
         item,
         data.view_matrix,
         data.window_matrix,
-        context.region.height,
-        smallest=SMALLEST * context.preferences.system.ui_scale,
+        region_of(context).height,
+        smallest=SMALLEST * blender.interface_scale(),
         linear_target=True,
     )
 
@@ -117,29 +120,30 @@ _handler = ViewHandler(_draw_region, "The points' colours cannot be drawn here")
 
 @persistent
 def _on_change(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """Blender calls it after every change: points that were edited are uploaded again."""
+    """After every change: points that were edited are uploaded again."""
     if not _batches:
         return
     for update in graph.updates:
         if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
-            _batches.pop(update.id.original.session_uid, None)
+            original = update.id.original
+            _batches.pop(original.session_uid if original else 0, None)
 
 
 @persistent
 def _on_load(*_: object) -> None:
-    """Another file is open."""
+    """For another file."""
     _batches.clear()
 
 
 def register() -> None:
-    """Start to draw; in background mode there is no viewport."""
+    """Start drawing; in background mode there is no viewport."""
     bpy.app.handlers.depsgraph_update_post.append(_on_change)
     bpy.app.handlers.load_post.append(_on_load)
     _handler.start()
 
 
 def unregister() -> None:
-    """Stop, and free the GPU's memory."""
+    """Stop drawing, and free the GPU's memory."""
     global _shader
     _handler.stop()
     bpy.app.handlers.load_post.remove(_on_load)

@@ -1,24 +1,29 @@
-"""The GPU programs. Their text lies in `shaders/`; here stands what they are given."""
+"""The GPU programs: their inputs. Their source is in `shaders/`."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import gpu
 
 from .packing import INDEX_MARK, ROW
+from .targets import TYPES
+
+Shader = Any
+"""A shader of Blender's; by the stubs, it takes no matrices."""
 
 FOLDER = Path(__file__).parent / "shaders"
 
 
 def text(name: str) -> str:
-    """One file of GLSL."""
+    """The text of a GLSL file."""
     return (FOLDER / name).read_text(encoding="utf-8")
 
 
-def splat_shader() -> gpu.types.GPUShader:
+def splat_shader() -> Shader:
     """Draws Gaussians: one per instance of a quad with corners (-1, -1) to (1, 1)."""
-    passed = gpu.types.GPUStageInterfaceInfo("roigs_splat")
+    passed = TYPES.GPUStageInterfaceInfo("roigs_splat")
     passed.smooth("VEC2", "local")
     passed.flat("VEC4", "paint")
     info = gpu.types.GPUShaderCreateInfo()
@@ -37,8 +42,8 @@ def splat_shader() -> gpu.types.GPUShader:
     return gpu.shader.create_from_info(info)
 
 
-def composite_shader() -> gpu.types.GPUShader:
-    """Lays the splats' picture over the bound framebuffer; given the same quad."""
+def composite_shader() -> Shader:
+    """Draws the splats' image over the bound framebuffer; uses the same quad."""
     info = gpu.types.GPUShaderCreateInfo()
     info.push_constant("IVEC2", "origin")
     info.push_constant("BOOL", "linear_target")
@@ -51,9 +56,9 @@ def composite_shader() -> gpu.types.GPUShader:
     return gpu.shader.create_from_info(info)
 
 
-def point_shader() -> gpu.types.GPUShader:
+def point_shader() -> Shader:
     """Draws points as discs in their colours, which are linear light."""
-    passed = gpu.types.GPUStageInterfaceInfo("roigs_point")
+    passed = TYPES.GPUStageInterfaceInfo("roigs_point")
     passed.flat("VEC3", "paint")
     info = gpu.types.GPUShaderCreateInfo()
     info.push_constant("MAT4", "model_view")

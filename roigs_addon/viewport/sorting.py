@@ -12,12 +12,12 @@ Float32 = NDArray[np.float32]
 UInt32 = NDArray[np.uint32]
 
 TURN = 2e-3
-"""Radians by which a view may turn, in an object's frame, before it is sorted again."""
+"""Radians by which a view may turn, in an object's frame, until it is sorted again."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Rows start to stop of a set, which lie in one object: depth = means · axis + offset."""
+    """Rows `start` to `stop` of a set, all of one object: depth = means · axis + offset."""
 
     start: int
     stop: int
@@ -26,8 +26,8 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """All that an order depends on, besides the means.
+class SortingView:
+    """Everything that an order depends on, except the means.
 
     Attributes:
         segments: what is drawn.
@@ -37,20 +37,17 @@ class View:
     segments: tuple[Segment, ...]
     extent: float
 
-    def differs(self, other: View) -> bool:
-        """Would `other` sort visibly otherwise?
+    def differs(self, other: SortingView) -> bool:
+        """Whether `other` would give a visibly different order.
 
-        Sliding or scaling everything changes no order, so only the axes' directions count, and the
-        objects' depths relative to one another.
+        Moving or scaling everything together changes no order. So only the axes' directions matter,
+        and the objects' depths relative to one another.
         """
         if [(s.start, s.stop) for s in self.segments] != [
             (s.start, s.stop) for s in other.segments
         ]:
             return True
         return bool(np.abs(self._shape() - other._shape()).max(initial=0.0) > TURN)
-
-    def _rows(self) -> list[tuple[int, int]]:
-        return [(s.start, s.stop) for s in self.segments]
 
     def _shape(self) -> NDArray[np.float64]:
         if not self.segments:
@@ -62,9 +59,9 @@ class View:
 
 
 def depths(means: Float32, segments: Sequence[Segment]) -> Float32:
-    """Depths of the segments' rows, one segment after another, less the first one's offset.
+    """Depths of the segments' rows, one segment after another, minus the first one's offset.
 
-    Seen from afar, that offset would take all the digits that tell the rows apart.
+    From far away, that offset would use up all the digits that tell the rows apart.
     """
     parts = [
         means[s.start : s.stop] @ s.axis.astype(np.float32)
@@ -74,8 +71,8 @@ def depths(means: Float32, segments: Sequence[Segment]) -> Float32:
     return np.concatenate(parts) if parts else np.zeros(0, np.float32)
 
 
-def back_to_front(means: Float32, view: View) -> UInt32:
-    """Rows of `means` (N, 3) that the segments hold, the farthest first."""
+def back_to_front(means: Float32, view: SortingView) -> UInt32:
+    """The rows of `means` (N, 3) that belong to the segments, the farthest first."""
     order = ascending(depths(means, view.segments))[::-1]
     rows = [np.arange(s.start, s.stop, dtype=np.uint32) for s in view.segments]
     return np.concatenate(rows)[order] if rows else np.zeros(0, np.uint32)
@@ -84,8 +81,8 @@ def back_to_front(means: Float32, view: View) -> UInt32:
 def ascending(values: Float32) -> NDArray[np.intp]:
     """Stable argsort of float32.
 
-    numpy sorts 16-bit integers stably in linear time (radix sort); two such passes over the halves
-    of an order-preserving 32-bit key beat its comparison sort of floats.
+    numpy sorts 16-bit integers stably in linear time (radix sort). Two such passes over the halves
+    of an order-preserving 32-bit key are faster than its comparison sort of floats.
     """
     bits = values.view(np.uint32)
     # Negative floats grow with falling bits, positive ones with rising bits.

@@ -1,4 +1,4 @@
-"""COLMAP projects for the add-on's tests, made with numpy alone: a real Blender has no more."""
+"""COLMAP projects for the add-on's tests, with numpy alone: a real Blender has nothing else."""
 
 from __future__ import annotations
 

@@ -15,7 +15,9 @@ from types import ModuleType
 
 import pytest
 
+from roigs_addon.engine.run_files import BACKGROUND
 from tests.addon.colmap_project import write_project
+from tests.addon.scenes import ready
 
 # Before bpy is imported: the user's own settings are neither read nor written.
 RESOURCES = Path(tempfile.mkdtemp(prefix="roigs-blender-"))
@@ -48,7 +50,7 @@ def blender() -> ModuleType:
 
 @pytest.fixture
 def addon(blender: ModuleType) -> Iterator[ModuleType]:
-    """The registered add-on. What stays registered when Python exits would make bpy 4.5 hang."""
+    """The registered add-on. Anything that stays registered would make bpy 4.5 hang at exit."""
     import roigs_addon
 
     roigs_addon.register()
@@ -59,12 +61,12 @@ def addon(blender: ModuleType) -> Iterator[ModuleType]:
 @pytest.fixture
 def engine(addon: ModuleType) -> object:
     """An engine that can train; skips without one."""
-    from roigs_addon import preferences
+    from roigs_addon import settings
     from roigs_addon.engine.python import FOR_TRAINING
     from roigs_addon.errors import AddonError
 
     try:
-        return preferences.engine(FOR_TRAINING)
+        return settings.engine(FOR_TRAINING)
     except AddonError as error:
         pytest.skip(str(error))
 
@@ -73,3 +75,18 @@ def engine(addon: ModuleType) -> object:
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small COLMAP project with photos."""
     return write_project(tmp_path_factory.mktemp("colmap") / "ein Garten 庭")
+
+
+@pytest.fixture
+def run(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> tuple[object, Path]:
+    """A scene and its run folder with made-up results."""
+    from tests.addon.splat_cases import random_ply
+
+    folder = tmp_path / "run"
+    for number, name in enumerate(("result", Path(BACKGROUND).stem, "rois/thing", "coarse/thing")):
+        path = folder / f"{name}.ply"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        random_ply(path, 40 + number, seed=number)
+    return ready(blender, project, folder), folder

@@ -17,7 +17,7 @@ def imported(bpy: ModuleType, project: Path):
 
 
 def add_box(bpy: ModuleType, name: str, low, high):
-    """A ROI between two corners of the COLMAP frame."""
+    """A box between two corners of the COLMAP frame."""
     from mathutils import Vector
 
     bpy.ops.roigs.add_roi()
@@ -38,6 +38,30 @@ def ready(bpy: ModuleType, project: Path, run_dir: Path, *, factor: float = 0.00
     scene.roigs.run_dir = str(run_dir)
     scene.roigs.steps_factor = factor
     return scene
+
+
+def start_training(engine, scene):
+    """A job that trains all boxes, as the operator starts it."""
+    from roigs_addon.jobs import current, train_job
+    from roigs_addon.scene import lookup
+
+    return current.start(engine, train_job.spec(scene, lookup.rois(scene)))
+
+
+def status(scene):
+    """What the scene's run folder says."""
+    from roigs_addon.engine import run_status
+    from roigs_addon.jobs import run_folders
+
+    return run_status.read(run_folders.run_folder(scene))
+
+
+def record(roi, scene) -> dict[str, object]:
+    """A box as `rois.json` has it."""
+    from roigs_addon.formats.rois import to_record
+    from roigs_addon.scene import lookup
+
+    return to_record(roi.name, lookup.box(roi, scene))
 
 
 def command_line(engine, *arguments: object) -> subprocess.CompletedProcess[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from roigs_engine.ply import write_ply
+
+from roigs_engine.formats.splat_ply import write_ply
 
 
 def random_arrays(count: int, seed: int, coefficients: int = 16) -> dict[str, np.ndarray]:

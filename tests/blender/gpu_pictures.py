@@ -12,16 +12,18 @@ import numpy as np
 from mathutils import Matrix
 
 from roigs_addon.viewport import draw
+from roigs_addon.viewport.objects import marked
 
 
 def picture(
-    things: list[bpy.types.Object], view: Matrix, projection: Matrix, width: int, height: int
+    objects: list[bpy.types.Object], view: Matrix, projection: Matrix, width: int, height: int
 ) -> np.ndarray:
     """(H, W, 4) premultiplied sRGB values of objects, first row on top."""
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA32F")
     with offscreen.bind():
         gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
-        draw.draw_view(things, view, projection, width, height)
+        drawn, size = marked(objects), (width, height)
+        draw.painter().draw(drawn, view, projection, size, key="", wait=True)
         data = offscreen.texture_color.read()
     data.dimensions = width * height * 4
     offscreen.free()
@@ -53,7 +55,7 @@ def load_png(path: Path) -> np.ndarray:
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    """dB, of values in 0 to 1; what lies outside is taken as the nearest of them."""
+    """dB, of values in 0 to 1; values outside are clipped."""
     error = np.mean((np.clip(a, 0, 1) - np.clip(b, 0, 1)) ** 2, dtype=float)
     return float(-10 * np.log10(max(error, 1e-12)))
 

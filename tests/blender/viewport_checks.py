@@ -19,8 +19,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from roigs_addon import clouds, properties
-from roigs_addon.gaussian_ply import read_splats
+from roigs_addon import properties
+from roigs_addon.formats.splat_ply import read_splats
+from roigs_addon.scene import clouds
 from roigs_addon.viewport import draw, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
@@ -33,19 +34,19 @@ TURN = Matrix.Rotation(radians(40), 4, "Y") @ Matrix.Rotation(radians(25), 4, "X
 
 def splats(name: str, path: Path) -> bpy.types.Object:
     """An object that stands for a PLY."""
-    thing = bpy.data.objects.new(name, None)
-    bpy.context.scene.collection.objects.link(thing)
-    thing.roigs.kind, thing.roigs.ply = "SPLATS", str(path)
-    return thing
+    item = bpy.data.objects.new(name, None)
+    bpy.context.scene.collection.objects.link(item)
+    item.roigs.kind, item.roigs.ply = "SPLATS", str(path)
+    return item
 
 
-def seen(*things: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
-    """Things about the origin, which fills the picture, from a distance."""
+def seen(*objects: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
+    """Objects around the origin, which fill the picture, from a distance."""
     focal = 0.4 * SIDE * distance
     camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2 + 3}
     clip = perspective({**camera, "cy": SIDE / 2}, distance / 100, distance * 10)
     view = Matrix.Translation((0, 0, -distance)) @ TURN
-    return picture(list(things), view, clip, SIDE, SIDE)
+    return picture(list(objects), view, clip, SIDE, SIDE)
 
 
 def check_orthographic(a: bpy.types.Object, b: bpy.types.Object) -> None:
@@ -68,7 +69,7 @@ def check_one_order_for_all(a: bpy.types.Object, b: bpy.types.Object) -> None:
 
 
 def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
-    """Marks and visibility are obeyed; a path that leads nowhere is passed over."""
+    """Marks and visibility are respected; a path to a missing file is ignored."""
     alone = seen(a)
     assert psnr(alone, seen(a, b)) < 40
     b.roigs.as_points = True
@@ -157,7 +158,7 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
 
 
 def check_points(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
-    """Points have their colours, size and depth; what changes or is switched off is seen to."""
+    """Points have their colours, size and depth; changes and hiding are followed."""
     shown = np.array([[1, 0, 0], [0, 0.5, 1], [0.1, 0.1, 0.1]], np.float32)
     places = np.array([[0, 0, 0], [0.5, 0, 0], [0, 0, -2]], np.float32)  # the last behind the first
     cloud = clouds.new_points("points", places)
@@ -203,12 +204,12 @@ def check_points(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
 
 
 def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
-    """A scene shows its own objects; those of another stay at hand."""
+    """A scene shows its own objects; those of another stay loaded."""
     alone = seen(a)
     other = bpy.data.scenes.new("other")
     bpy.context.scene.collection.objects.unlink(b)
     other.collection.objects.link(b)
-    assert [thing.visible for thing in splat_objects(bpy.context)] == [True, False]
+    assert [item.visible for item in splat_objects(bpy.context)] == [True, False]
     assert (seen(a, b) == alone).all()
     other.collection.objects.unlink(b)
     bpy.context.scene.collection.objects.link(b)
@@ -216,7 +217,7 @@ def check_scenes(a: bpy.types.Object, b: bpy.types.Object) -> None:
 
 
 def check_freed(a: bpy.types.Object, _b: bpy.types.Object) -> None:
-    """Nothing stays behind; drawing begins anew."""
+    """Nothing stays in memory; drawing can start again."""
     before = seen(a)
     draw.unregister()
     draw.unregister()

@@ -40,16 +40,16 @@ POSES = {
 
 
 def main(folder: Path) -> bool:
-    """Draw and compare everything in a case; is it all alike enough?"""
-    thing = bpy.data.objects.new("splats", None)
-    bpy.context.scene.collection.objects.link(thing)
-    thing.roigs.kind, thing.roigs.ply = "SPLATS", str(folder / "splats.ply")
+    """Draw and compare everything in a case; whether all of it is similar enough."""
+    item = bpy.data.objects.new("splats", None)
+    bpy.context.scene.collection.objects.link(item)
+    item.roigs.kind, item.roigs.ply = "SPLATS", str(folder / "splats.ply")
     good = True
     for camera in json.loads((folder / "cameras.json").read_text(encoding="utf-8"))["cameras"]:
         wanted = load_png(folder / f"{camera['name']}.png")
         for name, pose in POSES.items():
-            thing.matrix_world = pose
-            drawn = draw_camera(thing, camera, pose)
+            item.matrix_world = pose
+            drawn = draw_camera(item, camera, pose)
             quality = psnr(drawn[..., :3], wanted)
             good &= quality >= LEAST
             np.save(folder / f"{camera['name']}-{name}.npy", drawn)
@@ -57,7 +57,7 @@ def main(folder: Path) -> bool:
     return good
 
 
-def draw_camera(thing: bpy.types.Object, camera: dict, pose: Matrix) -> np.ndarray:
+def draw_camera(item: bpy.types.Object, camera: dict, pose: Matrix) -> np.ndarray:
     """(H, W, 4) of the object from a camera of its own frame."""
     # The camera goes with the object: what was w2c in the object's frame is w2c · pose⁻¹ in the
     # world, made rigid again by giving lengths the world's unit.
@@ -65,7 +65,7 @@ def draw_camera(thing: bpy.types.Object, camera: dict, pose: Matrix) -> np.ndarr
     to_camera = Matrix.Scale(scale, 4) @ Matrix(camera["world_to_camera"]) @ pose.inverted()
     view = Matrix.Diagonal((1, -1, -1, 1)) @ to_camera
     clip = perspective(camera, NEAR * scale, FAR * scale)
-    return picture([thing], view, clip, camera["width"], camera["height"])
+    return picture([item], view, clip, camera["width"], camera["height"])
 
 
 if __name__ == "__main__":

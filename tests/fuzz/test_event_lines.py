@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, seed, settings
 from hypothesis import strategies as st
 
-from roigs_addon.engine.client import FIELDS, MAX_LINE, MAX_NUMBER, _lines, parse_event
+from roigs_addon.formats.events import FIELDS, MAX_LINE, MAX_NUMBER, parse_event, read_lines
 from tests.fuzz.cases import SEED
 
 ODD_NUMBERS = [float("nan"), float("inf"), 1e308, 2**31, -(10**400), 2**63, True]
@@ -68,7 +68,7 @@ def test_events_of_any_content(record: dict[str, Any]) -> None:
 @settings(max_examples=300, deadline=None, database=None)
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda t: t.encode("utf-8", "replace")))
 def test_lines_of_any_bytes(data: bytes) -> None:
-    for line in _lines(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", errors="replace")):
+    for line in read_lines(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", errors="replace")):
         assert_sound(parse_event(line))
 
 
@@ -99,7 +99,7 @@ def test_a_line_of_any_length_takes_bounded_memory() -> None:
 
     tracemalloc.start()
     stream = io.TextIOWrapper(io.BufferedReader(Parts()), encoding="utf-8", errors="replace")
-    lines = list(_lines(stream))
+    lines = list(read_lines(stream))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert [len(line) > MAX_LINE for line in lines] == [False, True, False]

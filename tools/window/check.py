@@ -15,21 +15,20 @@ import time
 from pathlib import Path
 
 from .driver import Blender, Screen, with_extension
-from .scenario import BUSY, ENGINE, import_demo, load_boxes, parser, prepare, show_tab
+from .scenario import BUSY, JOB, STATE, import_demo, load_boxes, parser, prepare, show_tab
 
-STATE = "bpy.context.window_manager.roigs"
 failures: list[str] = []
 
 
 def check(text: str, good: bool) -> None:
-    """Note how it went."""
+    """Print and note how it went."""
     print(f"{'good' if good else 'BAD '} {text}", flush=True)
     if not good:
         failures.append(text)
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
+    """Whether a process is running, and not a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
@@ -44,11 +43,11 @@ def gone_after(pid: int, start: float, limit: float = 20.0) -> float:
 
 
 def stopped(blender: Blender, pid: int, what: str, since: float) -> None:
-    """Check how long the engine took to go."""
-    heard = blender.until(f"{ENGINE}.stopping or {ENGINE}.finished", 20)
+    """Check how long the engine took to end."""
+    heard = blender.until(f"{JOB}.stopping or {JOB}.finished", 20)
     took = gone_after(pid, since)
     check(
-        f"{what}: heard by Blender within {heard:.2f} s, the engine gone after {took:.2f} s (2 s);"
+        f"{what}: noticed by Blender within {heard:.2f} s, engine ended after {took:.2f} s (2 s);"
         f" load of the machine {os.getloadavg()[0]:.0f}",
         took <= 2.0,
     )
@@ -63,9 +62,9 @@ def settings(blender: Blender, run: Path, steps: float) -> None:
 
 
 def handled(blender: Blender, event: str, place: tuple[int, int]) -> tuple[float, float]:
-    """Click; seconds until what it does was noted inside, on the clock and of Blender's processor.
+    """Click; seconds until its effect was noted inside: wall clock, and Blender's processor time.
 
-    On a machine that others keep busy, only the second number says something.
+    On a busy machine only the second number is meaningful.
     """
     before = blender.ask("time.process_time()")
     since = blender.click(place)
@@ -93,14 +92,14 @@ bpy.app.handlers.depsgraph_update_post.append(watch)
 
 
 def start_training(blender: Blender) -> int:
-    """Click «Train ROI» or «Continue»; returns the engine's process."""
+    """Click Train or Continue; returns the engine's process."""
     blender.click(blender.find("roigs.train_roi", x=0.3))
     blender.until(f"{BUSY} and {STATE}.step > 0", 120)
-    return int(blender.ask(f"{ENGINE}.job.pid"))
+    return int(blender.ask(f"{JOB}.process.pid"))
 
 
 def first_window(blender: Blender, folder: Path) -> None:
-    """Import, select, train; answers, Esc, stop, continue, a killed engine."""
+    """Import, select, train; response times, Esc, stop, continue, a killed engine."""
     prepare(blender)
     import_demo(blender)
     load_boxes(blender)
@@ -113,12 +112,12 @@ def first_window(blender: Blender, folder: Path) -> None:
     at = blender.find("roigs.select_cameras")
     start = blender.click(at)
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
-    check(f"«Select Cameras» clicked: chosen after {time.time() - start:.1f} s", True)
+    check(f"Select Cameras clicked: selected after {time.time() - start:.1f} s", True)
     next_photo = blender.find("step=1", x=0.84)
 
     pid = start_training(blender)
     engine = os.readlink(f"/proc/{pid}/exe")
-    check(f"«Train ROI» clicked: the engine runs as process {pid}, {engine}", True)
+    check(f"Train clicked: the engine runs as process {pid}, {engine}", True)
     answers = []
     for _ in range(8):
         answers.append(handled(blender, "camera", next_photo))
@@ -131,10 +130,10 @@ def first_window(blender: Blender, folder: Path) -> None:
         clock[-1] <= 1.0,
     )
     blender.screen.do("mousemove", "600", "500")
-    at = f"[{STATE}.stage, {STATE}.step]"
-    step, drawn = blender.ask(at), blender.ask("drawn[0]")
+    where = f"[{STATE}.stage, {STATE}.step]"
+    step, drawn = blender.ask(where), blender.ask("drawn[0]")
     time.sleep(3)
-    now, then = blender.ask(at), blender.ask("drawn[0]")
+    now, then = blender.ask(where), blender.ask("drawn[0]")
     check(f"mouse at rest for 3 s: {step} to {now}, {then - drawn} drawings", now != step)
     check("the bar is drawn meanwhile", then - drawn >= 4)
     preview = (
@@ -155,7 +154,7 @@ def first_window(blender: Blender, folder: Path) -> None:
     time.sleep(0.5)
     blender.press("Escape")
     time.sleep(1.0)
-    check("Esc ends a transform only", bool(blender.ask(f"{BUSY} and not {ENGINE}.stopping")))
+    check("Esc ends a transform only", bool(blender.ask(f"{BUSY} and not {JOB}.stopping")))
 
     stopped(blender, pid, "Esc", blender.press("Escape"))
     left = list(run.glob("*/checkpoint.bin"))
@@ -167,18 +166,18 @@ def first_window(blender: Blender, folder: Path) -> None:
     step = blender.ask(f"{STATE}.step")
     pid = start_training(blender)
     now = blender.ask(f"{STATE}.step")
-    check(f"«Continue» goes on: step {now}, stopped at {step}", now >= step)
-    stopped(blender, pid, "«Stop» clicked", blender.click(blender.find("roigs.stop", x=0.84)))
+    check(f"Continue resumes: step {now}, stopped at {step}", now >= step)
+    stopped(blender, pid, "Stop clicked", blender.click(blender.find("roigs.stop", x=0.84)))
     blender.until(f"not {BUSY}")
 
     pid = start_training(blender)
     os.kill(pid, signal.SIGKILL)
     blender.until(f"not {BUSY}")
     error = blender.ask(f"{STATE}.error")
-    check(f"engine killed: «{error}»", bool(error) and blender.process.poll() is None)
+    check(f"engine killed: '{error}'", bool(error) and blender.process.poll() is None)
     time.sleep(0.5)
     blender.screen.picture(folder / "killed.png")
-    blender.screen.do("mousemove", "400", "300")  # the report goes when the mouse leaves it
+    blender.screen.do("mousemove", "400", "300")  # the report disappears when the mouse leaves it
     time.sleep(0.5)
 
     pid = start_training(blender)
@@ -186,11 +185,11 @@ def first_window(blender: Blender, folder: Path) -> None:
     start = time.time()
     blender.kill()
     took = gone_after(pid, start)
-    check(f"Blender killed: the engine was gone after {took:.2f} s (5 s)", took <= 5.0)
+    check(f"Blender killed: the engine ended after {took:.2f} s (5 s)", took <= 5.0)
 
 
 def second_window(blender: Blender, folder: Path) -> None:
-    """The file again."""
+    """Open the file again."""
     show_tab(blender)
     place = blender.find("roigs.train_roi", x=0.3)
     time.sleep(0.5)
@@ -200,13 +199,13 @@ def second_window(blender: Blender, folder: Path) -> None:
     blender.ask("bpy.context.scene.roigs.steps_factor")
     blender.click(place)
     blender.until(f"{BUSY} and {STATE}.step > 0", 120)
-    check(f"«Continue» goes on at step {blender.ask(f'{STATE}.step')}", True)
+    check(f"Continue resumes at step {blender.ask(f'{STATE}.step')}", True)
     blender.press("Escape")
     blender.until(f"not {BUSY}")
 
 
 def main() -> int:
-    """Run."""
+    """Run all checks."""
     options = parser(__doc__)
     options.add_argument("--keep", type=Path, help="folder for the pictures and logs")
     given = options.parse_args()

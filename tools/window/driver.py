@@ -33,7 +33,7 @@ class Screen:
     def __init__(self, width: int, height: int) -> None:
         missing = [name for name in PROGRAMS if not shutil.which(name)]
         if missing:
-            raise WindowError(f"Programs that are missing: {', '.join(missing)}")
+            raise WindowError(f"Missing programs: {', '.join(missing)}")
         self.size = (width, height)
         reading, writing = os.pipe()
         self._process = subprocess.Popen(
@@ -106,11 +106,9 @@ class Blender:
         self._found: dict[tuple[str, float], tuple[int, int]] = {}
         self._answers: queue.SimpleQueue[list[Any]] = queue.SimpleQueue()
         width, height = screen.size
+        geometry = ["--window-geometry", "0", "0", str(width), str(height)]
         self.process = subprocess.Popen(
-            [
-                *(program, "--window-geometry", "0", "0", str(width), str(height)),
-                *(*arguments, "--python", INSIDE),
-            ],
+            [program, *geometry, *arguments, "--python", INSIDE],
             env=screen.variables
             | {"BLENDER_USER_RESOURCES": str(resources), "PYTHONUNBUFFERED": "1"}
             | (variables or {}),

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import traceback
+from typing import Any
 
 import bpy
 
@@ -27,9 +28,15 @@ def note(text: str) -> None:
     events.append((time.time(), time.process_time(), text))
 
 
-def view() -> dict[str, object]:
+def manager() -> bpy.types.WindowManager:
+    """Blender's window manager."""
+    assert bpy.context.window_manager is not None
+    return bpy.context.window_manager
+
+
+def view() -> dict[str, Any]:
     """Window, area and region of the 3D view, for `temp_override`."""
-    window = bpy.context.window_manager.windows[0]
+    window = manager().windows[0]
     area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
     return {"window": window, "area": area, "region": part(area, "WINDOW")}
 
@@ -56,14 +63,14 @@ def sidebar() -> tuple[int, int, int, int]:
 def under_mouse() -> str:
     """The Python command of the button under the mouse, as Ctrl-C there copies it; or nothing."""
     found = view()
-    manager = bpy.context.window_manager
-    manager.clipboard = ""
+    manager().clipboard = ""
+    button: Any = bpy.ops.ui.copy_python_command_button
     with bpy.context.temp_override(**{**found, "region": part(found["area"], "UI")}):
-        if not bpy.ops.ui.copy_python_command_button.poll():
+        if not button.poll():
             return ""
         with contextlib.suppress(RuntimeError):
-            bpy.ops.ui.copy_python_command_button()
-    return str(manager.clipboard)
+            button()
+    return str(manager().clipboard)
 
 
 def answer() -> float:

@@ -13,11 +13,11 @@ import tempfile
 from pathlib import Path
 
 from .driver import REPOSITORY, Blender, Screen, with_extension
-from .scenario import BUSY, import_demo, load_boxes, parser, prepare
+from .scenario import BUSY, STATE, import_demo, load_boxes, parser, prepare
 
 SIZE = (1040, 980)
 COLOURS = ("+dither", "-colors", "128")
-"""Small files; what is lost is not seen."""
+"""For small files; the loss is not visible."""
 
 LOOK = """
 bpy.context.preferences.view.ui_scale = 0.85
@@ -38,14 +38,14 @@ def select(blender: Blender, kind: str) -> None:
 
 
 def look_at_boxes(blender: Blender) -> None:
-    """The boxes fill the view."""
+    """Make the boxes fill the view."""
     blender.ask("[o.select_set(o.roigs.kind == 'ROI') for o in bpy.context.scene.objects] and None")
     blender.ask("call('view3d.view_selected')")
     blender.ask("call('roigs.select_roi', name='vase')")
 
 
 def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
-    """From the empty file to the result."""
+    """Go from the empty file to the result."""
 
     def picture(name: str, crop: str = "780x958+260+0") -> None:
         blender.screen.do("mousemove", "3", "450")
@@ -77,8 +77,8 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
 
     blender.ask("bpy.context.scene.camera.data.show_background_images = False")
     blender.click(blender.find("roigs.train_roi", x=0.3))
-    blender.until("bpy.context.window_manager.roigs.stage == 'joint'", 3600)
-    blender.until("bpy.context.window_manager.roigs.step > 600", 3600)
+    blender.until(f"{STATE}.stage == 'joint'", 3600)
+    blender.until(f"{STATE}.step > 600", 3600)
     picture("4-training")
 
     blender.until(f"not {BUSY}", 3600)

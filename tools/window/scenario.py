@@ -1,4 +1,4 @@
-"""What all window scripts do at first: the demo scene in a Blender that has the extension."""
+"""How all window scripts begin: the demo scene, in a Blender that has the extension."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from .driver import REPOSITORY, Blender
 
 SCENE = REPOSITORY / "demo" / "scene"
 TAB = "ROI-GS"
-ENGINE = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.jobs'].current"
-BUSY = f"({ENGINE} is not None and not {ENGINE}.finished)"
-"""Code for `Blender.ask`: the job, and whether one is running."""
+CURRENT = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.jobs.current']"
+JOB, STATE, BUSY = f"{CURRENT}.job", f"{CURRENT}.state()", f"{CURRENT}.busy()"
+"""Code for `Blender.ask`: the job, its state, and whether one is running."""
 
 PREPARE = """
 bpy.context.preferences.view.show_splash = False
@@ -25,7 +25,7 @@ bpy.context.scene.view_settings.view_transform = "Standard"
 
 
 def parser(text: str | None) -> argparse.ArgumentParser:
-    """Of the options that all of them have."""
+    """A parser with the options that all of them have."""
     made = argparse.ArgumentParser(description=text)
     made.add_argument("blender", type=Path, help="Blender's executable")
     made.add_argument("--engine-python", type=Path, required=True, help="a Python with torch")
@@ -33,13 +33,13 @@ def parser(text: str | None) -> argparse.ArgumentParser:
 
 
 def prepare(blender: Blender) -> None:
-    """An empty file, and the add-on's tab in the sidebar."""
+    """Empty the file, and show the add-on's tab in the sidebar."""
     blender.ask(PREPARE)
     show_tab(blender)
 
 
 def show_tab(blender: Blender) -> None:
-    """The add-on's tab in the sidebar."""
+    """Show the add-on's tab in the sidebar."""
     blender.ask("view()['area'].spaces.active.show_region_ui = True")
     blender.pause(0.5)
     blender.press("Escape")  # the splash screen
@@ -48,11 +48,11 @@ def show_tab(blender: Blender) -> None:
 
 
 def import_demo(blender: Blender) -> None:
-    """The demo scene, as the file browser would import it."""
+    """Import the demo scene, as the file browser would."""
     blender.ask(f"call('roigs.import_colmap', directory={str(SCENE)!r})")
     blender.ask("call('view3d.view_all')")
 
 
 def load_boxes(blender: Blender) -> None:
-    """The demo's boxes."""
+    """Load the demo's boxes."""
     blender.ask(f"call('roigs.load_rois', filepath={str(SCENE / 'rois.json')!r})")

@@ -1,0 +1,111 @@
+"""Blender's own data with exact types.
+
+Blender's stubs say that almost everything in a context may be None, and that an object's data may
+be of any kind. The functions here say where that is not so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, TypeVar
+
+import bpy
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import OperatorReturnItems
+
+    OperatorResult = set[OperatorReturnItems]
+
+Registration = Callable[[], None]
+Handler = TypeVar("Handler", bound=Callable[..., None])
+
+
+def scene_of(context: bpy.types.Context) -> bpy.types.Scene:
+    """The scene of a context; there is always one where an operator or a panel runs."""
+    assert context.scene is not None
+    return context.scene
+
+
+def view_layer_of(context: bpy.types.Context) -> bpy.types.ViewLayer:
+    """The view layer of a context; likewise."""
+    assert context.view_layer is not None
+    return context.view_layer
+
+
+def region_of(context: bpy.types.Context) -> bpy.types.Region:
+    """The region that is being drawn."""
+    assert context.region is not None
+    return context.region
+
+
+def region_view_of(context: bpy.types.Context) -> bpy.types.RegionView3D:
+    """The view of the 3D region that is being drawn."""
+    assert context.region_data is not None
+    return context.region_data
+
+
+def view_3d_of(context: bpy.types.Context) -> bpy.types.SpaceView3D | None:
+    """The 3D view of a context, if it is in one."""
+    space = context.space_data
+    return space if isinstance(space, bpy.types.SpaceView3D) else None
+
+
+def layout_of(panel: bpy.types.Panel) -> bpy.types.UILayout:
+    """The layout of a panel while it is drawn."""
+    assert panel.layout is not None
+    return panel.layout
+
+
+def preferences() -> bpy.types.Preferences:
+    """The user's preferences."""
+    assert bpy.context.preferences is not None
+    return bpy.context.preferences
+
+
+def interface_scale() -> float:
+    """How much larger than usual the interface is drawn."""
+    return float(preferences().system.ui_scale)
+
+
+def windows() -> list[bpy.types.Window]:
+    """All of Blender's windows; none in background mode, or while a file is loaded."""
+    manager = bpy.context.window_manager
+    return list(manager.windows) if manager is not None else []
+
+
+def areas(kind: str) -> Iterator[bpy.types.Area]:
+    """The areas of a kind, in all windows."""
+    for window in windows():
+        yield from (area for area in window.screen.areas if area.type == kind)
+
+
+def mesh_of(item: bpy.types.Object) -> bpy.types.Mesh:
+    """The mesh of a mesh object."""
+    assert isinstance(item.data, bpy.types.Mesh)
+    return item.data
+
+
+def camera_of(item: bpy.types.Object) -> bpy.types.Camera:
+    """The data of a camera object."""
+    assert isinstance(item.data, bpy.types.Camera)
+    return item.data
+
+
+def persistent(handler: Handler) -> Handler:
+    """Have Blender keep a handler when another file is loaded."""
+    kept: Handler = bpy.app.handlers.persistent(handler)
+    return kept
+
+
+def registration(*classes: type) -> tuple[Registration, Registration]:
+    """`register` and `unregister` of a module with these classes."""
+
+    def register() -> None:
+        for cls in classes:
+            bpy.utils.register_class(cls)
+
+    def unregister() -> None:
+        for cls in reversed(classes):
+            bpy.utils.unregister_class(cls)
+
+    return register, unregister

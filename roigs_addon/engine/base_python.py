@@ -1,0 +1,99 @@
+"""Which Python makes the engine's environment. No bpy."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import AddonError
+from .command import HIDDEN, without_blender
+from .python import own_python
+
+PYTHONS = ((3, 13), (3, 12), (3, 11), (3, 14))
+"""Versions that torch has wheels for, in the order in which they are looked for."""
+
+PROBE_SECONDS = 20.0
+# Where macOS keeps Pythons that programs started from the Dock do not see.
+MAC_FOLDERS = ("/opt/homebrew/bin", "/usr/local/bin")
+
+_PROBE = "import ensurepip, venv, sys; print(*sys.version_info[:2])"
+
+
+def wheel_versions(folder: Path) -> set[tuple[int, int]]:
+    """The Python versions that the wheels of torch in a folder are for."""
+    tags = (re.search(r"-cp3(\d+)-", wheel.name) for wheel in folder.glob("torch-*.whl"))
+    return {(3, int(tag[1])) for tag in tags if tag}
+
+
+def choose_python(wheels: Path | None = None) -> Path:
+    """A Python that can make the environment: Blender's own, or one found on this computer.
+
+    Raises:
+        AddonError: there is none, or the folder has no torch.
+    """
+    allowed = set(PYTHONS)
+    if wheels is not None:
+        allowed = wheel_versions(wheels)
+        if not allowed:
+            raise AddonError(f"{wheels} has no wheel of torch. Choose the folder that has one.")
+    for command in _pythons():
+        if _version(command) in allowed:
+            return _program(command)
+    names = " or ".join(f"3.{minor}" for _, minor in sorted(allowed))
+    debian = " (on Debian and Ubuntu with python3-venv)" if sys.platform == "linux" else ""
+    raise AddonError(f"No suitable Python to make the environment. Install Python {names}{debian}.")
+
+
+def _pythons() -> Iterator[list[str]]:
+    """Command lines of Pythons to try."""
+    yield [str(own_python())]
+    folders = [os.environ.get("PATH", "")]
+    if sys.platform == "darwin":
+        folders += MAC_FOLDERS
+    path = os.pathsep.join(folders)
+    launcher = shutil.which("py") if os.name == "nt" else None
+    for major, minor in PYTHONS:
+        if launcher:
+            yield [launcher, f"-{major}.{minor}"]
+        found = shutil.which(f"python{major}.{minor}", path=path)
+        if found:
+            yield [found]
+    for name in ("python3", "python"):
+        found = shutil.which(name, path=path)
+        if found:
+            yield [found]
+
+
+def _version(command: list[str]) -> tuple[int, int]:
+    """Version of a Python that can make environments; (0, 0) of anything else."""
+    try:
+        said = _ask(command, _PROBE)
+        major, minor = said.split()
+        return int(major), int(minor)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return 0, 0
+
+
+def _program(command: list[str]) -> Path:
+    """The program behind a command such as `py -3.11`."""
+    if len(command) == 1:
+        return Path(command[0])
+    return Path(_ask(command, "import sys; print(sys.executable)"))
+
+
+def _ask(command: list[str], code: str) -> str:
+    result = subprocess.run(
+        [*command, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=PROBE_SECONDS,
+        env=without_blender(os.environ),
+        check=True,
+        creationflags=HIDDEN,
+    )
+    return result.stdout.strip()

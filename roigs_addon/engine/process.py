@@ -1,0 +1,212 @@
+"""One engine command as a child process: started, listened to, stopped. No bpy.
+
+The engine writes one JSON line per event to its standard output (formats/events.py) and text for
+people to standard error. It stops when its standard input ends, so no engine outlives Blender.
+Threads only queue what arrives; the owner takes it from the queue, on Blender's main thread.
+"""
+
+from __future__ import annotations
+
+import queue
+import subprocess
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from ..formats.events import FINAL, Event, in_words, parse_event, read_lines
+from .command import HIDDEN, Engine
+
+MAX_WAITING = 10_000  # events that nobody has taken: further ones are dropped, except the final one
+KEPT_LINES = 200
+LOG_SECONDS = 10.0
+"""Least time between two lines of progress in the log."""
+STOPPED = 3
+"""Exit status of a command that stopped on request (docs/files.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobResult:
+    """How a job ended: what its last event said, or what can be said without one.
+
+    Attributes:
+        status: the process's exit status.
+        outputs: name -> path of what was made.
+        stopped: whether it stopped because somebody asked.
+        message: the error; empty if there is none.
+    """
+
+    status: int
+    outputs: dict[str, str] = field(default_factory=dict)
+    stopped: bool = False
+    message: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is an error to show."""
+        return bool(self.message)
+
+
+class EngineProcess:
+    """A running engine command. All methods are for one thread, the owner's."""
+
+    def __init__(
+        self, engine: Engine, arguments: Sequence[str], *, log: Path | None = None
+    ) -> None:
+        """Start it; `arguments` begin with the command, and `--events` is added.
+
+        Raises:
+            OSError: the Python could not be started.
+        """
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._final: Event | None = None
+        self._log = _Log(log)
+        self._log.write(f"{time.strftime('%Y-%m-%d')} roigs_engine {' '.join(arguments)}")
+        self._process = subprocess.Popen(
+            engine.command([*arguments, "--events"]),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=engine.environment(),
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            bufsize=1,
+            creationflags=HIDDEN,
+        )
+        self._readers = [
+            threading.Thread(target=self._read_events, daemon=True),
+            threading.Thread(target=self._read_text, daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def pid(self) -> int:
+        """The operating system's number of the process."""
+        return int(self._process.pid)
+
+    def events(self) -> list[Event]:
+        """What has arrived since the last call, in order; the final event is held back."""
+        arrived: list[Event] = []
+        while True:
+            try:
+                event = self._events.get_nowait()
+            except queue.Empty:
+                return arrived
+            if event["event"] in FINAL:
+                self._final = event
+            else:
+                arrived.append(event)
+
+    def running(self) -> bool:
+        """Whether the process is alive or some of its output is still unread."""
+        return self._process.poll() is None or any(r.is_alive() for r in self._readers)
+
+    def stop(self) -> None:
+        """Ask it to stop, by closing its input; it writes a checkpoint and then ends.
+
+        Nothing is written to the pipe: if the engine has already ended, some builds of Blender
+        would die of SIGPIPE.
+        """
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for its end; False if that took longer than `timeout` seconds."""
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            return False
+        for reader in self._readers:
+            reader.join(5.0)
+        return True
+
+    def result(self) -> JobResult:
+        """How it ended; call once `running` is False."""
+        self.events()
+        self.stop()  # closes the pipe
+        self._log.close()
+        status, final = self._process.wait(), self._final
+        if final is not None and final["event"] == "done":
+            stopped = final.get("stopped", False) or status == STOPPED
+            return JobResult(status=status, outputs=final.get("outputs", {}), stopped=stopped)
+        if final is not None:
+            parts = (final.get("message") or "The engine failed.", final.get("hint", ""))
+            return JobResult(status=status, message=" ".join(p for p in parts if p))
+        return JobResult(status=status, message=self._unexplained(status))
+
+    def _unexplained(self, status: int) -> str:
+        """The error if the engine ended without giving one."""
+        if status < 0:
+            return (
+                f"The engine was ended from outside (signal {-status}). Press 'Continue' to resume."
+            )
+        last = next((line for line in reversed(self._log.said) if line.strip()), "")
+        reason = f": {last.strip()}" if last else ""
+        return f"The engine ended with status {status}{reason}. See the log for more."
+
+    def _read_events(self) -> None:
+        assert self._process.stdout is not None
+        for line in read_lines(self._process.stdout):
+            event = parse_event(line)
+            if event is None:
+                self._log.note(line)
+                continue
+            if event["event"] in FINAL or self._events.qsize() < MAX_WAITING:
+                self._events.put(event)
+            self._log.take(event)
+
+    def _read_text(self) -> None:
+        assert self._process.stderr is not None
+        for line in read_lines(self._process.stderr):
+            self._log.note(line)
+
+
+class _Log:
+    """The log of a process, if it has one, and the last lines that the engine wrote for people."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.said: deque[str] = deque(maxlen=KEPT_LINES)
+        self._shown = -LOG_SECONDS
+        self._file: IO[str] | None = None
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("a", encoding="utf-8")
+
+    def take(self, event: Event) -> None:
+        """An event in words; of progress, a line now and then."""
+        if event["event"] == "progress":
+            now = time.monotonic()
+            if now - self._shown < LOG_SECONDS:
+                return
+            self._shown = now
+        self.write(in_words(event))
+
+    def note(self, line: str) -> None:
+        """A line for people."""
+        self.said.append(line.rstrip("\n"))
+        self.write(line.rstrip("\n"))
+
+    def write(self, text: str) -> None:
+        """A line with the time of day."""
+        log = self._file
+        if log is not None and text:
+            try:
+                log.write(f"{time.strftime('%H:%M:%S')}  {text}\n")
+                log.flush()
+            except (OSError, ValueError):  # the disk is full, or the process has been closed
+                pass
+
+    def close(self) -> None:
+        """No more lines."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None

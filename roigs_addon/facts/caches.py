@@ -1,0 +1,32 @@
+"""When the cached facts are forgotten: after a job, and when another file is loaded."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import persistent
+from ..jobs import current
+from . import engine_ability, photo_names, point_counts, run_facts
+
+
+@persistent
+def forget(*_: object) -> None:
+    """Look at everything again."""
+    run_facts.forget()
+    photo_names.forget()
+    point_counts.forget()
+
+
+def register() -> None:
+    """Forget at the right times."""
+    bpy.app.handlers.load_post.append(forget)
+    current.on_end.append(forget)
+
+
+def unregister() -> None:
+    """Remove the handlers, and end threads and timers."""
+    forget()
+    point_counts.close()
+    engine_ability.timer.stop()
+    current.on_end.remove(forget)
+    bpy.app.handlers.load_post.remove(forget)

@@ -1,0 +1,44 @@
+"""How many photos the scene has, and how the panel names them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import PurePosixPath
+
+import bpy
+
+from ..properties import scene_props
+from ..scene import lookup
+
+_names: dict[tuple[str, str, int], dict[str, str]] = {}
+
+
+def count(scene: bpy.types.Scene) -> int:
+    """How many photos the scene has."""
+    return len(_short_names(scene))
+
+
+def short_name(scene: bpy.types.Scene, photo: str) -> str:
+    """A photo's file name without folders and suffix, if no other photo has the same."""
+    return _short_names(scene).get(photo, photo)
+
+
+def _short_names(scene: bpy.types.Scene) -> dict[str, str]:
+    props = scene_props(scene)
+    key = (props.colmap, props.model_cache, len(scene.objects))
+    if key not in _names:
+        _names.clear()
+        _names[key] = shortened([*lookup.cameras(scene)])
+    return _names[key]
+
+
+def shortened(photos: list[str]) -> dict[str, str]:
+    """Photo -> its short name."""
+    seen = Counter(PurePosixPath(photo).stem for photo in photos)
+    paths = {photo: PurePosixPath(photo) for photo in photos}
+    return {photo: p.stem if seen[p.stem] == 1 else photo for photo, p in paths.items()}
+
+
+def forget() -> None:
+    """Look again at the next question."""
+    _names.clear()

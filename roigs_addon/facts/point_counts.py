@@ -1,0 +1,143 @@
+"""Live counts for the panel: points in a box, and photos that see it.
+
+As for the engine, a photo sees a box if it observes one of the sparse points in it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender import mesh_of
+from ..errors import AddonError
+from ..geometry.box import Box
+from ..properties import scene_props
+from ..scene import clouds, lookup
+from ..windows import Timer, redraw_sidebars
+from ..worker import Worker
+
+Counts = tuple[int, int | None]
+Key = tuple[float, ...]
+LARGE = 200_000
+"""From so many points on, counting would be felt while a box is dragged."""
+
+_counter = Worker("box counter")
+_last: dict[str, Counts] = {}
+
+
+class _Model:
+    """What counting needs of an imported model, read once."""
+
+    def __init__(self) -> None:
+        self.key: tuple[object, ...] = ()
+        self.points: NDArray[np.float32] = np.zeros((0, 3), np.float32)
+        self.observations: NDArray[Any] | None = None
+        self.offsets: NDArray[Any] | None = None
+        self.counts: dict[Key, Counts] = {}
+
+    def load(self, scene: bpy.types.Scene) -> None:
+        """Read the points, if another model is in the scene now."""
+        cloud = lookup.points(scene)
+        folder = scene_props(scene).model_cache
+        key = (folder, len(mesh_of(cloud).vertices) if cloud else 0)
+        if key == self.key:
+            return
+        self.key, self.counts = key, {}
+        self.observations = self.offsets = None
+        try:
+            self.points = np.load(Path(folder) / "points.npy")
+            self.observations = np.load(Path(folder) / "observed.npy", mmap_mode="r")
+            self.offsets = np.load(Path(folder) / "observed_starts.npy", mmap_mode="r")
+        except (OSError, ValueError):  # the cache was emptied; points can still be counted
+            self.points = clouds.positions(cloud) if cloud else np.zeros((0, 3), np.float32)
+
+
+_model = _Model()
+
+
+def count(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
+    """(points in the box, photos that see it or None if unknown); None if it is not a box."""
+    try:
+        box = lookup.box(roi, scene)
+    except AddonError:
+        return None
+    _model.load(scene)
+    return _known(_key(box)) or _keep(_key(box), _count(box))
+
+
+def count_soon(roi: bpy.types.Object, scene: bpy.types.Scene) -> Counts | None:
+    """The same for a panel: for a large model the last count, until a thread has the new one."""
+    try:
+        box = lookup.box(roi, scene)
+    except AddonError:
+        return None
+    _model.load(scene)
+    outcome = _counter.take(roi.name)
+    if outcome is not None and outcome.value is not None and outcome.value[0] == _model.key:
+        _last[roi.name] = _keep(*outcome.value[1:])
+    if known := _known(_key(box)):
+        return known
+    if len(_model.points) < LARGE or roi.name not in _last:
+        _last[roi.name] = count(roi, scene) or (0, None)
+        return _last[roi.name]
+    model, key = _model.key, _key(box)
+    _counter.submit(roi.name, lambda: (model, key, _count(box)))
+    timer.start()
+    return _last[roi.name]
+
+
+def _poll() -> bool:
+    if not _counter.idle():
+        return True
+    redraw_sidebars()
+    return False
+
+
+timer = Timer(_poll, 0.05)
+"""Draws the panel again when the thread is done."""
+
+
+def _key(box: Box) -> Key:
+    return (*box.world_to_box.ravel(), *box.half_extents)
+
+
+def _known(key: Key) -> Counts | None:
+    return _model.counts.get(key)
+
+
+def _keep(key: Key, found: Counts) -> Counts:
+    if len(_model.counts) > 64:
+        _model.counts.clear()
+    _model.counts[key] = found
+    return found
+
+
+def _count(box: Box) -> Counts:
+    inside = box.contains(_model.points)
+    points = int(inside.sum())
+    observations, offsets = _model.observations, _model.offsets
+    if observations is None or offsets is None or not len(observations):  # a model without tracks
+        return points, None
+    # Points in the box before each observation: where a photo's range grows, it sees one.
+    before = np.concatenate([[0], np.cumsum(inside[observations])])
+    return points, int((before[offsets[1:]] > before[offsets[:-1]]).sum())
+
+
+def forget() -> None:
+    """Read again at the next question."""
+    global _model
+    _last.clear()
+    _model = _Model()
+
+
+def close() -> None:
+    """Forget everything, and end the thread."""
+    global _counter
+    forget()
+    timer.stop()
+    _counter.close()
+    _counter = Worker("box counter")

@@ -1,0 +1,1 @@
+"""Cameras, poses and boxes in COLMAP's frame and in Blender's. Numpy only, no bpy."""

@@ -1,0 +1,70 @@
+"""The record of a photo, kept on its camera object, exactly as COLMAP has it. No bpy.
+
+Blender stores matrices as 32-bit floats, and a lens and a shift instead of pixels. The record keeps
+the original, so that the engine gets back exactly the numbers that it gave.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from .frames import Intrinsics, Matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """A posed photo.
+
+    Attributes:
+        name: as in the COLMAP model; with `/` if it is in a subfolder.
+        path: of the file; empty if it is missing.
+        intrinsics: in pixels.
+        world_to_camera: rows of the pose in the COLMAP frame, OpenCV axes.
+    """
+
+    name: str
+    path: str
+    intrinsics: Intrinsics
+    world_to_camera: tuple[tuple[float, ...], ...]
+
+    @property
+    def pose(self) -> Matrix:
+        """`world_to_camera` as a matrix."""
+        return np.array(self.world_to_camera)
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Photo:
+        """From one image of the engine's `scene.json`, or from what `to_json` wrote."""
+        return cls(
+            name=str(record["name"]),
+            path=str(record.get("path") or ""),
+            intrinsics=Intrinsics(
+                width=int(record["width"]),
+                height=int(record["height"]),
+                fx=float(record["fx"]),
+                fy=float(record["fy"]),
+                cx=float(record["cx"]),
+                cy=float(record["cy"]),
+            ),
+            world_to_camera=tuple(
+                tuple(float(v) for v in row) for row in record["world_to_camera"]
+            ),
+        )
+
+    def to_json(self) -> str:
+        """One line of text that `from_json` reads back exactly."""
+        record = asdict(self)
+        record |= record.pop("intrinsics")
+        return json.dumps(record, ensure_ascii=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Photo | None:
+        """The photo of a record, or None if the record is not valid."""
+        try:
+            return cls.from_dict(json.loads(text))
+        except (ValueError, KeyError, TypeError):
+            return None

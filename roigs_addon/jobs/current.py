@@ -1,0 +1,143 @@
+"""The one engine job that runs at a time.
+
+In a window a timer polls it, and the window stays free. In a script or in background mode, where
+Blender calls no timers, the same job is waited for.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import bpy
+
+from ..blender import persistent
+from ..engine.command import Engine
+from ..engine.process import JobResult
+from ..errors import AddonError
+from ..windows import Timer, redraw, redraw_sidebars
+from . import terminal, undo
+from .job import Job
+from .spec import JobSpec
+from .state import JobState
+
+POLL_SECONDS = 0.15
+STOP_SECONDS = 10.0
+"""How long a stopping engine may take before it is ended by force, when Blender cannot wait."""
+
+job: Job | None = None
+"""The job that runs, or else the last one."""
+
+on_end: list[Callable[[], None]] = []
+"""Called when a job has ended and its results are in."""
+
+_no_job = JobState()
+
+
+def busy() -> bool:
+    """Whether a job is running."""
+    return job is not None and not job.finished
+
+
+def state() -> JobState:
+    """Where the job is that runs, or how the last one ended."""
+    return _no_job if job is None else job.state
+
+
+def start(engine: Engine, spec: JobSpec) -> Job:
+    """Start a job; in a window, also the timer that follows it.
+
+    Raises:
+        AddonError: a job is running already, or this one could not be started.
+    """
+    global job
+    if busy():
+        raise AddonError("The engine is busy. Wait for it, or stop it first.")
+    job = Job(engine, spec, on_end=_ended)
+    if not bpy.app.background:
+        timer.start()
+    return job
+
+
+def wait(job: Job) -> JobResult:
+    """Follow a job to its end; in background mode, with its progress on standard error.
+
+    There, Ctrl-C and SIGTERM stop the engine, which writes a checkpoint, and the result is that of
+    a stopped job. A second signal ends the engine at once and raises KeyboardInterrupt.
+    """
+    if not bpy.app.background:
+        while job.poll():
+            time.sleep(POLL_SECONDS)
+        return _result(job)
+    screen = terminal.Terminal(sys.stderr)
+    try:
+        with terminal.stopping(job.stop):
+            running = True
+            while running:
+                running = job.poll()
+                while job.messages:
+                    screen.line(job.messages.popleft())
+                if running:
+                    screen.show(job.state.in_words(), topic=job.state.stage or job.state.title)
+                    time.sleep(POLL_SECONDS)
+    except KeyboardInterrupt:
+        job.end_by_force(STOP_SECONDS)
+        raise
+    finally:
+        screen.close()
+    return _result(job)
+
+
+def _result(job: Job) -> JobResult:
+    assert job.result is not None
+    return job.result
+
+
+def _ended(job: Job) -> None:
+    result = _result(job)
+    if not result.stopped and not result.failed:
+        undo.push(job.spec.title)
+    for listener in on_end:
+        listener()
+
+
+def _poll() -> bool:
+    if job is None:
+        return False
+    running = job.poll()
+    if not running:
+        redraw()
+    elif job.news:  # the 3D views beside the sidebar are slow to draw, and have not changed
+        redraw_sidebars()
+    job.news = False
+    return running
+
+
+timer = Timer(_poll, POLL_SECONDS, persistent=True)
+"""Follows the job in a window."""
+
+
+@persistent
+def _after_load(*_: object) -> None:
+    """A loaded file has ended the operator that listened to Esc."""
+    if job is not None:
+        job.hears_esc = False
+
+
+def register() -> None:
+    """Add the handler; the timer lives as long as a job."""
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister() -> None:
+    """Remove the handler and end a running job; its checkpoint stays."""
+    global job
+    if _after_load in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(_after_load)
+    timer.stop()
+    if job is not None and not job.finished:
+        job.process.stop()
+        if not job.process.wait(STOP_SECONDS):
+            job.process.kill()
+    job = None

@@ -1,0 +1,74 @@
+"""Importing a COLMAP model: the engine exports it to the cache, and objects are built from that."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import bpy
+
+from .. import blender, settings
+from ..errors import AddonError, writing
+from ..properties import scene_props
+from ..scene import importing, selections
+from . import run_folders
+from .spec import IMPORTING, JobSpec
+
+LOG = "engine.log"
+
+
+def spec(scene: bpy.types.Scene, chosen: str, images: str) -> JobSpec:
+    """The job that imports a model.
+
+    Args:
+        scene: to import into.
+        chosen: the folder of a COLMAP project, or a file in it.
+        images: the folder of its photos; empty to find it.
+
+    Raises:
+        AddonError: there is no such folder, or the cache cannot be written to.
+    """
+    folder = Path(bpy.path.abspath(chosen))
+    if folder.is_file():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise AddonError(f"There is no folder {folder}. Choose the folder of a COLMAP project.")
+    out = export_folder(folder)
+    with writing(out, "Cache Folder in the add-on's preferences"):
+        out.mkdir(parents=True, exist_ok=True)
+    find = run_folders.finder(scene)
+    arguments = ["export", str(folder), "--out", str(out)]
+    if images:
+        arguments += ["--images", bpy.path.abspath(images)]
+
+    def build() -> None:
+        now = find()
+        if now is None:
+            return
+        importing.import_folder(now, out, project_name(folder))
+        selections.mark_chosen(now)
+        _hide_relationship_lines()
+        scene_props(now).colmap, scene_props(now).images = str(folder), images
+
+    return JobSpec(title=IMPORTING, arguments=arguments, log=out / LOG, on_done=build)
+
+
+def project_name(folder: Path) -> str:
+    """The name of a COLMAP project: that of its folder, skipping `sparse` and `sparse/0`."""
+    while folder.parent.name and (folder.name == "sparse" or folder.parent.name == "sparse"):
+        folder = folder.parent
+    return folder.name
+
+
+def export_folder(colmap: Path) -> Path:
+    """The folder of the cache for a model's exported files; each path has its own."""
+    key = hashlib.sha256(str(colmap.resolve()).encode()).hexdigest()[:16]
+    return settings.models_folder() / key
+
+
+def _hide_relationship_lines() -> None:
+    """In the 3D views: lines from a thousand cameras to the root would cover everything."""
+    for area in blender.areas("VIEW_3D"):
+        view = area.spaces.active
+        if isinstance(view, bpy.types.SpaceView3D):
+            view.overlay.show_relationship_lines = False

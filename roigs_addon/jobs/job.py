@@ -1,0 +1,133 @@
+"""A job that runs: the engine's events become its state, its end becomes results. No bpy."""
+
+from __future__ import annotations
+
+import traceback
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from ..engine.command import Engine
+from ..engine.process import EngineProcess, JobResult
+from ..errors import AddonError
+from ..formats.events import Event
+from .spec import JobSpec, nothing
+from .state import STOPPED, STOPPING, JobState
+
+
+class Job:
+    """A running engine command with its state.
+
+    Attributes:
+        spec: what runs.
+        process: the engine.
+        state: what the panel shows.
+        result: how it ended; None while it runs.
+        stopping: whether it was asked to stop.
+        hears_esc: whether an operator is there that stops it at Esc. None is after the file
+            browser, or after a file was loaded, which ends the operator and not the job.
+        news: whether anything has changed since the panel was last drawn; whoever has it drawn
+            clears this.
+        messages: for people, that nobody has taken yet.
+    """
+
+    def __init__(
+        self, engine: Engine, spec: JobSpec, *, on_end: Callable[[Job], None] = nothing
+    ) -> None:
+        """Start it; `on_end` is called when it has ended and its results are in.
+
+        Raises:
+            AddonError: the engine's Python could not be started.
+        """
+        self.spec = spec
+        self.state = JobState(title=spec.title, log=spec.log)
+        self.result: JobResult | None = None
+        self.stopping = False
+        self.hears_esc = False
+        self.news = True
+        self.messages: deque[str] = deque(maxlen=100)
+        self._on_end = on_end
+        self._preview: Path | None = None
+        try:
+            self.process = EngineProcess(engine, spec.arguments, log=spec.log)
+        except OSError as error:
+            raise AddonError(
+                f"The engine's Python cannot be started ({error}). See the add-on's preferences."
+            ) from error
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has ended and its results are in."""
+        return self.result is not None
+
+    def poll(self) -> bool:
+        """Take what has arrived; False once the job has ended and its results are in."""
+        running = self.process.running()
+        for event in self.process.events():
+            self._take(event)
+            self.news = True
+        # While it stops, the engine writes a last preview and a checkpoint: drawing the preview
+        # now would delay that.
+        if self._preview is not None and not (running and self.stopping):
+            _guarded(partial(self.spec.on_preview, self._preview))
+            self._preview = None
+        if not running and self.result is None:
+            self._finish()
+        return running
+
+    def stop(self) -> None:
+        """Ask the engine to stop."""
+        self.stopping = self.news = True
+        self.state.message = STOPPING
+        self.process.stop()
+
+    def end_by_force(self, seconds: float) -> None:
+        """End the engine at once, and wait for that."""
+        self.process.kill()
+        self.process.wait(seconds)
+
+    def _take(self, event: Event) -> None:
+        self.state.take(event)
+        if event["event"] == "message":
+            self.messages.append(event.get("text", ""))
+        elif event["event"] == "preview":
+            path = Path(event.get("path", ""))
+            if _is_file_in(self.spec.folder, path):
+                self._preview = path
+
+    def _finish(self) -> None:
+        self.result = self.process.result()
+        if self.result.stopped:
+            self.state.message = STOPPED
+        elif not self.result.failed:
+            self.state.message = ""
+            self.result = replace(self.result, message=_guarded(self.spec.on_done))
+        self.state.error = self.result.message
+        self.state.stage = ""
+        self._on_end(self)
+
+
+def _is_file_in(folder: Path | None, path: Path) -> bool:
+    """Whether the file exists inside the folder, after links are followed."""
+    try:
+        return (
+            folder is not None
+            and path.is_file()
+            and path.resolve().is_relative_to(folder.resolve())
+        )
+    except (OSError, ValueError, RuntimeError):  # name too long, a NUL in it, circular links
+        return False
+
+
+def _guarded(callback: Callable[[], None]) -> str:
+    """Call it; returns the error for the panel. An exception would end the timer silently."""
+    try:
+        callback()
+    except AddonError as error:
+        return str(error)
+    except Exception as error:
+        traceback.print_exc()
+        return f"Blender could not import the result: {error}"
+    return ""

@@ -1,0 +1,118 @@
+"""Options files for the engine, from a scene's properties and the user's settings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .. import settings
+from ..engine import run_files
+from ..errors import AddonError, writing
+from ..properties import object_props, scene_props
+from ..scene import rois
+from . import run_folders
+
+
+def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dict[str, Any]:
+    """The options of selection and training, as an options file has them (docs/files.md).
+
+    Raises:
+        AddonError: there is no model, or there are no boxes.
+    """
+    props = scene_props(scene)
+    if not props.colmap:
+        raise AddonError("No COLMAP model has been imported. Import one first.")
+    if not Path(props.colmap).is_dir():
+        raise AddonError(
+            f"The COLMAP folder {props.colmap} no longer exists."
+            " Import it again from its new place."
+        )
+    if not boxes:
+        raise AddonError("There are no boxes. Add one around each object to sharpen.")
+    values: dict[str, Any] = {
+        "scene": props.colmap,
+        "images": bpy.path.abspath(props.images) or None,
+        "max_side": props.max_side,
+        "method": props.method,
+        "count": props.count or None,
+        "seed": props.seed,
+        "threads": settings.get().threads or None,
+        "test_every": props.test_every,
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def machine_options() -> list[str]:
+    """The user's settings of device and threads, for a command without an options file."""
+    chosen = settings.get()
+    threads = ["--threads", str(chosen.threads)] if chosen.threads else []
+    return ["--device", chosen.device, *threads]
+
+
+def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
+    """Write what `select` needs; returns the path of the options file."""
+    values = common_options(scene, boxes)
+    if not values["test_every"]:
+        del values["test_every"]
+    return _write(scene, run_files.SELECT_OPTIONS, boxes, values)
+
+
+def write_train_options(
+    scene: bpy.types.Scene, boxes: list[bpy.types.Object], preview_seconds: float
+) -> Path:
+    """Write what `train` needs; returns the path of the options file."""
+    props = scene_props(scene)
+    values = common_options(scene, boxes) | {
+        "preset": props.preset,
+        "steps_factor": float(f"{props.steps_factor:.5g}"),  # Blender's is a 32-bit number
+        "strategy": props.strategy,
+        "preview_seconds": preview_seconds,
+        "device": settings.get().device,
+        "update": True,
+    }
+    if any(len(object_props(box).selection) for box in boxes):
+        values["selection"] = str(_write_selections(scene, boxes))
+    return _write(scene, run_files.TRAIN_OPTIONS, boxes, values)
+
+
+def _write(
+    scene: bpy.types.Scene, name: str, boxes: list[bpy.types.Object], values: dict[str, Any]
+) -> Path:
+    folder = own_folder(scene)
+    path = folder / name
+    with writing(folder, "Run Folder"):
+        values["rois"] = str(rois.write(folder, boxes, scene))
+        path.write_text(json.dumps(values, indent=1, ensure_ascii=False), encoding="utf-8")
+    return path
+
+
+def own_folder(scene: bpy.types.Scene) -> Path:
+    """The add-on's own folder in the scene's run folder, created if it is missing.
+
+    Raises:
+        AddonError: it cannot be created.
+    """
+    folder = run_folders.settle(scene) / run_files.OWN
+    with writing(folder, "Run Folder"):
+        folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _write_selections(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
+    """Write the photos of each box that has a list; the engine selects for the other boxes."""
+    folder = own_folder(scene) / run_files.MANUAL_SELECTION
+    with writing(folder, "Run Folder"):
+        folder.mkdir(exist_ok=True)
+        for old in folder.glob("*.json"):
+            old.unlink()
+        for box in boxes:
+            names = [item.name for item in object_props(box).selection]
+            if names:
+                (folder / f"{rois.file_name(box)}.json").write_text(
+                    json.dumps({"roi": box.name, "names": names}, ensure_ascii=False),
+                    encoding="utf-8",
+                )
+    return folder

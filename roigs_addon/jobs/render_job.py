@@ -1,0 +1,50 @@
+"""Rendering: the engine draws the result along the scene's camera, Blender loads the picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+
+from ..engine import run_files
+from ..errors import writing
+from ..scene.camera_path import camera_path
+from . import options_files, run_folders
+from .spec import RENDERING, JobSpec
+
+
+def spec(scene: bpy.types.Scene, directory: str, *, animation: bool) -> JobSpec:
+    """The job that renders the result.
+
+    Args:
+        scene: whose active camera is used.
+        directory: where the pictures go; empty: into the run folder.
+        animation: whether to render all frames of the scene's range.
+
+    Raises:
+        AddonError: the camera is of a kind that the engine cannot render, or the run folder cannot
+            be written to.
+    """
+    folder = run_folders.run_folder(scene)
+    out = Path(bpy.path.abspath(directory)) if directory else folder / run_files.RENDERS
+    path = folder / run_files.OWN / run_files.CAMERA_PATH
+    cameras = camera_path(scene, animation=animation)
+    with writing(folder, "Run Folder"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"cameras": cameras}), encoding="utf-8")
+
+    def load() -> None:
+        picture = out / f"{cameras[0]['name']}.png"
+        if picture.is_file():
+            image = bpy.data.images.load(str(picture), check_existing=True)
+            image.reload()
+
+    result = str(folder / run_files.RESULT)
+    where = ["--path", str(path), "--out", str(out)]
+    return JobSpec(
+        title=RENDERING,
+        arguments=["render", result, *where, *options_files.machine_options()],
+        log=run_files.log_file(folder),
+        on_done=load,
+    )

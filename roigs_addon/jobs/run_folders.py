@@ -1,0 +1,185 @@
+"""The run folder of each scene, through saving, loading and undo.
+
+The first job that writes into the folder stores its path in the scene's settings. While a file is
+open the path is absolute, so it stays right after Save As and undo. In the saved file it is
+relative if the folder is below the file, so that both can be moved together. A path that the user
+typed as relative stays relative.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+
+from .. import settings
+from ..blender import persistent
+from ..errors import AddonError, writing
+from ..properties import scene_props
+
+_settled: dict[int, str] = {}
+"""Scene -> the path that `settle` stored, which an undo would remove."""
+
+_saving: dict[int, tuple[Path, bool]] = {}
+"""Scene -> its run folder and whether the path was relative, while the file is saved."""
+
+
+def run_folder(scene: bpy.types.Scene) -> Path:
+    """The scene's run folder, or the one that it would get."""
+    chosen: str = scene_props(scene).run_dir
+    return Path(os.path.normpath(bpy.path.abspath(chosen))) if chosen else _proposed(scene)
+
+
+def settle(scene: bpy.types.Scene) -> Path:
+    """Create the scene's run folder, and store its path in the scene.
+
+    Raises:
+        AddonError: another scene uses it too, or it cannot be created.
+    """
+    folder = run_folder(scene)
+    for other in bpy.data.scenes:
+        if other != scene and scene_props(other).run_dir and run_folder(other) == folder:
+            raise AddonError(
+                f"Scene '{other.name}' also uses the run folder {folder}. Change one of them."
+            )
+    with writing(folder, "Run Folder"):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not scene_props(scene).run_dir:
+        scene_props(scene).run_dir = _settled[scene.session_uid] = str(folder)
+    return folder
+
+
+def finder(scene: bpy.types.Scene) -> Callable[[], bpy.types.Scene | None]:
+    """A function that finds the scene when a job ends.
+
+    Undo and loading a file invalidate Python's reference to it. A file that was loaded meanwhile
+    contains the scene if it trains the same model in the same folder.
+    """
+    uid, colmap = scene.session_uid, scene_props(scene).colmap
+    folder = run_folder(scene) if scene_props(scene).run_dir or bpy.data.filepath else None
+
+    def find() -> bpy.types.Scene | None:
+        for now in bpy.data.scenes:  # undo keeps the number; no other file has it
+            if now.session_uid == uid:
+                return now
+        same_model = (s for s in bpy.data.scenes if scene_props(s).colmap == colmap)
+        return next((s for s in same_model if run_folder(s) == folder), None)
+
+    return find
+
+
+def _proposed(scene: bpy.types.Scene) -> Path:
+    """A folder beside the .blend, or one in the user's folder that does not exist yet."""
+    taken = {run_folder(other) for other in bpy.data.scenes if scene_props(other).run_dir}
+    if bpy.data.filepath:
+        # A folder there is this scene's: the file was not saved after its training.
+        return next(folder for folder in _beside_blend(scene) if folder not in taken)
+    name: str = scene_props(scene).colmap or scene.name
+    # Many projects' folders have the same name.
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]
+    folders = _numbered(settings.unsaved_folder() / f"{_plain(name)}-{mark}")
+    return next(f for f in folders if f not in taken and not os.path.lexists(f))
+
+
+def _beside_blend(scene: bpy.types.Scene) -> Iterator[Path]:
+    """Named after the file; from its second scene without a folder on, after the scene as well."""
+    blend = Path(bpy.data.filepath)
+    without = (s for s in bpy.data.scenes if not scene_props(s).run_dir)
+    if next(s for s in without if scene_props(s).colmap or s == scene) == scene:
+        yield blend.with_name(f"{blend.stem}_roigs")
+    yield from _numbered(blend.with_name(f"{blend.stem}_{_plain(scene.name)}_roigs"))
+
+
+def _numbered(folder: Path) -> Iterator[Path]:
+    yield folder
+    yield from (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(2))
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in Path(text).name) or "scene"
+
+
+@persistent
+def _before_save(path: str, *_: object) -> None:
+    """Make the paths right for the place of the file; Blender does not adapt those of add-ons."""
+    parent = Path(path).parent
+    for scene in _chosen(path):
+        folder, relative = run_folder(scene), scene_props(scene).run_dir.startswith("//")
+        if bpy.data.filepath if relative else _moves_with(parent, folder):
+            _saving[scene.session_uid] = folder, relative
+            scene_props(scene).run_dir = _relative(folder, parent)
+
+
+@persistent
+def _after_save(*_: object) -> None:
+    """Back to paths for the open file, which is still the old one if a copy was saved."""
+    parent = Path(bpy.data.filepath).parent
+    for scene in bpy.data.scenes:
+        if scene.session_uid in _saving:
+            folder, relative = _saving.pop(scene.session_uid)
+            path = _relative(folder, parent) if relative else str(folder)
+            scene_props(scene).run_dir = path
+
+
+@persistent
+def _after_load(*_: object) -> None:
+    """Make the paths of folders below the file absolute."""
+    _settled.clear()
+    parent = Path(bpy.data.filepath).parent
+    for scene in _chosen(bpy.data.filepath):
+        folder = run_folder(scene)
+        if folder.is_relative_to(parent):
+            scene_props(scene).run_dir = str(folder)
+
+
+@persistent
+def _after_undo(*_: object) -> None:
+    for scene in bpy.data.scenes:
+        if not scene_props(scene).run_dir and scene.session_uid in _settled:
+            scene_props(scene).run_dir = _settled[scene.session_uid]
+
+
+def _chosen(blend: str) -> list[bpy.types.Scene]:
+    """The file's own scenes that have a folder; none without a file."""
+    scenes = [s for s in bpy.data.scenes if scene_props(s).run_dir and s.library is None]
+    return scenes if blend else []
+
+
+def _moves_with(parent: Path, folder: Path) -> bool:
+    """Whether it is below the file, but not in the user's folder, which may be below it too."""
+    kept = settings.unsaved_folder()
+    return folder.is_relative_to(parent) and not folder.is_relative_to(kept)
+
+
+def _relative(folder: Path, parent: Path) -> str:
+    try:
+        return "//" + os.path.relpath(folder, parent).replace(os.sep, "/")
+    except ValueError:  # on another drive
+        return str(folder)
+
+
+HANDLERS = (
+    ("save_pre", _before_save),
+    ("save_post", _after_save),
+    ("save_post_fail", _after_save),
+    ("load_post", _after_load),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+)
+
+
+def register() -> None:
+    """Add the handlers."""
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    """Remove them."""
+    _settled.clear()
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)

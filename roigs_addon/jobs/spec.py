@@ -1,0 +1,35 @@
+"""What to run. No bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+IMPORTING, SELECTING, TRAINING, RENDERING = "Importing", "Selecting", "Training", "Rendering"
+"""Titles of jobs: each step of the panel shows the progress and the error of its own."""
+
+
+def nothing(*_: object) -> None:
+    """The default of callbacks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobSpec:
+    """An engine command, and what to do with what it makes.
+
+    Attributes:
+        title: what the panel calls it.
+        arguments: the engine's command line, beginning with the command.
+        log: where the engine's text goes.
+        folder: of the run; previews outside it are ignored.
+        on_preview: called with the path of each preview.
+        on_done: called after a job that was finished, not stopped; may raise AddonError.
+    """
+
+    title: str
+    arguments: list[str]
+    log: Path
+    folder: Path | None = None
+    on_preview: Callable[[Path], None] = nothing
+    on_done: Callable[[], None] = nothing

@@ -1,0 +1,69 @@
+"""Where a job is. No bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..formats.events import Event
+
+STOPPING = "Stopping …"
+STOPPED = "Stopped. Press 'Continue' to resume."
+
+
+@dataclass(kw_only=True)
+class JobState:
+    """What the panel shows of a job; one that never started has no title.
+
+    Attributes:
+        title: of the job.
+        log: where the engine's text goes.
+        stage, step, total: where it is; `stage` is empty before the first and after the last one.
+        loss, psnr, gaussians, seconds_left: as the engine last said; 0 if it did not.
+        message: for the user, replaced by the next one.
+        error: why the job failed; empty if it did not.
+    """
+
+    title: str = ""
+    log: Path | None = None
+    stage: str = ""
+    step: int = 0
+    total: int = 0
+    loss: float = 0.0
+    psnr: float = 0.0
+    gaussians: int = 0
+    seconds_left: float = 0.0
+    message: str = ""
+    error: str = ""
+
+    def take(self, event: Event) -> None:
+        """Follow an event of the engine."""
+        match event["event"]:
+            case "stagestarted":
+                self.stage, self.total = event.get("stage", ""), event.get("total", 0)
+                self.step = 0
+            case "progress":
+                self.stage = event.get("stage", "")
+                self.step, self.total = event.get("step", 0), event.get("total", 0)
+                self.loss, self.psnr = event.get("loss", 0.0), event.get("psnr", 0.0)
+                self.gaussians = event.get("gaussians", 0)
+                self.seconds_left = event.get("seconds_left", 0.0)
+            case "message":
+                self.message = event.get("text", "")
+
+    def in_words(self) -> str:
+        """One line: where the job is."""
+        if not self.stage:
+            return self.title
+        share = f" {self.step:,} / {self.total:,}" if self.total else ""
+        quality = f", {self.psnr:.1f} dB" if self.psnr else ""
+        size = f", {self.gaussians:,} Gaussians" if self.gaussians else ""
+        left = f", {self.time_left()}" if self.seconds_left > 0 else ""
+        return f"{self.stage}{share}{quality}{size}{left}"
+
+    def time_left(self) -> str:
+        """'2 min 05 s left', or nothing if that is not known."""
+        if self.seconds_left <= 0:
+            return ""
+        minutes, rest = divmod(round(self.seconds_left), 60)
+        return f"{minutes} min {rest:02} s left" if minutes else f"{rest} s left"

@@ -1,0 +1,56 @@
+"""Training: the engine trains in the scene's run folder, the Gaussians are imported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from .. import settings
+from ..engine import run_files
+from ..engine.run_status import RunStatus
+from ..scene import lookup, splats
+from ..windows import redraw
+from . import options_files, run_folders
+from .spec import TRAINING, JobSpec
+
+
+def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
+    """The job that trains the scene and refines some boxes.
+
+    Raises:
+        AddonError: something is missing, or the run folder cannot be written to.
+    """
+    seconds = 0.0 if bpy.app.background else settings.get().preview_seconds
+    options = options_files.write_train_options(scene, boxes, seconds)
+    folder, find = run_folders.run_folder(scene), run_folders.finder(scene)
+
+    def preview(path: Path) -> None:
+        if now := find():
+            splats.show_preview(now, path)
+        redraw()
+
+    def take() -> None:
+        if now := find():
+            splats.show_results(now, folder)
+
+    return JobSpec(
+        title=TRAINING,
+        arguments=["train", str(options), "--run-dir", str(folder)],
+        log=run_files.log_file(folder),
+        folder=folder,
+        on_preview=preview,
+        on_done=take,
+    )
+
+
+def boxes_to_resume(scene: bpy.types.Scene, status: RunStatus) -> list[bpy.types.Object]:
+    """The boxes of the training that was stopped; all boxes if one of those is gone.
+
+    With other boxes the engine would archive what it has of these.
+    """
+    every = lookup.rois(scene)
+    if not status.unfinished or not status.boxes:
+        return every
+    theirs = [box for box in every if box.name in status.boxes]
+    return theirs if len(theirs) == len(status.boxes) else every

@@ -1,0 +1,155 @@
+"""Step 2, Boxes: boxes around what is to be sharpened."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+import mathutils
+from bpy.props import FloatVectorProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from ..blender import registration, scene_of, view_layer_of
+from ..errors import AddonError
+from ..formats.rois import from_corners, read_rois
+from ..properties import object_props, scene_props
+from ..scene import lookup, rois, selections
+from .base import FRESH, NO_BOX, available, box_problem, failed
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
+
+OURS = {"ROI", "CAMERA", "ROOT", "POINTS"}
+"""Kinds of objects that no box is added around."""
+
+
+class AddRoi(bpy.types.Operator):
+    """Add a box (ROI) around the selected vertices or objects, or at the 3D cursor"""
+
+    bl_idname = "roigs.add_roi"
+    bl_label = "Add Box"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Add a cube empty; it is moved, rotated and scaled with the usual tools."""
+        scene = scene_of(context)
+        place = self._around_selection(context)
+        if place is None:
+            half = rois.default_size(scene)
+            place = scene.cursor.location.copy(), mathutils.Vector((half, half, half))
+        if context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        _select(context, rois.new_roi(scene, *place))
+        return {"FINISHED"}
+
+    def _around_selection(self, context: bpy.types.Context) -> rois.Place | None:
+        active = context.active_object
+        if context.mode == "EDIT_MESH" and active is not None:
+            active.update_from_editmode()
+            return rois.around_selected_vertices(active)
+        meshes = (o for o in context.selected_objects if o.type == "MESH")
+        chosen = [o for o in meshes if object_props(o).kind not in OURS]
+        return rois.around_objects(chosen) if chosen else None
+
+
+class AddBox(bpy.types.Operator):
+    """Add a box by two corners in the COLMAP frame, for scripts"""
+
+    bl_idname = "roigs.add_box"
+    bl_label = "Add Box by Corners"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: StringProperty(name="Name", default="Box", options=FRESH)
+    low: FloatVectorProperty(name="From", default=(-1, -1, -1), precision=4, options=FRESH)
+    high: FloatVectorProperty(name="To", default=(1, 1, 1), precision=4, options=FRESH)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Add it below the root, so that it moves with the root."""
+        try:
+            box = from_corners(self.low, self.high)
+            rois.add_boxes(scene_of(context), {self.name: box})
+        except ValueError as error:
+            return failed(self, f"Box '{self.name}' has no volume: {error}.")
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}
+
+
+class LoadRois(bpy.types.Operator, ImportHelper):  # type: ignore[misc] # the stub's mixin
+    """Add the boxes of a rois.json file"""
+
+    bl_idname = "roigs.load_rois"
+    bl_label = "Load Boxes"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filename_ext = ".json"
+    filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN", *FRESH})
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Add its boxes, which are in the COLMAP frame, below the root."""
+        try:
+            boxes = read_rois(Path(bpy.path.abspath(self.filepath)))
+            rois.add_boxes(scene_of(context), boxes)
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}
+
+
+class RemoveRoi(bpy.types.Operator):
+    """Remove the active box; its trained Gaussians stay"""
+
+    bl_idname = "roigs.remove_roi"
+    bl_label = "Remove Box"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a box."""
+        return available(cls, box_problem(context))
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Delete the empty."""
+        scene = scene_of(context)
+        boxes, roi = lookup.rois(scene), lookup.active_roi(context)
+        if roi is None:
+            return failed(self, f"{NO_BOX}.")
+        at = boxes.index(roi)
+        bpy.data.objects.remove(roi)
+        rest = boxes[:at] + boxes[at + 1 :]
+        scene_props(scene).active_roi = rest[min(at, len(rest) - 1)] if rest else None
+        selections.mark_chosen(scene)
+        return {"FINISHED"}
+
+
+class SelectRoi(bpy.types.Operator):
+    """Make this box the active one, and select it"""
+
+    bl_idname = "roigs.select_roi"
+    bl_label = "Select Box"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: StringProperty(description="Name of the box", options=FRESH)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Select it, and nothing else."""
+        roi = next((r for r in lookup.rois(scene_of(context)) if r.name == self.name), None)
+        if roi is None:
+            return failed(self, f"There is no box '{self.name}'.")
+        _select(context, roi)
+        return {"FINISHED"}
+
+
+def _select(context: bpy.types.Context, roi: bpy.types.Object) -> None:
+    """Select it in the panel and, unless its collection is excluded, in the view layer."""
+    scene_props(scene_of(context)).active_roi = roi
+    for item in context.selected_objects:
+        item.select_set(False)
+    with suppress(RuntimeError):
+        roi.select_set(True)
+        view_layer_of(context).objects.active = roi
+
+
+register, unregister = registration(AddRoi, AddBox, LoadRois, RemoveRoi, SelectRoi)

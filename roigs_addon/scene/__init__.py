@@ -1,0 +1,1 @@
+"""COLMAP models, boxes and Gaussians as Blender objects."""

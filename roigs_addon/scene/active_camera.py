@@ -1,0 +1,48 @@
+"""Resolution and background photo follow the active camera, however it was made active."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..blender import persistent
+from . import cameras, lookup
+
+_active: dict[str, str] = {}  # scene -> its active camera, by name
+
+
+@persistent
+def follow(scene: bpy.types.Scene, *_: object) -> None:
+    """Set resolution and aspect when another photo's camera has become the active one.
+
+    What a file has when it is loaded stays, and so does what the user sets afterwards.
+    """
+    camera = scene.camera
+    name = camera.name if camera else ""
+    before = _active.get(scene.name)
+    _active[scene.name] = name
+    if before is None or before == name or not camera or not lookup.is_photo_camera(camera):
+        return
+    app: Any = bpy.app
+    if not app.is_job_running("RENDER"):  # cameras change with markers, the size must not
+        cameras.activate(scene, camera)
+
+
+@persistent
+def forget(*_: object) -> None:
+    """For another file: its cameras are not compared with those of the previous one."""
+    _active.clear()
+
+
+def register() -> None:
+    """Add the handlers."""
+    bpy.app.handlers.depsgraph_update_post.append(follow)
+    bpy.app.handlers.load_pre.append(forget)
+
+
+def unregister() -> None:
+    """Remove them."""
+    bpy.app.handlers.load_pre.remove(forget)
+    bpy.app.handlers.depsgraph_update_post.remove(follow)
+    forget()

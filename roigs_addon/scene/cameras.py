@@ -1,0 +1,153 @@
+"""Photos as Blender cameras, and back."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Matrix as BlenderMatrix
+
+from ..blender import camera_of
+from ..geometry import frames
+from ..geometry.frames import Intrinsics, Lens, Matrix
+from ..geometry.photo import Photo
+from ..properties import object_props
+from . import lookup
+
+
+def new_camera(photo: Photo, size: float) -> bpy.types.Object:
+    """A camera object below the root, in the COLMAP frame; not linked to any collection yet.
+
+    Args:
+        photo: what it shows.
+        size: of its drawing in the viewport.
+    """
+    data = bpy.data.cameras.new(photo.name)
+    lens = frames.lens_from_intrinsics(photo.intrinsics)
+    data.sensor_fit = "HORIZONTAL"
+    data.sensor_width = frames.SENSOR_WIDTH
+    data.lens, data.shift_x, data.shift_y = lens.lens, lens.shift_x, lens.shift_y
+    data.display_size = size
+    data.clip_start, data.clip_end = size * 1e-2, size * 1e4
+    item = bpy.data.objects.new(photo.name, data)
+    item.matrix_local = BlenderMatrix(frames.camera_matrix(photo.pose).tolist())
+    props = object_props(item)
+    props.kind, props.photo = "CAMERA", photo.to_json()
+    return item
+
+
+def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Make the scene render what this camera's photo shows, with its resolution and pixel aspect.
+
+    Its photo is loaded as the camera's background only now: loading a thousand photos at import
+    would fill the memory.
+    """
+    photo = lookup.photo_record(item)
+    scene.camera = item
+    if photo is None:
+        return
+    k, render = photo.intrinsics, scene.render
+    lens = frames.lens_from_intrinsics(k)
+    render.resolution_x, render.resolution_y = k.width, k.height
+    render.pixel_aspect_x, render.pixel_aspect_y = lens.aspect_x, lens.aspect_y
+    show_background(camera_of(item), photo)
+
+
+def show_background(data: bpy.types.Camera, photo: Photo) -> None:
+    """Show the photo behind the camera's view, unless it is there already or cannot be read."""
+    if not photo.path or len(data.background_images):
+        return
+    try:
+        image = bpy.data.images.load(photo.path, check_existing=True)
+    except RuntimeError:  # missing or not a picture: the camera is useful without it
+        return
+    background = data.background_images.new()
+    background.image = image
+    background.frame_method = "STRETCH"
+    background.alpha = 1.0
+    background.display_depth = "BACK"
+    data.show_background_images = True
+
+
+def photo_of(item: bpy.types.Object, root: bpy.types.Object | None) -> Photo | None:
+    """The photo of a camera object as COLMAP would have it now.
+
+    Unless the camera was moved against its root, that is the record to the last digit. A camera
+    that was moved has Blender's 32-bit precision.
+    """
+    photo = lookup.photo_record(item)
+    if photo is None:
+        return None
+    pose = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
+    if _same(pose, photo.pose):
+        return photo
+    rows = tuple(tuple(float(v) for v in row) for row in pose)
+    return Photo(
+        name=photo.name, path=photo.path, intrinsics=photo.intrinsics, world_to_camera=rows
+    )
+
+
+def _same(a: Matrix, b: Matrix) -> bool:
+    scale = 1.0 + float(np.abs(b[:3, 3]).max())
+    return bool(np.abs(a - b).max() < 1e-4 * scale)
+
+
+def scene_camera(scene: bpy.types.Scene, root: bpy.types.Object | None) -> Photo | None:
+    """The scene's active camera at the scene's resolution, as a camera of the COLMAP frame.
+
+    For a photo's camera that nobody changed, at the photo's size, that is COLMAP's camera to the
+    last digit. None if there is no active camera, or it is not a perspective camera.
+    """
+    item = scene.camera
+    if item is None or camera_of(item).type != "PERSP":
+        return None
+    render, data = scene.render, camera_of(item)
+    # Rounded down, as Blender does.
+    width = max(1, render.resolution_x * render.resolution_percentage // 100)
+    height = max(1, render.resolution_y * render.resolution_percentage // 100)
+    intrinsics = intrinsics_of(data, render, width, height)
+    photo = photo_of(item, root)
+    if photo is None:
+        pose = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
+        rows = tuple(tuple(float(v) for v in row) for row in pose)
+    else:
+        rows = photo.world_to_camera
+        if _same_lens(intrinsics, photo.intrinsics):
+            intrinsics = photo.intrinsics
+    return Photo(
+        name=f"{scene.frame_current:04d}", path="", intrinsics=intrinsics, world_to_camera=rows
+    )
+
+
+def _same_lens(a: Intrinsics, b: Intrinsics) -> bool:
+    if (a.width, a.height) != (b.width, b.height):
+        return False
+    pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
+    return all(abs(one - other) < 1e-5 * max(a.width, a.height) for one, other in pairs)
+
+
+def intrinsics_of(
+    data: bpy.types.Camera, render: bpy.types.RenderSettings, width: int, height: int
+) -> Intrinsics:
+    """The pinhole camera in pixels of any perspective Blender camera, whatever its sensor fit."""
+    aspect_x, aspect_y = render.pixel_aspect_x, render.pixel_aspect_y
+    wide = width * aspect_x >= height * aspect_y
+    fit = data.sensor_fit
+    if fit == "AUTO":
+        sensor, along_x = data.sensor_width, wide
+    else:
+        along_x = fit == "HORIZONTAL"
+        sensor = data.sensor_width if along_x else data.sensor_height
+    if along_x:
+        per_width = data.lens / sensor  # focal length in widths of the image
+        unit = 1.0
+    else:
+        per_width = data.lens / sensor * (height * aspect_y) / (width * aspect_x)
+        unit = (height * aspect_y) / (width * aspect_x)
+    lens = Lens(
+        lens=per_width * frames.SENSOR_WIDTH,
+        shift_x=data.shift_x * unit,
+        shift_y=data.shift_y * unit,
+        aspect_x=aspect_x,
+        aspect_y=aspect_y,
+    )
+    return frames.intrinsics_from_lens(lens, width, height)

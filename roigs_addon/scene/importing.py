@@ -1,0 +1,170 @@
+"""A COLMAP model as Blender objects, from the files that the engine's `export` writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Quaternion, Vector
+from numpy.typing import NDArray
+
+from ..blender import camera_of, mesh_of
+from ..errors import AddonError
+from ..geometry.photo import Photo
+from ..properties import object_props, scene_props
+from . import cameras, clouds, lookup
+
+ROOT_NAME = "COLMAP"
+# In units of the cameras' extent.
+CAMERA_SIZE, POINT_RADIUS = 0.02, 0.0015
+PHOTOS_OF_IMPORT = "roigs_photos"
+"""Custom property that marks the collection of an import's cameras."""
+
+
+def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> None:
+    """Import an exported model into the scene, replacing an earlier import.
+
+    The root stays, and so do the boxes below it. If it is the same model, wherever it was read
+    from, the root also keeps its place and size, and the scene its active photo.
+
+    Args:
+        scene: gets a collection with root, cameras and points.
+        folder: what `export --out` wrote.
+        name: of the collection.
+
+    Raises:
+        AddonError: the folder does not contain an exported model.
+    """
+    record, points, colours = _read(folder)
+    photos = [Photo.from_dict(image) for image in record["images"]]
+    extent = float(record.get("extent") or 1.0)
+    before = [lookup.photo_record(item) for item in lookup.cameras(scene).values()]
+    active = lookup.photo_record(scene.camera) if scene.camera else None
+    _remove_earlier(scene)
+    root = _root(scene, name, before, photos)
+    root.empty_display_size = extent * 0.25
+    parent = root.users_collection[0]
+    collection = _photo_collection(parent, name)
+    for photo in photos:
+        item = cameras.new_camera(photo, extent * CAMERA_SIZE)
+        item.parent = root
+        collection.objects.link(item)
+        if scene.camera is None and active is not None and active.name == photo.name:
+            scene.camera = item
+            cameras.show_background(camera_of(item), photo)
+    if len(points):
+        cloud = _new_cloud(f"{name} Points", points, colours, extent)
+        cloud.parent = root
+        parent.objects.link(cloud)
+    props = scene_props(scene)
+    props.root, props.model_cache = root, str(folder)
+    props.skipped = skipped_in_words(record.get("skipped") or {})
+
+
+def _root(
+    scene: bpy.types.Scene, name: str, before: list[Photo | None], photos: list[Photo]
+) -> bpy.types.Object:
+    """The scene's root, made if there is none, and placed anew for another model."""
+    root: bpy.types.Object | None = scene_props(scene).root
+    fresh = root is None or root.name not in scene.objects
+    if root is None or fresh:
+        root = _new_root(scene, name)
+    if fresh or not _same_frame(before, photos):
+        root.matrix_world = upright(photos).to_matrix().to_4x4()
+    return root
+
+
+def skipped_in_words(skipped: dict[str, Any]) -> str:
+    """'3 missing on disk, 1 without a pose', or nothing; from scene.json (docs/files.md)."""
+    return ", ".join(f"{entry['count']} {reason}" for reason, entry in skipped.items())
+
+
+def _remove_earlier(scene: bpy.types.Scene) -> None:
+    """Remove the cameras and points of an earlier import, and their collection.
+
+    Cameras that the user copied or moved out of the collection stay, as the user's own.
+    """
+    collections = [c for c in scene.collection.children_recursive if _is_marked(c)]
+    imported = {item for collection in collections for item in collection.objects}
+    old = [item for item in lookup.cameras(scene).values() if item in imported]
+    for item in set(lookup.of_kind(scene, "CAMERA")).difference(old):
+        object_props(item).kind = "NONE"
+    old += lookup.of_kind(scene, "POINTS")
+    data = {item.data for item in old}
+    bpy.data.batch_remove(old)
+    bpy.data.batch_remove([block for block in data if block is not None and not block.users])
+    bpy.data.batch_remove([c for c in collections if not c.all_objects])
+
+
+def _same_frame(before: list[Photo | None], photos: list[Photo]) -> bool:
+    """Whether most photos are where they were in the previous model, if there was one.
+
+    Only then does the root's place still make sense. Folders do not tell: projects are moved, and a
+    folder may contain another reconstruction later.
+    """
+    poses = {photo.name: photo.pose for photo in before if photo}
+    stand = [np.allclose(poses[p.name], p.pose, atol=1e-4) for p in photos if p.name in poses]
+    return not poses or 2 * sum(stand) > len(stand)
+
+
+def _photo_collection(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
+    """The collection for the cameras; an earlier import's, if the user put something into it."""
+    collection = next((child for child in parent.children if _is_marked(child)), None)
+    if collection is None:
+        collection = bpy.data.collections.new(f"{name} Photos")
+        collection[PHOTOS_OF_IMPORT] = True
+        parent.children.link(collection)
+    return collection
+
+
+def _is_marked(collection: bpy.types.Collection) -> bool:
+    return collection.get(PHOTOS_OF_IMPORT) is not None
+
+
+def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.uint8]]:
+    try:
+        record = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
+        points = np.load(folder / "points.npy", allow_pickle=False)
+        colours = np.load(folder / "colors.npy", allow_pickle=False)
+        record["images"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise AddonError(
+            f"{folder} does not contain an exported model ({error}). Import again."
+        ) from error
+    return record, points.astype(np.float32), colours
+
+
+def _new_root(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """An empty in a collection of its own."""
+    collection = bpy.data.collections.new(name)
+    scene.collection.children.link(collection)
+    root = bpy.data.objects.new(ROOT_NAME, None)
+    root.empty_display_type = "ARROWS"
+    root.rotation_mode = "QUATERNION"
+    object_props(root).kind = "ROOT"
+    collection.objects.link(root)
+    return root
+
+
+def upright(photos: list[Photo]) -> Quaternion:
+    """The rotation that makes the photos stand upright; COLMAP's own axes are arbitrary."""
+    up = -np.sum([photo.pose[1, :3] for photo in photos], axis=0) if photos else np.zeros(3)
+    if np.linalg.norm(up) < 1e-6 * max(len(photos), 1):
+        return Quaternion()
+    return Vector(up.tolist()).rotation_difference(Vector((0, 0, 1)))
+
+
+def _new_cloud(
+    name: str, points: NDArray[np.float32], colours: NDArray[np.uint8], extent: float
+) -> bpy.types.Object:
+    cloud = clouds.new_points(name, points)
+    rgba = np.ones((len(points), 4), np.float32)
+    rgba[:, :3] = clouds.to_linear(colours[:, :3].astype(np.float32) / 255)
+    clouds.set_attribute(mesh_of(cloud), clouds.COLOUR, "FLOAT_COLOR", rgba)
+    material = clouds.colour_material("ROI-GS Points")
+    clouds.show_as_points(cloud, material, extent * POINT_RADIUS)
+    object_props(cloud).kind = "POINTS"
+    return cloud

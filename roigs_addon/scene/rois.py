@@ -1,0 +1,193 @@
+"""Boxes (ROIs, regions of interest) as cube empties: made, placed and written for the engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from .. import blender
+from ..blender import mesh_of
+from ..engine.run_files import ROIS
+from ..errors import AddonError
+from ..formats.names import can_name_a_file
+from ..formats.rois import write_rois
+from ..geometry.box import Box
+from ..properties import object_props, scene_props
+from . import lookup
+
+Place = tuple[Vector, Vector]
+"""Centre and half sides of a box."""
+
+COLOUR = (1.0, 0.55, 0.1, 1.0)
+
+
+def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.types.Object:
+    """A new box around a world-aligned one.
+
+    Its axes are the root's, so that it stays a box when the root is scaled unevenly.
+    """
+    _remove_deleted()
+    root = scene_props(scene).root
+    item = _new_empty(scene, _free_name(scene))
+    matrix = Matrix.LocRotScale(centre, None, half_sides)
+    if root is not None:
+        matrix = _along(root.matrix_world, centre, half_sides)
+        item.matrix_local = root.matrix_world.inverted_safe() @ matrix
+    else:
+        item.matrix_world = matrix
+    return item
+
+
+def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> None:
+    """New boxes in the COLMAP frame, below the root, wherever the root is.
+
+    Raises:
+        AddonError: one of the names is taken; then none is added.
+    """
+    _remove_deleted()
+    _check_names(list(boxes))
+    for name, box in boxes.items():
+        placed = np.linalg.inv(box.world_to_box)
+        placed[:3, :3] *= box.half_extents
+        _new_empty(scene, name).matrix_local = Matrix(placed.tolist())
+    blender.view_layer_of(bpy.context).update()  # until then, `matrix_world` is the identity
+
+
+def _remove_deleted() -> None:
+    """Remove boxes that the user deleted: `active_roi` keeps one in the file, with its name."""
+    boxes = (o for o in bpy.data.objects if object_props(o).kind == "ROI" and not o.library)
+    bpy.data.batch_remove([box for box in boxes if not box.users_collection])
+
+
+def _check_names(names: list[str]) -> None:
+    """Ask Blender, which adds numbers to names that are taken and shortens long ones."""
+    items = [bpy.data.objects.new(name, None) for name in names]
+    given = [item.name for item in items]
+    bpy.data.batch_remove(items)
+    for name, other in zip(names, given, strict=True):
+        if name != other:
+            raise AddonError(
+                f"The name '{name}' is taken (Blender would make it {other}). Rename one of them."
+            )
+
+
+def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """A cube empty of side 2 below the root, at its origin."""
+    root = scene_props(scene).root
+    item = bpy.data.objects.new(name, None)
+    item.empty_display_type = "CUBE"
+    item.empty_display_size = 1.0
+    item.show_name = True
+    item.color = COLOUR
+    object_props(item).kind = "ROI"
+    _collection(scene).objects.link(item)
+    if root is not None:
+        item.parent = root
+        item.matrix_parent_inverse = Matrix.Identity(4)
+    scene_props(scene).active_roi = item
+    return item
+
+
+def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The root's collection, unless it is excluded from the view layer."""
+    root: bpy.types.Object | None = scene_props(scene).root
+    layer = blender.view_layer_of(bpy.context)
+    layer.update()  # until then, a new root is not in it
+    if root is not None and layer.objects.get(root.name) == root:
+        return root.users_collection[0]
+    return scene.collection
+
+
+def _along(root: Matrix, centre: Vector, half_sides: Vector) -> Matrix:
+    """A box with the root's axes around a world-aligned box."""
+    rotation = root.to_quaternion().to_matrix()
+    turned = np.abs(np.array(rotation)).T @ np.array(half_sides)
+    return Matrix.LocRotScale(centre, rotation.to_quaternion(), Vector(turned.tolist()))
+
+
+def _free_name(scene: bpy.types.Scene) -> str:
+    taken = {o.name for o in scene.objects} | {o.name for o in bpy.data.objects}
+    number = 1
+    while (name := f"Box {number}") in taken:
+        number += 1
+    return name
+
+
+def default_size(scene: bpy.types.Scene) -> float:
+    """Half the side of a box that is added at the cursor: a tenth of the cameras' extent."""
+    centres = [lookup.matrix_world(camera)[:3, 3] for camera in lookup.of_kind(scene, "CAMERA")]
+    if len(centres) < 2:
+        return 1.0
+    spread = np.ptp(np.array(centres), axis=0).max()
+    return float(spread) * 0.1 or 1.0
+
+
+def around_objects(items: list[bpy.types.Object]) -> Place | None:
+    """The world-aligned box around objects; None if they are all in one point."""
+    corners = [item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box]
+    return _around(np.array(corners)) if corners else None
+
+
+def around_selected_vertices(item: bpy.types.Object) -> Place | None:
+    """The world-aligned box around the selected vertices of a mesh, such as the sparse points."""
+    mesh = mesh_of(item)
+    chosen = np.zeros(len(mesh.vertices), bool)
+    mesh.vertices.foreach_get("select", chosen)
+    flat = np.empty(3 * len(chosen), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    points = flat.reshape(-1, 3)[chosen]
+    if not len(points):
+        return None
+    world = lookup.matrix_world(item)
+    return _around(points @ world[:3, :3].T + world[:3, 3])
+
+
+def _around(points: NDArray[Any]) -> Place | None:
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = (high - low) / 2
+    if not (half > 0).any():
+        return None
+    half = np.maximum(half, half.max() * 0.05)
+    return Vector((low + high) / 2), Vector(half * 1.05)
+
+
+def place_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """Text that changes when the box is moved against its root.
+
+    It has two decimals less than Blender's precision.
+
+    Raises:
+        AddonError: it is not a box.
+    """
+    box = lookup.box(roi, scene)
+    numbers = [*box.world_to_box[:3].ravel(), *box.half_extents]
+    return " ".join(f"{value:.5g}" for value in numbers)
+
+
+def file_name(roi: bpy.types.Object) -> str:
+    """The box's name, which also names its files; a .blend may come from anybody.
+
+    Raises:
+        AddonError: it cannot name a file.
+    """
+    if not can_name_a_file(roi.name):
+        raise AddonError(
+            f"'{roi.name}' cannot name a file. Rename the box, without / \\ : * ? \" < > |"
+        )
+    return roi.name
+
+
+def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> Path:
+    """Write `rois.json` for the engine; returns its path.
+
+    Raises:
+        AddonError: one is not a box, or its name cannot name a file.
+    """
+    path = folder / ROIS
+    write_rois(path, [(file_name(roi), lookup.box(roi, scene)) for roi in boxes])
+    return path

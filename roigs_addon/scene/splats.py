@@ -1,0 +1,227 @@
+"""Trained Gaussians as Blender objects: for every render engine, and for the viewport.
+
+Each object is a mesh of points with the attributes of docs/conventions.md. In the viewport, the
+add-on draws the Gaussians themselves (viewport/) and hides the points with a modifier that is off
+in renders.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender import mesh_of
+from ..engine import run_files
+from ..errors import AddonError
+from ..formats.splat_ply import SplatCloud, read_splats
+from ..properties import object_props, scene_props
+from . import clouds, lookup, native_splats
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import AttributeTypeItems
+
+COLLECTION = "ROI-GS Gaussians"
+HIDE = "Drawn as Gaussians"
+SH_C0 = 0.28209479177387814
+MATERIAL = "ROI-GS Gaussians"
+
+
+def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
+    """Import a run's Gaussians: the background, and each box refined and coarse.
+
+    Objects of an earlier result are replaced. Those whose file is gone because the engine archived
+    it are removed: the background now contains what they showed.
+
+    Raises:
+        AddonError: a file is missing or damaged.
+    """
+    remove_preview(scene)
+    _hide_sparse(scene)
+    shown = [_show(scene, folder / run_files.BACKGROUND, "RESULT", "")]
+    for path in sorted((folder / run_files.FINE).glob("*.ply")):
+        shown.append(_show(scene, path, "ROI", path.stem))
+        coarse = folder / run_files.COARSE / path.name
+        if coarse.is_file():
+            item = _show(scene, coarse, "SCENE", path.stem)
+            _hide(scene, item, True)
+            item.hide_render = True
+            shown.append(item)
+    for item in lookup.splats(scene):
+        props = object_props(item)
+        if props.level in ("ROI", "SCENE") and not os.path.isfile(props.ply):
+            _delete(item)
+    return shown
+
+
+def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
+    """Show the model that is being trained; earlier results are hidden meanwhile."""
+    item = _of(scene, "PREVIEW", "")
+    if item is None:
+        item = _new_object(
+            scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
+        )
+        object_props(item).level = "PREVIEW"
+        for other in lookup.splats(scene):
+            if other != item:
+                _hide(scene, other, True)
+        _hide_sparse(scene)
+    object_props(item).ply = str(path)
+    return item
+
+
+def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
+    """Show a box refined, or as the whole-scene model has it."""
+    for item in lookup.splats(scene):
+        props = object_props(item)
+        if props.roi == roi and props.level in ("ROI", "SCENE"):
+            hidden = (props.level == "ROI") != fine
+            _hide(scene, item, hidden)
+            item.hide_render = hidden
+
+
+def set_points(scene: bpy.types.Scene, points: bool) -> None:
+    """Show points in the viewport instead of Gaussians."""
+    for item in lookup.splats(scene):
+        modifier = item.modifiers.get(HIDE)
+        if modifier is not None:  # Blender's own splats are drawn by Blender
+            object_props(item).as_points = points
+            modifier.show_viewport = not points
+
+
+def shown_levels(scene: bpy.types.Scene) -> dict[str, bool]:
+    """Box -> whether its refined Gaussians are the ones that are shown."""
+    return {
+        object_props(item).roi: not item.hide_get()
+        for item in lookup.splats(scene)
+        if object_props(item).level == "ROI"
+    }
+
+
+def remove_preview(scene: bpy.types.Scene) -> None:
+    """Remove the model that was being trained; what was hidden for it is shown again."""
+    for item in lookup.splats(scene):
+        level = object_props(item).level
+        if level == "PREVIEW":
+            _delete(item)
+            continue
+        coarse = level == "SCENE"
+        _hide(scene, item, coarse)
+        item.hide_render = coarse
+
+
+def _delete(item: bpy.types.Object) -> None:
+    data = item.data
+    bpy.data.objects.remove(item)
+    if data is not None and not data.users:
+        bpy.data.batch_remove([data])
+
+
+def _hide_sparse(scene: bpy.types.Scene) -> None:
+    """Hide the sparse points: as solid objects they would cover Gaussians behind them."""
+    sparse = lookup.points(scene)
+    if sparse is not None:
+        _hide(scene, sparse, True)
+
+
+def _hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
+    """Hide or show in the scene's own view layers: the window may show another scene."""
+    for layer in scene.view_layers:
+        with suppress(RuntimeError):  # not in this layer
+            item.hide_set(hidden, view_layer=layer)
+
+
+def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None:
+    for item in lookup.splats(scene):
+        props = object_props(item)
+        if props.level == level and props.roi == roi:
+            return item
+    return None
+
+
+def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types.Object:
+    name = {"RESULT": "Background", "SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}[level]
+    fresh = native_splats.import_splats(path) or _points(name, path)
+    old = _of(scene, level, roi)
+    if old is not None and old.type != fresh.type:  # made by a Blender with other kinds of splats
+        bpy.data.objects.remove(old)
+        old = None
+    if old is None:
+        item = _new_object(scene, name, fresh)
+    else:  # keeps its name, place and whatever the user did with it
+        item, before = old, old.data
+        item.data = fresh.data
+        bpy.data.objects.remove(fresh)
+        if before is not None and not before.users:
+            bpy.data.batch_remove([before])
+    props = object_props(item)
+    props.level, props.roi, props.ply = level, roi, str(path)
+    return item
+
+
+def _points(name: str, path: Path) -> bpy.types.Object:
+    """A mesh of points with all of the Gaussians' attributes."""
+    try:
+        cloud = read_splats(path)
+    except (OSError, ValueError) as error:
+        raise AddonError(f"{path} cannot be read ({error}). Train again.") from error
+    item = clouds.new_points(name, cloud.means)
+    add_attributes(mesh_of(item), cloud)
+    return item
+
+
+def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bpy.types.Object:
+    item.name = name
+    object_props(item).kind = "SPLATS"
+    item.parent = scene_props(scene).root
+    collection = scene.collection.children.get(COLLECTION)
+    if collection is None:
+        collection = bpy.data.collections.new(COLLECTION)
+        scene.collection.children.link(collection)
+    for other in item.users_collection:  # where Blender's importer put it
+        other.objects.unlink(item)
+    collection.objects.link(item)
+    if item.type != "MESH":
+        object_props(item).as_points = True
+        return item
+    material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
+    clouds.show_as_points(item, material, "radius")
+    clouds.add_nodes_modifier(item, HIDE, _nothing_group())
+    item.modifiers[HIDE].show_render = False
+    return item
+
+
+def _nothing_group() -> bpy.types.NodeTree:
+    """A geometry-nodes group without any geometry."""
+    known = bpy.data.node_groups.get(HIDE)
+    if known is not None:
+        return known
+    group = clouds.geometry_group(HIDE)
+    group.nodes.new("NodeGroupOutput")
+    made: bpy.types.NodeTree = group
+    return made
+
+
+def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
+    """Add the attributes that docs/conventions.md lists, and those of the points' material."""
+    base = cloud.sh[:, 0]
+    radiance = np.column_stack((base, cloud.opacities))
+    colour = np.ones((len(base), 4), np.float32)
+    colour[:, :3] = clouds.to_linear(np.clip(0.5 + SH_C0 * base, 0, 1))
+    columns: dict[str, tuple[AttributeTypeItems, NDArray[np.float32]]] = {
+        clouds.COLOUR: ("FLOAT_COLOR", colour),
+        "opacity": ("FLOAT", cloud.opacities),
+        "radius": ("FLOAT", np.cbrt(cloud.scales.prod(axis=1))),
+        "scale": ("FLOAT_VECTOR", cloud.scales),
+        "rotation": ("QUATERNION", cloud.quats),
+        "radiance:base": ("FLOAT_COLOR", radiance),  # four numbers, in any Blender
+    }
+    for index in range(1, cloud.sh.shape[1]):
+        columns[f"radiance:sh_{index - 1}"] = ("FLOAT_VECTOR", cloud.sh[:, index])
+    for name, (kind, values) in columns.items():
+        clouds.set_attribute(mesh, name, kind, values)

@@ -1,0 +1,97 @@
+"""The user's settings of the add-on, and the folders that follow from them.
+
+They are edited on the preferences page (ui/preferences.py). Where the package is registered
+without being an add-on, as in tests, the defaults hold.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import bpy
+
+from . import blender
+from .engine import python
+from .engine.command import Engine
+from .errors import AddonError
+
+# The extension's package, of which this one is a part; in tests this one may stand alone.
+ADDON = (__package__ or "").rpartition(".")[0] or __package__ or ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The values of the preferences page; their meaning is described there."""
+
+    engine_python: str = ""
+    threads: int = 0
+    device: str = "auto"
+    cache: str = ""
+    preview_seconds: float = 5.0
+    cuda: bool = False
+    wheels: str = ""
+
+
+def get() -> Settings:
+    """The settings as they are now."""
+    addon = blender.preferences().addons.get(ADDON)
+    page = addon.preferences if addon else None
+    if page is None:
+        return Settings()
+    return Settings(**{field.name: getattr(page, field.name) for field in fields(Settings)})
+
+
+# None of these folders need exist: whoever writes into one creates it.
+
+
+def extension_folder() -> Path:
+    """A folder that outlives updates of the extension; Blender removes it with the extension."""
+    if ADDON.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(ADDON))
+    return data_folder()
+
+
+def data_folder() -> Path:
+    """A folder of the user's that outlives the extension, for what cannot be made again."""
+    base = bpy.utils.user_resource("DATAFILES", path="roigs")
+    return Path(base) if base else Path(tempfile.gettempdir()) / "roigs"
+
+
+def models_folder() -> Path:
+    """Where imported models are kept."""
+    return (_chosen_cache() or extension_folder() / "cache") / "models"
+
+
+def unsaved_folder() -> Path:
+    """Where runs of files that were never saved are kept."""
+    return (_chosen_cache() or data_folder()) / "unsaved"
+
+
+def environments() -> Path:
+    """Folder of the virtual environments that 'Set Up the Engine' makes."""
+    return extension_folder() / "engine"
+
+
+def chosen_python() -> str:
+    """The Python that the user named; empty to find one."""
+    chosen = get().engine_python
+    return bpy.path.abspath(chosen) if chosen else ""
+
+
+def engine(packages: tuple[str, ...]) -> Engine:
+    """The engine, on a Python that has `packages`.
+
+    Raises:
+        AddonError: there is none.
+    """
+    found, reason = python.find(chosen_python(), environments(), packages)
+    if found is None:
+        raise AddonError(f"{reason} Set up the engine in the add-on's preferences.")
+    return found
+
+
+def _chosen_cache() -> Path | None:
+    chosen = get().cache
+    return Path(bpy.path.abspath(chosen)) if chosen else None

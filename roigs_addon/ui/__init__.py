@@ -1,0 +1,1 @@
+"""The sidebar tab and the preferences page. Layout only."""

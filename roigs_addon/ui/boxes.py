@@ -1,0 +1,86 @@
+"""Step 2, Boxes."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import layout_of, registration, scene_of
+from ..facts import point_counts
+from ..operators.boxes import AddRoi, LoadRois, RemoveRoi, SelectRoi
+from ..scene import lookup
+from . import layout as show
+from .layout import SidebarPanel
+
+
+class BoxesPanel(SidebarPanel):
+    """The boxes, with what is in them."""
+
+    bl_idname = "ROIGS_PT_boxes"
+    bl_label = "2. Boxes"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Add, remove, load; one entry for each box."""
+        layout, scene = layout_of(self), scene_of(context)
+        row = layout.row(align=True)
+        row.operator(AddRoi.bl_idname, icon="ADD")
+        row.operator(RemoveRoi.bl_idname, text="", icon="REMOVE")
+        row.operator(LoadRois.bl_idname, text="", icon="FILE_FOLDER")
+        boxes = lookup.rois(scene)
+        if not boxes:
+            show.todo(layout, "Add a box around each object to sharpen")
+            return
+        active = lookup.active_roi(context)
+        for roi in boxes:
+            column = layout.box().column(align=True)
+            row = column.row(align=True)
+            button = row.operator(
+                SelectRoi.bl_idname,
+                text="",
+                icon="RADIOBUT_ON" if roi == active else "RADIOBUT_OFF",
+                emboss=False,
+            )
+            button.name = roi.name
+            row.prop(roi, "name", text="")
+            row.prop(roi, "hide_viewport", text="", emboss=False)
+            _describe(column, roi, scene)
+
+
+def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    found = point_counts.count_soon(roi, scene)
+    if found is None:
+        show.wrong(layout, "Slanted or flat: check its rotation and size")
+        return
+    points, photos = found
+    if not points:
+        show.wrong(layout, "Empty: it contains no points of the model")
+        return
+    seen = "" if photos is None else f", seen in {photos:,} photos"
+    show.done(layout, f"{points:,} points{seen}")
+
+
+class PlacePanel(SidebarPanel):
+    """The active box in numbers."""
+
+    bl_idname = "ROIGS_PT_place"
+    bl_parent_id = BoxesPanel.bl_idname
+    bl_label = "Place and Size"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a box."""
+        return lookup.active_roi(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Its centre, half its sides, its rotation."""
+        layout, roi = layout_of(self), lookup.active_roi(context)
+        if roi is None:
+            return
+        layout.label(text=roi.name)
+        for name, text in (("location", "Centre"), ("scale", "Half Side")):
+            layout.column().prop(roi, name, text=text)
+        turned = "rotation_quaternion" if roi.rotation_mode == "QUATERNION" else "rotation_euler"
+        layout.column().prop(roi, turned, text="Rotation")
+
+
+register, unregister = registration(BoxesPanel, PlacePanel)

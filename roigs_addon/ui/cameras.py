@@ -1,0 +1,100 @@
+"""Step 3, Cameras."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..blender import layout_of, registration, scene_of
+from ..facts import photo_names
+from ..jobs.spec import SELECTING
+from ..operators.photos import EditSelection, SelectCameras
+from ..operators.scene import LookThrough
+from ..properties import RoigsPhotoItem, object_props, scene_props
+from ..scene import lookup, selections
+from . import layout as show
+from .layout import SidebarPanel
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import IconItems
+
+EDIT_ICONS: dict[str, IconItems] = {
+    "ADD": "ADD",
+    "REMOVE": "REMOVE",
+    "UP": "TRIA_UP",
+    "DOWN": "TRIA_DOWN",
+    "CLEAR": "X",
+}
+
+
+class PhotoList(bpy.types.UIList):
+    """The photos of a box, best first."""
+
+    bl_idname = "ROIGS_UL_photos"
+
+    def draw_item(  # type: ignore[override] # Blender passes as much as the function takes
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        _data: object,
+        item: RoigsPhotoItem,
+        _icon: int,
+        _active_data: object,
+        _active_property: str,
+        index: int,
+    ) -> None:
+        """Name, the score as a bar, and a button that looks through the camera."""
+        split = layout.split(factor=0.55, align=True)
+        split.label(text=f"{index + 1}  {photo_names.short_name(scene_of(context), item.name)}")
+        row = split.row(align=True)
+        if item.score:
+            row.progress(factor=min(max(item.score, 0.0), 1.0), text=f"{item.score:.2f}")
+        else:
+            row.label(text="by hand")
+        row.operator(LookThrough.bl_idname, text="", icon="HIDE_OFF").photo = item.name
+
+
+class CamerasPanel(SidebarPanel):
+    """How photos are selected, and which ones were."""
+
+    bl_idname = "ROIGS_PT_cameras"
+    bl_label = "3. Cameras"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The method, the button, and the photos of the active box."""
+        layout, scene = layout_of(self), scene_of(context)
+        props = scene_props(scene)
+        column = show.setting_column(layout)
+        column.prop(props, "method")
+        column.prop(props, "count", text="Photos" if props.count else "Photos (auto)")
+        layout.operator(SelectCameras.bl_idname, icon="CAMERA_DATA")
+        roi = lookup.active_roi(context)
+        if show.job(layout, SELECTING):
+            return
+        if roi is None:
+            show.todo(layout, "Add a box first")
+            return
+        photos = len(object_props(roi).selection)
+        if not photos:
+            show.todo(layout, f"{roi.name}: photos will be selected when training starts")
+        elif selections.is_stale(roi, scene):
+            show.wrong(layout, f"{roi.name} was moved: select again")
+        else:
+            show.done(layout, f"{roi.name}: {photos} photos, best first")
+        if photos:
+            _draw_list(layout, roi)
+        else:
+            text = "Add Selected Cameras"
+            layout.operator(EditSelection.bl_idname, text=text, icon="ADD").action = "ADD"
+
+
+def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object) -> None:
+    row, props = layout.row(), object_props(roi)
+    row.template_list(PhotoList.bl_idname, "", props, "selection", props, "selection_index", rows=5)
+    column = row.column(align=True)
+    for action, icon in EDIT_ICONS.items():
+        column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
+
+
+register, unregister = registration(PhotoList, CamerasPanel)

@@ -1,0 +1,108 @@
+"""What all panels of the tab share."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+import bpy
+
+from .. import blender
+from ..engine.run_files import stage_in_words
+from ..jobs import current
+from ..jobs.state import JobState
+from ..operators import train
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import IconItems
+
+PIXELS_PER_LETTER = 7.5
+"""Mean width of a letter of Blender's default font, at an interface scale of 1."""
+
+
+class SidebarPanel(bpy.types.Panel):
+    """Base of the panels of the tab 'ROI-GS'."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "ROI-GS"
+
+
+def say(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:
+    """A text, wrapped to fit the sidebar."""
+    region = bpy.context.region
+    scale = PIXELS_PER_LETTER * blender.interface_scale()
+    letters = int(region.width / scale) - 5 if region else 40
+    wrapped(layout, text, icon, max(letters, 20))
+
+
+def wrapped(layout: bpy.types.UILayout, text: str, icon: IconItems, letters: int) -> None:
+    """A text in lines of so many letters, with an icon before the first one."""
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, letters)):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1")
+
+
+def done(layout: bpy.types.UILayout, text: str) -> None:
+    """Something that is as it should be."""
+    say(layout, text, "CHECKMARK")
+
+
+def todo(layout: bpy.types.UILayout, text: str) -> None:
+    """Something that the user has to do next."""
+    say(layout, text, "RADIOBUT_OFF")
+
+
+def wrong(layout: bpy.types.UILayout, text: str) -> None:
+    """Something that is not as it should be."""
+    say(layout, text, "ERROR")
+
+
+def paused(layout: bpy.types.UILayout, text: str) -> None:
+    """Something that was stopped or waits."""
+    say(layout, text, "PAUSE")
+
+
+def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """A column of settings with their names on the left."""
+    column = layout.column(align=True)
+    column.use_property_split = True
+    column.use_property_decorate = False
+    return column
+
+
+def job(layout: bpy.types.UILayout, title: str) -> bool:
+    """The progress or the error of the job of this title; False if there is neither."""
+    state = current.state()
+    if state.title != title:
+        return False
+    if current.busy():
+        progress(layout, state)
+        return True
+    if state.error:
+        wrong(layout, state.error)
+        layout.operator(train.ShowLog.bl_idname, icon="TEXT")
+    return bool(state.error)
+
+
+def progress(layout: bpy.types.UILayout, state: JobState) -> None:
+    """A running job: bar, stop button, numbers."""
+    share = state.step / state.total if state.total else 0.0
+    stage = f": {stage_in_words(state.stage)}" if state.stage else ""
+    percent = f" {share:.0%}" if state.total else " …"
+    row = layout.row(align=True)
+    row.progress(factor=share, text=f"{state.title}{stage}{percent}")
+    row.operator(train.StopJob.bl_idname, text="", icon="CANCEL")
+    column = layout.column(align=True)
+    if state.total:
+        column.label(text=f"Step {state.step:,} of {state.total:,}")
+        if left := state.time_left():
+            column.label(text=f"About {left} in this stage")
+    if state.gaussians:
+        column.label(text=f"{state.gaussians:,} Gaussians")
+    if state.psnr:
+        column.label(text=f"PSNR {state.psnr:.1f} dB, loss {state.loss:.3f}")
+    if state.message:
+        say(column, state.message, "INFO")
+    if current.job is not None and current.job.hears_esc and not current.job.stopping:
+        column.label(text="Press Esc to stop; work so far is kept", icon="BLANK1")

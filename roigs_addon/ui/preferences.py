@@ -1,0 +1,102 @@
+"""The preferences page: settings of the engine, folders, setting up the engine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from .. import blender, settings
+from ..blender import region_of, registration
+from ..engine import check, install
+from .layout import PIXELS_PER_LETTER, wrapped
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import IconItems
+
+
+class RoigsPreferences(bpy.types.AddonPreferences):
+    """Edit ▸ Preferences ▸ Add-ons ▸ ROI-GS; read through settings.py."""
+
+    bl_idname = settings.ADDON
+
+    engine_python: StringProperty(
+        name="Engine Python",
+        subtype="FILE_PATH",
+        description="Python that runs the engine (empty: found automatically)",
+    )
+    threads: IntProperty(
+        name="Threads", default=0, min=0, description="CPU threads that the engine uses; 0: all"
+    )
+    device: EnumProperty(
+        name="Train On",
+        items=(
+            ("auto", "Automatic", "The NVIDIA GPU if the engine can use one, else the CPU"),
+            ("cpu", "CPU", "Always the CPU"),
+            ("cuda", "NVIDIA GPU", "The GPU; an error if it cannot be used"),
+        ),
+        description="The device that the engine trains on",
+    )
+    cache: StringProperty(
+        name="Cache Folder",
+        subtype="DIR_PATH",
+        description="For imported models and the runs of unsaved files (empty: the user's folder)",
+    )
+    preview_seconds: FloatProperty(
+        name="Preview Every",
+        default=5.0,
+        min=0.0,
+        subtype="TIME_ABSOLUTE",
+        description="Seconds between previews while training; 0: none",
+    )
+    cuda: BoolProperty(
+        name="For NVIDIA GPUs",
+        description="Install the CUDA build of torch: several gigabytes."
+        " Training on a GPU also needs NVIDIA's CUDA toolkit",
+    )
+    wheels: StringProperty(
+        name="Folder of Wheels",
+        subtype="DIR_PATH",
+        description="Install from the wheels in this folder, without a network (empty: from PyPI)",
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the page in the preferences window."""
+        layout = self.layout
+        assert layout is not None
+        layout.use_property_split = True
+        for name in ("engine_python", "device", "threads", "cache", "preview_seconds"):
+            layout.prop(self, name)
+        _draw_engine(layout.box().column(), self)
+
+
+def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
+    """What the engine can do, and how to set it up."""
+    row = layout.row()
+    row.label(text="Engine")
+    row.operator("roigs.check_engine")
+    for finding in check.last:
+        _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
+    made = install.current
+    if made is not None and not made.finished:
+        row = layout.row(align=True)
+        row.progress(factor=made.fraction, text=f"{made.title} {made.fraction:.0%}")
+        row.operator("roigs.stop_setup", text="", icon="CANCEL")
+        layout.label(text=made.line)
+        return
+    if made is not None:
+        _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
+    layout.prop(page, "cuda")
+    layout.prop(page, "wheels")
+    button = layout.operator("roigs.setup_engine", icon="IMPORT")
+    button.cuda, button.wheels = page.cuda, page.wheels
+
+
+def _lines(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:
+    """A text, wrapped to fit the page."""
+    scale = PIXELS_PER_LETTER * blender.interface_scale()
+    wrapped(layout, text, icon, max(int(region_of(bpy.context).width * 0.7 / scale), 30))
+
+
+register, unregister = registration(RoigsPreferences)

@@ -1,0 +1,91 @@
+"""Step 5, Result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from .. import viewport
+from ..blender import layout_of, registration, scene_of
+from ..facts import run_facts
+from ..jobs import current
+from ..jobs.spec import RENDERING
+from ..operators.results import LoadResults, RenderSplats, SetDetail, ShowPoints
+from ..properties import object_props
+from ..scene import lookup
+from ..scene.splats import shown_levels
+from . import layout as show
+from .layout import SidebarPanel
+
+Objects = list[bpy.types.Object]
+
+
+class ResultPanel(SidebarPanel):
+    """What is shown of the Gaussians, and pictures of them."""
+
+    bl_idname = "ROIGS_PT_result"
+    bl_label = "5. Result"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Import, the objects, what is wrong with them, render."""
+        layout, scene = layout_of(self), scene_of(context)
+        layout.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
+        splats = lookup.splats(scene)
+        if not splats:
+            show.todo(layout, "Train first to get Gaussians")
+        _draw_objects(layout.column(align=True), splats, shown_levels(scene))
+        _draw_as_points(layout, splats)
+        for path, problem in viewport.problems().items():
+            show.wrong(layout, f"{Path(path).name}: {problem}" if path else problem)
+        # While it trains, the engine archives files.
+        if not current.busy() and (missing := run_facts.missing_splats(scene)):
+            names = ", ".join(missing)
+            text = f"Missing splat files: {names}. Train, or set the Run Folder and load results"
+            show.wrong(layout, text)
+        if not show.job(layout, RENDERING):
+            _draw_render(layout)
+
+
+def _draw_objects(layout: bpy.types.UILayout, splats: Objects, levels: dict[str, bool]) -> None:
+    """The background and the boxes; `levels`: box -> whether it is shown refined."""
+    for item in splats:
+        props = object_props(item)
+        row = layout.row(align=True)
+        if props.level == "RESULT":
+            row.label(text=item.name)
+            row.prop(item, "hide_viewport", text="", emboss=False)
+        elif props.level == "ROI":
+            _draw_box(row, splats, props.roi, levels[props.roi])
+
+
+def _draw_box(row: bpy.types.UILayout, splats: Objects, roi: str, refined: bool) -> None:
+    row.label(text=roi)
+    for text, fine in (("Coarse", False), ("Fine", True)):
+        button = row.operator(SetDetail.bl_idname, text=text, depress=refined == fine)
+        button.roi, button.fine = roi, fine
+    shown = "ROI" if refined else "SCENE"
+    for item in splats:
+        if object_props(item).roi == roi and object_props(item).level == shown:
+            row.prop(item, "hide_viewport", text="", emboss=False)
+
+
+def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
+    drawn = [item for item in splats if item.type == "MESH"]  # Blender draws its own kind
+    if not drawn:
+        return
+    row = layout.row(align=True)
+    as_points = object_props(drawn[0]).as_points
+    for text, points in (("Gaussians", False), ("Points", True)):
+        button = row.operator(ShowPoints.bl_idname, text=text, depress=as_points == points)
+        button.points = points
+
+
+def _draw_render(layout: bpy.types.UILayout) -> None:
+    row = layout.row(align=True)
+    row.operator(RenderSplats.bl_idname, text="Render", icon="RENDER_STILL").animation = False
+    button = row.operator(RenderSplats.bl_idname, text="Animation", icon="RENDER_ANIMATION")
+    button.animation = True
+
+
+register, unregister = registration(ResultPanel)

@@ -1,0 +1,55 @@
+"""Step 1, Scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..blender import layout_of, mesh_of, registration, scene_of
+from ..facts import photo_names
+from ..jobs.spec import IMPORTING
+from ..operators.scene import ImportColmap, LookThrough
+from ..properties import scene_props
+from ..scene import lookup
+from . import layout as show
+from .layout import SidebarPanel
+
+
+class ScenePanel(SidebarPanel):
+    """The model and its photos."""
+
+    bl_idname = "ROIGS_PT_scene"
+    bl_label = "1. Scene"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Import, what was imported, and the photo to look through."""
+        layout, scene = layout_of(self), scene_of(context)
+        props = scene_props(scene)
+        layout.operator(ImportColmap.bl_idname, icon="IMPORT")
+        if show.job(layout, IMPORTING):
+            return
+        if not props.colmap:
+            show.todo(layout, "Import the folder of a COLMAP project")
+            return
+        cloud = lookup.points(scene)
+        points = len(mesh_of(cloud).vertices) if cloud else 0
+        project = Path(props.colmap).name
+        show.done(layout, f"{project}: {photo_names.count(scene):,} photos, {points:,} points")
+        if props.skipped:
+            show.wrong(layout, f"Skipped: {props.skipped}")
+        row = layout.row(align=True)
+        name = photo_at_hand(context)
+        row.operator(LookThrough.bl_idname, text="", icon="TRIA_LEFT").step = -1
+        row.operator(LookThrough.bl_idname, text=name, icon="CAMERA_DATA").step = 0
+        row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
+
+
+def photo_at_hand(context: bpy.types.Context) -> str:
+    """The text of the button between the arrows: the photo that it looks through."""
+    item = lookup.camera_at_hand(context)
+    photo = lookup.photo_record(item) if item else None
+    return photo_names.short_name(scene_of(context), photo.name) if photo else "Look Through"
+
+
+register, unregister = registration(ScenePanel)

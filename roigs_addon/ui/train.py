@@ -1,0 +1,91 @@
+"""Step 4, Train."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import settings
+from ..blender import layout_of, registration, scene_of
+from ..engine.run_files import stage_in_words
+from ..engine.run_status import RunStatus
+from ..facts import engine_ability, run_facts
+from ..jobs import current, run_folders
+from ..jobs.spec import TRAINING
+from ..operators.train import ShowLog, TrainRoi
+from ..properties import scene_props
+from ..scene import lookup
+from . import layout as show
+from .layout import SidebarPanel
+
+
+class TrainPanel(SidebarPanel):
+    """Settings, the button, and where the training is."""
+
+    bl_idname = "ROIGS_PT_train"
+    bl_label = "4. Train"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The settings that matter most, and the training."""
+        layout, scene = layout_of(self), scene_of(context)
+        column = show.setting_column(layout)
+        for name in ("preset", "max_side"):
+            column.prop(scene_props(scene), name)
+        status = run_facts.run(scene)
+        resume = not current.busy() and status.unfinished
+        row = layout.row(align=True)
+        text = "Continue" if resume else TrainRoi.bl_label
+        row.operator(TrainRoi.bl_idname, text=text, icon="PLAY").resume = resume
+        active = lookup.active_roi(context)
+        if active is not None and len(lookup.rois(scene)) > 1:
+            button = row.operator(TrainRoi.bl_idname, text=f"Only {active.name}")
+            button.active_only = True
+        row.operator(ShowLog.bl_idname, text="", icon="TEXT")
+        if problem := engine_ability.problem():
+            _draw_engine_problem(layout, problem)
+        if not show.job(layout, TRAINING):
+            _draw_status(layout, scene, status)
+
+
+def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: RunStatus) -> None:
+    stages = ", ".join(map(stage_in_words, status.done))
+    if status.holder:
+        text = f"Another Blender or terminal is training here (process {status.holder})"
+        show.paused(layout, text)
+    elif status.left:
+        show.paused(layout, f"Stopped: {stage_in_words(status.left)}")
+    elif status.result and (changed := run_facts.changed_boxes(scene, status)):
+        show.wrong(layout, f"Changed since training: {', '.join(changed)}")
+    elif status.result:
+        show.done(layout, f"Trained: {stages}")
+    elif status.done:
+        show.paused(layout, f"Stopped after: {stages}")
+    else:
+        show.todo(layout, "Not trained yet")
+
+
+def _draw_engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
+    box = layout.box()
+    show.wrong(box, problem)
+    button = box.operator("preferences.addon_show", text="Set Up the Engine", icon="PREFERENCES")
+    button.module = settings.ADDON
+
+
+class TrainSettingsPanel(SidebarPanel):
+    """Settings that are seldom changed."""
+
+    bl_idname = "ROIGS_PT_train_settings"
+    bl_parent_id = TrainPanel.bl_idname
+    bl_label = "Settings"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Steps, strategy, test photos, seed, run folder."""
+        layout, scene = layout_of(self), scene_of(context)
+        column = show.setting_column(layout)
+        for name in ("steps_factor", "strategy", "test_every", "seed", "run_dir"):
+            column.prop(scene_props(scene), name)
+        if not scene_props(scene).run_dir:
+            show.say(layout, str(run_folders.run_folder(scene)), "FILE_FOLDER")
+
+
+register, unregister = registration(TrainPanel, TrainSettingsPanel)

@@ -1,0 +1,182 @@
+"""The environment for the engine: which Python, which steps, incomplete ones."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from roigs_addon.engine import base_python, check, install, install_steps, python
+from roigs_addon.engine.install import Installation
+from roigs_addon.engine.install_steps import Plan, Step
+from roigs_addon.errors import AddonError
+from tests.addon.scenes import ROOT
+
+
+@pytest.fixture(autouse=True)
+def _nothing_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(python.VARIABLE, raising=False)
+    python.ability.cache_clear()
+
+
+def run(installation: Installation) -> Installation:
+    installation.start()
+    deadline = time.monotonic() + 30
+    while not installation.finished and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert installation.finished
+    return installation
+
+
+def fake_steps(monkeypatch: pytest.MonkeyPatch, *codes: str) -> None:
+    """Replace venv and pip by other programs; the first makes the folder."""
+
+    def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
+        made = f"import os; os.makedirs({str(environment)!r})"
+        return [
+            Step(title=f"Step {number}", command=[sys.executable, "-uc", code])
+            for number, code in enumerate([made, *codes])
+        ]
+
+    monkeypatch.setattr(install, "steps", steps)
+    monkeypatch.setattr(install, "choose_python", lambda wheels: Path(sys.executable))
+
+
+def test_requirements_are_those_of_the_project() -> None:
+    wanted = install_steps.requirements()
+    assert any(r.startswith("torch==") for r in wanted)
+    assert any(r.startswith("numpy") for r in wanted)
+
+
+def test_success_leaves_one_complete_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch, "print('Progress 5 of 10'); print('fine')")
+    for _ in range(2):
+        done = run(Installation(Plan(environments=tmp_path)))
+        assert done.message == "" and done.fraction == 1.0
+    (environment,) = python.complete_environments(tmp_path)
+    assert environment == tmp_path / "2"
+    assert done.python == python.environment_python(environment)
+    assert "fine" in done.log.read_text(encoding="utf-8")
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["2"]
+
+
+def test_an_environment_in_use_stays_until_the_next_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch)
+    for made in (["1"], ["1", "2"]):
+        run(Installation(Plan(environments=tmp_path, in_use=lambda: True)))
+        assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == made
+    run(Installation(Plan(environments=tmp_path, in_use=lambda: True)))
+    assert [path.name for path in python.complete_environments(tmp_path)] == ["3", "2"]
+
+
+def test_failure_says_pips_last_error_and_keeps_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch)
+    run(Installation(Plan(environments=tmp_path)))
+    fake_steps(monkeypatch, "print('ERROR: No space left'); print('notice'); raise SystemExit(1)")
+    failed = run(Installation(Plan(environments=tmp_path)))
+    assert failed.message == f"Step 1 failed: No space left. See the log {tmp_path / 'setup.log'}"
+    assert [path.name for path in python.complete_environments(tmp_path)] == ["1"]
+    assert (tmp_path / "2").is_dir()  # incomplete, and removed by the next installation
+    fake_steps(monkeypatch)
+    run(Installation(Plan(environments=tmp_path)))
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["3"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="looks for the process the POSIX way")
+def test_stop_ends_what_the_step_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    child = "import time; print('child', flush=True); time.sleep(60)"
+    code = (
+        "import subprocess, sys; p = subprocess.Popen([sys.executable, '-c',"
+        f" {child!r}]); print('pid', p.pid, flush=True); p.wait()"
+    )
+    fake_steps(monkeypatch, code)
+    installation = Installation(Plan(environments=tmp_path))
+    installation.start()
+    deadline = time.monotonic() + 30
+    said = ""
+    while "\nchild\n" not in said and time.monotonic() < deadline:
+        time.sleep(0.02)
+        said = installation.log.read_text(encoding="utf-8") if installation.log.exists() else ""
+    pid = int(next(line for line in said.splitlines() if line.startswith("pid "))[4:])
+    installation.stop()
+    assert installation.finished and installation.message == "Setting up was stopped."
+    assert not python.complete_environments(tmp_path)
+    deadline = time.monotonic() + 5
+    while _lives(pid) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not _lives(pid)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+    except OSError:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return False
+        return not Path("/proc").is_dir()
+    return state != "Z"
+
+
+def test_wheels_decide_the_version(tmp_path: Path) -> None:
+    with pytest.raises(AddonError, match="no wheel of torch"):
+        base_python.choose_python(tmp_path)
+    (tmp_path / "torch-2.13.0+cpu-cp399-cp399-linux_x86_64.whl").touch()
+    assert base_python.wheel_versions(tmp_path) == {(3, 99)}
+    with pytest.raises(AddonError, match=r"Install Python 3\.99"):
+        base_python.choose_python(tmp_path)
+
+
+def test_a_program_that_is_no_python_is_passed_over() -> None:
+    assert base_python._version(["/nowhere/python3.11"]) == (0, 0)
+    assert base_python._version([sys.executable]) in ((0, 0), sys.version_info[:2])
+
+
+def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
+    base, made = Path("python"), tmp_path / "1"
+    offline = install_steps.steps(Plan(environments=tmp_path, wheels=tmp_path), base, made)
+    assert [step.title for step in offline] == [
+        "Creating the environment",
+        "Installing",
+        "Testing the environment",
+    ]
+    assert "--no-index" in offline[1].command
+    online = install_steps.steps(Plan(environments=tmp_path, cuda=True), base, made)
+    scripts = [part for step in online for part in step.command if part.endswith(".py")]
+    assert scripts == [str(ROOT / "tools" / "install_torch.py")]
+    index = install_steps.CUDA_INDEX
+    assert sys.platform == "darwin" or any(index in step.command for step in online)
+    asked = [part for step in online for part in step.command]
+    assert sys.platform == "darwin" or any(part.startswith("gsplat==") for part in asked)
+    assert not any(part.startswith("gsplat") for part in offline[1].command)
+
+
+def test_check_says_what_works_and_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = python.Ability(version=(3, 12), missing=("torch", "pycolmap"))
+    monkeypatch.setattr(python, "ability", functools.lru_cache(lambda path: found))
+    said = {f.text: f.works for f in check.check("/opt/python", tmp_path)}
+    assert said["Reading models: ready"]
+    assert said["Selecting by Gaussian process: ready"]
+    assert not said["Training and rendering: not ready: Python 3.12 lacks torch"]
+    assert said["Python 3.12: /opt/python"]
+    check.forget()
+
+
+def test_check_of_a_python_that_does_not_exist(tmp_path: Path) -> None:
+    findings = check.check(str(tmp_path / "python"), tmp_path)
+    assert not any(finding.works for finding in findings)
+    assert "does not start" in findings[-1].text
+    check.forget()

@@ -1,0 +1,58 @@
+"""What a run folder says."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from roigs_addon.engine import run_status
+from roigs_addon.engine.run_files import MANIFEST, stage_in_words
+from roigs_addon.engine.run_status import RunStatus
+from tests.addon.scenes import ROOT
+
+HOLD = """
+import sys
+from pathlib import Path
+from roigs_engine.formats.lock import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def write(path: Path, text: str = "{}") -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:
+    assert run_status.read(tmp_path / "none") == RunStatus()
+    write(tmp_path / "scene" / "stage.json")
+    write(tmp_path / "object-vase" / "checkpoint.bin")
+    box = {"name": "vase", "world_to_box": [[1]], "half_extents": [1]}
+    write(tmp_path / MANIFEST, json.dumps({"rois": [box]}))
+    run = run_status.read(tmp_path)
+    assert run.done == ("scene",) and run.left == "object-vase" and not run.result
+    assert run.boxes == {"vase": ([[1]], [1])}
+    assert stage_in_words(run.left) == "box 'vase'"
+    write(tmp_path / MANIFEST, "no JSON")
+    assert run_status.read(tmp_path).boxes is None
+
+
+def test_a_running_engine_is_told_from_a_leftover_lock(tmp_path: Path) -> None:
+    write(tmp_path / "run.lock", '{"pid": 1}')
+    assert run_status.read(tmp_path).holder == 0
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, tmp_path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    ) as engine:
+        assert engine.stdout is not None and engine.stdin is not None
+        assert engine.stdout.readline() == "held\n"
+        assert run_status.read(tmp_path).holder == engine.pid
+        engine.stdin.close()
+    assert run_status.read(tmp_path).holder == 0

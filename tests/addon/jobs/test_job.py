@@ -1,0 +1,274 @@
+"""Jobs in Blender: state, previews, results, undo; with an engine made for the test."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from roigs_addon.engine.command import Engine
+from tests.addon.fake_engine import LISTEN, alive, fake, until
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture
+def spec(addon: ModuleType, tmp_path: Path):
+    """Makes the `JobSpec` of a fake job; `taken` grows when its results are imported."""
+    from roigs_addon.jobs.spec import JobSpec
+
+    taken: list[str] = []
+
+    def make(**changes: object) -> JobSpec:
+        values = {"title": "Testing", "arguments": ["train"], "log": tmp_path / "log.txt"}
+        return JobSpec(**(values | {"on_done": lambda: taken.append("done")} | changes))
+
+    make.taken = taken
+    return make
+
+
+def test_progress_becomes_the_state(blender: ModuleType, spec, tmp_path: Path) -> None:
+    from roigs_addon.jobs import current
+
+    engine = fake(
+        tmp_path,
+        """
+        say(event="stagestarted", stage="scene", total=30)
+        say(event="progress", stage="joint", step=12, total=30, loss=0.25, psnr=21.5,
+            gaussians=1234, seconds_left=125.4)
+        say(event="message", text="Something", level="info")
+        say(event="done", outputs={}, stopped=False)
+        """,
+    )
+    job = current.start(engine, spec())
+    while job.poll():
+        time.sleep(0.02)
+    state = current.state()
+    assert (state.step, state.total, state.gaussians) == (12, 30, 1234)
+    assert (state.loss, state.psnr) == (0.25, 21.5)
+    assert len(spec.taken) == 1 and not current.busy()
+    state.stage = "joint"
+    text = state.in_words()
+    assert text == "joint 12 / 30, 21.5 dB, 1,234 Gaussians, 2 min 05 s left"
+
+
+def test_a_job_is_seen_and_stopped_after_a_file_was_loaded(
+    blender: ModuleType, spec, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.state import STOPPING
+
+    engine = fake(
+        tmp_path,
+        """
+        say(event="stagestarted", stage="scene", total=30)
+        say(event="progress", stage="joint", step=12, total=30, gaussians=1234)
+        say(event="message", text="Something", level="info")
+        sys.stdin.read()
+        say(event="done", outputs={}, stopped=True)
+        """,
+    )
+    job = current.start(engine, spec())
+    job.hears_esc = True
+    assert until(lambda: job.poll() and current.state().message == "Something")
+    blender.ops.wm.read_homefile(use_empty=True)
+    state = current.state()
+    assert (state.title, state.stage, state.message) == ("Testing", "joint", "Something")
+    assert (state.step, state.total, state.gaussians) == (12, 30, 1234)
+    assert state.log.name == "log.txt" and not job.hears_esc
+    assert blender.ops.roigs.stop() == {"FINISHED"}
+    blender.ops.wm.read_homefile(use_empty=True)
+    assert current.state().message == STOPPING
+    assert current.wait(job).stopped
+
+
+def test_no_preview_is_drawn_while_the_engine_stops(
+    blender: ModuleType, spec, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import current
+
+    first, last = tmp_path / "first.ply", tmp_path / "last.ply"
+    first.touch()
+    last.touch()
+    engine = fake(
+        tmp_path,
+        f"""
+        say(event="preview", path={str(first)!r})
+        sys.stdin.read()
+        say(event="preview", path={str(last)!r})
+        time.sleep(0.5)
+        say(event="done", outputs={{}}, stopped=True)
+        """,
+    )
+    shown: list[Path] = []
+    job = current.start(engine, spec(on_preview=shown.append, folder=tmp_path))
+    assert until(lambda: job.poll() and bool(shown))
+    job.stop()
+    while job.poll():
+        assert shown == [first]
+        time.sleep(0.02)
+    assert shown == [first, last] and job.result.stopped
+
+
+def test_odd_numbers_do_no_harm(blender: ModuleType, spec, tmp_path: Path) -> None:
+    from roigs_addon.jobs import current
+
+    odd = ["NaN", "Infinity", "-Infinity", "1e400", "-1e30", "9" * 400, '"x"', "null", "[]", "{}"]
+    lines = [
+        f'{{"event": "{kind}", "stage": {v}, "step": {v}, "total": {v}, "loss": {v}, "psnr": {v},'
+        f' "gaussians": {v}, "seconds_left": {v}, "text": {v}, "path": {v}}}'
+        for v in odd
+        for kind in ("stagestarted", "progress", "message", "preview")
+    ]
+    (tmp_path / "lines").write_text("\n".join([*lines, '{"event": "progress"}', ""]))
+    code = f"print(open({str(tmp_path / 'lines')!r}).read(), flush=True)\nsay(event='done')"
+    job = current.start(fake(tmp_path, code), spec())
+    result = current.wait(job)
+    assert not result.failed and len(spec.taken) == 1
+    assert current.state().in_words()
+
+
+def test_odd_texts_do_no_harm(blender: ModuleType, spec, tmp_path: Path) -> None:
+    from roigs_addon.jobs import current
+
+    odd = ["a\0b", "\ud800", "\udcff", "x" * 60_000, "\x1b[2J", "a\nb", "\u202e", "{}%s"]
+    code = "\n".join(
+        f"say(event={kind!r}, stage={text!r}, text={text!r}, path={text!r})"
+        for text in odd
+        for kind in ("stagestarted", "progress", "message", "preview")
+    )
+    taken: list[Path] = []
+    code += "\nsay(event='failed', message='\\ud800 no', hint='a\\0b'); sys.exit(2)"
+    given = spec(folder=tmp_path, on_preview=taken.append)
+    result = current.wait(current.start(fake(tmp_path, code), given))
+    assert result.failed and "no" in current.state().error
+    assert not taken
+
+
+def test_previews_outside_the_run_are_not_looked_at(
+    blender: ModuleType, spec, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import current
+
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "preview.ply").write_text("mine")
+    (tmp_path / "secret").write_text("not mine")
+    (run / "link.ply").symlink_to(tmp_path / "secret")
+    (run / "loop").symlink_to(run / "loop")
+    paths = [tmp_path / "secret", run / ".." / "secret", run / "link.ply", run / "loop", run,
+             "/etc/passwd", "/dev/zero", "preview.ply", "a\0b", run / "preview.ply"]  # fmt: skip
+    code = "\n".join(f"say(event='preview', path={str(path)!r})" for path in paths)
+    taken: list[Path] = []
+    for folder, expected in ((run, [run / "preview.ply"]), (None, [])):
+        taken.clear()
+        given = spec(folder=folder, on_preview=taken.append)
+        current.wait(current.start(fake(tmp_path / str(folder is None), code), given))
+        assert taken == expected
+
+
+def test_one_job_at_a_time_and_none_outlives_the_addon(
+    blender: ModuleType, spec, tmp_path: Path
+) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import current
+
+    engine = fake(tmp_path, LISTEN)
+    job = current.start(engine, spec())
+    assert current.busy()
+    with pytest.raises(AddonError, match="busy"):
+        current.start(engine, spec())
+    current.unregister()
+    assert not alive(job.process.pid) and not current.busy() and not spec.taken
+
+
+def test_a_failed_result_is_an_error(blender: ModuleType, spec, tmp_path: Path) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import current
+
+    def refuse() -> None:
+        raise AddonError("It does not fit.")
+
+    engine = fake(tmp_path, 'say(event="done", outputs={})')
+    assert current.wait(current.start(engine, spec(on_done=refuse))).message == "It does not fit."
+    assert current.state().error == "It does not fit."
+
+    def fall() -> None:
+        raise RuntimeError("oh")
+
+    assert "oh" in current.wait(current.start(engine, spec(on_done=fall))).message
+    assert not current.busy()
+
+
+def test_results_can_be_undone(
+    blender: ModuleType, spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With an undo step of their own, after they were imported."""
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import current, undo
+
+    steps: list[str] = []
+    monkeypatch.setattr(undo, "push", lambda title: steps.append(title))
+    engine = fake(tmp_path, 'say(event="done", outputs={})')
+
+    def take() -> None:
+        assert not steps
+
+    def refuse() -> None:
+        raise AddonError("It does not fit.")
+
+    assert not current.wait(current.start(engine, spec(on_done=take))).message
+    assert steps == ["Testing"]
+    current.wait(current.start(engine, spec(on_done=refuse)))
+    current.wait(current.start(fake(tmp_path / "2", 'say(event="done", stopped=True)'), spec()))
+    assert steps == ["Testing"]
+
+
+def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
+    """Called by the file browser, such an operator ends before its engine does."""
+    from roigs_addon.operators import photos, results, scene, train
+    from roigs_addon.operators.base import EngineOperator
+
+    running = (
+        *(photos.SelectCameras, results.RenderSplats, scene.ImportColmap),
+        train.TrainRoi,
+    )
+    assert set(EngineOperator.__subclasses__()) == set(running)
+    for cls in running:
+        assert cls.is_registered and "UNDO" not in getattr(cls, "bl_options", ())
+
+
+def test_esc_is_offered_where_it_is_heard(
+    blender: ModuleType, spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not after the file browser, whose operator has ended."""
+    from unittest.mock import MagicMock
+
+    from roigs_addon.jobs import current
+    from roigs_addon.ui import layout as panel
+
+    monkeypatch.setattr(panel, "say", lambda *_: None)
+    job = current.start(fake(tmp_path, LISTEN), spec())
+
+    def shown() -> str:
+        layout = MagicMock()
+        panel.progress(layout, current.state())
+        return str(layout.mock_calls)
+
+    assert "Esc" not in shown()
+    job.hears_esc = True
+    assert "Esc" in shown()
+    job.stop()
+    assert "Esc" not in shown()
+    current.wait(job)
+
+
+def test_a_python_that_does_not_start(blender: ModuleType, spec, tmp_path: Path) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import current
+
+    with pytest.raises(AddonError, match="cannot be started"):
+        current.start(Engine(python=tmp_path / "nowhere", source=tmp_path), spec())
+    assert not current.busy()

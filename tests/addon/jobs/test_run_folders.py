@@ -1,0 +1,225 @@
+"""Run folders: what outlives the extension, and which run a folder belongs to."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.addon.scenes import add_box, imported
+
+pytestmark = pytest.mark.blender
+
+
+def test_runs_of_unsaved_files_outlive_the_extension(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon import settings
+    from roigs_addon.jobs import run_folders
+
+    extension = tmp_path / ".user" / "roigs"
+    monkeypatch.setattr(settings, "ADDON", "bl_ext.user_default.roigs")
+    monkeypatch.setattr(blender.utils, "extension_path_user", lambda _: str(extension))
+    run = run_folders.run_folder(blender.context.scene)
+    assert not run.is_relative_to(extension)
+    assert run.is_relative_to(blender.utils.user_resource("DATAFILES"))
+    assert settings.environments().is_relative_to(extension)
+    assert settings.models_folder().is_relative_to(extension)
+    assert not extension.exists()
+
+
+def boxed(bpy: ModuleType, project: Path):
+    """The scene, ready for a job, in a file without a name."""
+    scene = imported(bpy, project)
+    add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    return scene
+
+
+def use(scene) -> Path:
+    """Do to the run folder what a job does; returns it."""
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import lookup
+
+    return options_files.write_select_options(scene, lookup.rois(scene)).parents[1]
+
+
+def save(bpy: ModuleType, path: Path, **options: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), **options)
+
+
+def opened(bpy: ModuleType, path: Path) -> Path:
+    """The run folder of a file's scene."""
+    from roigs_addon.jobs import run_folders
+
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return run_folders.run_folder(bpy.context.scene)
+
+
+def test_two_unsaved_files_of_one_project_have_two_folders(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import run_folders
+
+    first = use(boxed(blender, project))
+    save(blender, tmp_path / "a.blend")
+    assert run_folders.run_folder(blender.context.scene) == first
+    blender.ops.wm.read_homefile(use_empty=True)
+    second = use(boxed(blender, project))
+    assert first != second == run_folders.run_folder(blender.context.scene)
+    assert use(blender.context.scene) == second
+    save(blender, second.parents[2] / "home.blend")
+    save(blender, tmp_path / "b.blend")
+    assert opened(blender, second.parents[2] / "home.blend") == second
+    shutil.move(second.parents[2] / "home.blend", tmp_path / "moved.blend")
+    assert opened(blender, tmp_path / "moved.blend") == second
+    assert opened(blender, tmp_path / "a.blend") == first
+
+
+def test_two_scenes_of_a_file_have_two_folders(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import run_folders
+
+    first, second = boxed(blender, project), blender.data.scenes.new("zweite Szene")
+    second.roigs.colmap = first.roigs.colmap
+    save(blender, tmp_path / "g.blend")
+    proposed = [run_folders.run_folder(scene) for scene in (first, second)]
+    assert proposed == [tmp_path / "g_roigs", tmp_path / "g_zweite-Szene_roigs"]
+    assert [run_folders.settle(scene) for scene in (second, first)] == proposed[::-1]
+    copy = first.copy()
+    with pytest.raises(AddonError, match=r"also uses the run folder"):
+        run_folders.settle(copy)
+    copy.roigs.run_dir = ""
+    assert run_folders.settle(copy) not in proposed
+
+
+def test_the_run_is_found_wherever_the_file_is_saved(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import run_folders
+
+    home, scene = tmp_path / "home", boxed(blender, project)
+    save(blender, home / "g.blend")
+    run = use(scene)
+    assert run == home / "g_roigs"
+    save(blender, home / "g1.blend")
+    (tmp_path / "away" / "g_roigs").mkdir(parents=True)  # another project's
+    save(blender, tmp_path / "away" / "g.blend")
+    save(blender, tmp_path / "copy.blend", copy=True)
+    with pytest.raises(RuntimeError):
+        blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "nowhere" / "g.blend"))
+    assert run_folders.run_folder(scene) == run
+    for path in ("home/g1.blend", "away/g.blend", "copy.blend"):
+        assert opened(blender, tmp_path / path) == run, path
+    # A folder that is moved takes its run with it.
+    shutil.move(home, tmp_path / "moved")
+    assert opened(blender, tmp_path / "moved" / "g1.blend") == tmp_path / "moved" / "g_roigs"
+
+
+def test_a_relative_folder_of_the_users_own_stays_relative(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    settings = blender.context.scene.roigs
+    save(blender, tmp_path / "a" / "g.blend")
+    settings.run_dir = "//../runs/g"
+    save(blender, tmp_path / "b" / "c" / "copy.blend", copy=True)
+    assert settings.run_dir == "//../runs/g"
+    save(blender, tmp_path / "b" / "c" / "g.blend")
+    assert settings.run_dir == "//../../runs/g"
+    for path in ("copy.blend", "g.blend"):
+        assert opened(blender, tmp_path / "b" / "c" / path) == tmp_path / "runs" / "g"
+    absolute = blender.context.scene.roigs.run_dir = str(tmp_path / "elsewhere")
+    save(blender, tmp_path / "b" / "c" / "g.blend")
+    opened(blender, tmp_path / "b" / "c" / "g.blend")
+    assert blender.context.scene.roigs.run_dir == absolute
+
+
+def test_an_undo_keeps_the_folder(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+    from roigs_addon.jobs import run_folders
+
+    scene = boxed(blender, project)
+    blender.ops.ed.undo_push(message="before")
+    blender.ops.ed.undo_push(message="something")
+    run = use(scene)
+    blender.ops.ed.undo()
+    assert run_folders.run_folder(blender.context.scene) == run
+    blender.ops.ed.redo()
+    assert run_folders.run_folder(blender.context.scene) == run
+
+
+def test_a_result_finds_its_scene_and_no_other(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import run_folders
+
+    find = run_folders.finder(blender.context.scene)  # of an import
+    blender.ops.ed.undo_push(message="before")
+    blender.ops.ed.undo_push(message="something")
+    blender.ops.ed.undo()
+    blender.context.scene.name = "renamed"
+    assert find() == blender.context.scene
+    blender.ops.wm.read_homefile(use_empty=True)
+    assert find() is None
+    scene = boxed(blender, project)
+    save(blender, tmp_path / "other.blend")
+    save(blender, tmp_path / "g.blend")
+    use(scene)
+    find = run_folders.finder(scene)
+    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "other.blend"))
+    assert find() is None, "the same model and the same name, but its own folder"
+    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "g.blend"))
+    assert find() == blender.context.scene
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an unusable folder, the POSIX way")
+def test_an_unusable_folder_gives_one_line(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.facts import run_facts
+    from roigs_addon.jobs import options_files, render_job
+    from roigs_addon.scene import lookup
+
+    scene = boxed(blender, project)
+    scene.roigs.run_dir = str(tmp_path / "run")
+    (tmp_path / "run" / "blender").mkdir(parents=True)
+    for name in ("rois.json", "train.json", "path.json"):
+        (tmp_path / "run" / "blender" / name).mkdir()
+    for name in ("rois.json", "train.json"):
+        with pytest.raises(AddonError, match=r"cannot be created or written to .*Run Folder"):
+            options_files.write_train_options(scene, lookup.rois(scene), 0.0)
+        (tmp_path / "run" / "blender" / name).rmdir()
+    (tmp_path / "run" / "blender" / "selection").touch()
+    lookup.rois(scene)[0].roigs.selection.add().name = "photo 0.png"
+    with pytest.raises(AddonError, match=r"cannot be created or written to .*Run Folder"):
+        options_files.write_train_options(scene, lookup.rois(scene), 0.0)
+    (tmp_path / "run" / "result.ply").touch()
+    scene.camera = next(iter(lookup.cameras(scene).values()))
+    with pytest.raises(AddonError, match=r"cannot be created or written to .*Run Folder"):
+        render_job.spec(scene, "", animation=False)
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file" / "run", tmp_path / ("x" * 300)):
+        scene.roigs.run_dir = str(folder)
+        assert not run_facts.run(scene).result and not run_facts.is_file(folder)
+
+
+def test_an_unusable_cache_gives_one_line(
+    blender: ModuleType,
+    addon: ModuleType,
+    project: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from roigs_addon import settings
+    from roigs_addon.jobs import run_folders
+
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(settings, "_chosen_cache", lambda: tmp_path / "file" / "cache")
+    assert run_folders.run_folder(blender.context.scene)
+    with pytest.raises(RuntimeError, match=r"cannot be created or written to .*Cache Folder"):
+        blender.ops.roigs.import_colmap(directory=str(project))

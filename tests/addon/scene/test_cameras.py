@@ -1,0 +1,186 @@
+"""Blender's cameras against COLMAP's projection, in Blender."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.colmap_project import look_at_origin
+from tests.addon.geometry.test_frames import rotation
+
+pytestmark = pytest.mark.blender
+
+# width, height, fx, fy, cx, cy
+SHAPES = [
+    (640, 480, 600.0, 600.0, 320.0, 240.0),
+    (480, 640, 600.0, 600.0, 240.0, 320.0),
+    (4000, 3000, 3500.0, 2800.0, 2100.5, 1333.25),
+    (3000, 4000, 2800.0, 3500.0, 1222.5, 2345.75),
+    (1920, 1080, 900.0, 1500.0, 10.0, 1070.0),
+]
+ROOTS = ["plain", "turned", "scaled", "turned and scaled"]
+
+
+def photo(shape: tuple, pose: np.ndarray):
+    from roigs_addon.geometry.frames import Intrinsics
+    from roigs_addon.geometry.photo import Photo
+
+    keys = ("width", "height", "fx", "fy", "cx", "cy")
+    return Photo(
+        name="a.jpg",
+        path="",
+        intrinsics=Intrinsics(**dict(zip(keys, shape, strict=True))),
+        world_to_camera=tuple(tuple(row) for row in pose.tolist()),
+    )
+
+
+def new_root(bpy: ModuleType, kind: str):
+    from mathutils import Matrix
+
+    root = bpy.data.objects.new("root", None)
+    bpy.context.scene.collection.objects.link(root)
+    random = np.random.default_rng(4)
+    matrix = np.eye(4)
+    if "turned" in kind:
+        matrix[:3, :3] = rotation(random)
+        matrix[:3, 3] = 3, -2, 1
+    if "scaled" in kind:
+        matrix[:3, :3] *= 2.7
+    root.matrix_world = Matrix(matrix.tolist())
+    bpy.context.scene.roigs.root = root
+    return root
+
+
+def new_camera(bpy: ModuleType, shape: tuple, pose: np.ndarray, root):
+    from roigs_addon.scene import cameras
+
+    item = cameras.new_camera(photo(shape, pose), 0.1)
+    item.parent = root
+    bpy.context.scene.collection.objects.link(item)
+    cameras.activate(bpy.context.scene, item)
+    bpy.context.view_layer.update()
+    return item
+
+
+def blender_pixels(bpy: ModuleType, item, world: np.ndarray) -> np.ndarray:
+    """(N, 2) by Blender's own projection."""
+    from bpy_extras.object_utils import world_to_camera_view
+    from mathutils import Vector
+
+    scene = bpy.context.scene
+    share = scene.render.resolution_percentage / 100
+    size = int(scene.render.resolution_x * share), int(scene.render.resolution_y * share)
+    views = [world_to_camera_view(scene, item, Vector(point)) for point in world]
+    return np.array([(v.x * size[0], (1 - v.y) * size[1]) for v in views])
+
+
+def project(k, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    return local[:, :2] / local[:, 2:] * (k.fx, k.fy) + (k.cx, k.cy)
+
+
+@pytest.mark.parametrize("kind", ROOTS)
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: f"{s[0]}x{s[1]}")
+def test_points_fall_where_colmap_sees_them(
+    blender: ModuleType, addon: ModuleType, shape: tuple, kind: str
+) -> None:
+    pose = look_at_origin(np.array([2.0, -1.5, -3.0]))
+    root = new_root(blender, kind)
+    item = new_camera(blender, shape, pose, root)
+    points = np.random.default_rng(0).uniform(-0.8, 0.8, (200, 3))
+    world = points @ np.array(root.matrix_world)[:3, :3].T + np.array(root.matrix_world)[:3, 3]
+    seen = blender_pixels(blender, item, world)
+    wanted = project(photo(shape, pose).intrinsics, pose, points)
+    assert np.abs(seen - wanted).max() < 0.01
+
+
+@pytest.mark.parametrize("kind", ROOTS)
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: f"{s[0]}x{s[1]}")
+def test_what_goes_back_to_colmap_is_what_came(
+    blender: ModuleType, addon: ModuleType, shape: tuple, kind: str
+) -> None:
+    from roigs_addon.geometry import frames
+    from roigs_addon.scene import cameras, lookup
+
+    pose = look_at_origin(np.array([2.0, -1.5, -3.0]))
+    root = new_root(blender, kind)
+    item = new_camera(blender, shape, pose, root)
+    assert cameras.photo_of(item, root) == photo(shape, pose)
+    path_camera = cameras.scene_camera(blender.context.scene, root)
+    assert path_camera.intrinsics == photo(shape, pose).intrinsics
+    np.testing.assert_array_equal(path_camera.pose, pose)
+    # From Blender's matrices alone: 32-bit floats.
+    again = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
+    np.testing.assert_allclose(again, pose, atol=1e-5)
+
+
+def test_a_moved_camera_goes_where_it_was_moved(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon.scene import cameras
+
+    pose = look_at_origin(np.array([2.0, -1.5, -3.0]))
+    root = new_root(blender, "turned and scaled")
+    item = new_camera(blender, SHAPES[0], pose, root)
+    item.location.x += 0.5  # below the root: in COLMAP's units
+    blender.context.view_layer.update()
+    moved = cameras.photo_of(item, root).pose
+    before, after = (np.linalg.inv(matrix)[:3, 3] for matrix in (pose, moved))
+    np.testing.assert_allclose(after - before, [0.5, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(moved[:3, :3], pose[:3, :3], atol=1e-6)
+    assert cameras.scene_camera(blender.context.scene, root).intrinsics.fx == SHAPES[0][2]
+
+
+@pytest.mark.parametrize("percentage", [100, 50, 33])
+@pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
+@pytest.mark.parametrize(
+    ("width", "height", "aspect"), [(640, 480, (1, 1)), (480, 642, (1, 1)), (400, 300, (1, 1.6))]
+)
+def test_any_camera_of_blender_in_pixels(
+    blender: ModuleType,
+    addon: ModuleType,
+    fit: str,
+    percentage: int,
+    width: int,
+    height: int,
+    aspect: tuple,
+) -> None:
+    from mathutils import Matrix
+
+    from roigs_addon.scene import cameras
+
+    bpy, scene = blender, blender.context.scene
+    root = new_root(bpy, "turned and scaled")
+    data = bpy.data.cameras.new("own")
+    data.sensor_fit, data.lens, data.sensor_width, data.sensor_height = fit, 40.0, 30.0, 17.0
+    data.shift_x, data.shift_y = 0.11, -0.07
+    item = bpy.data.objects.new("own", data)
+    scene.collection.objects.link(item)
+    scene.camera = item
+    item.matrix_world = Matrix.LocRotScale((1.0, -6.0, 2.0), Matrix.Rotation(1.2, 3, "X"), None)
+    scene.render.resolution_x, scene.render.resolution_y = width, height
+    scene.render.resolution_percentage = percentage
+    scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
+    bpy.context.view_layer.update()
+    camera = cameras.scene_camera(scene, root)
+    size = width * percentage // 100, height * percentage // 100
+    assert (camera.intrinsics.width, camera.intrinsics.height) == size
+    local = np.random.default_rng(1).uniform(-1, 1, (50, 3))
+    to_world = np.array(root.matrix_world)
+    world = local @ to_world[:3, :3].T + to_world[:3, 3]
+    if percentage == 33:  # world_to_camera_view knows no rounded resolution
+        return
+    seen = blender_pixels(bpy, item, world)
+    assert np.abs(seen - project(camera.intrinsics, camera.pose, local)).max() < 0.01
+
+
+def test_a_camera_without_perspective_cannot_be_rendered(
+    blender: ModuleType, addon: ModuleType
+) -> None:
+    from roigs_addon.scene import cameras
+
+    item = new_camera(blender, SHAPES[0], look_at_origin(np.array([2.0, -1.5, -3.0])), None)
+    item.data.type = "ORTHO"
+    assert cameras.scene_camera(blender.context.scene, None) is None
+    blender.context.scene.camera = None
+    assert cameras.scene_camera(blender.context.scene, None) is None

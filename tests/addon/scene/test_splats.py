@@ -1,0 +1,230 @@
+"""Trained Gaussians in Blender: objects, attributes, renders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from roigs_addon.engine.run_files import BACKGROUND
+from tests.addon.colmap_project import read_png
+from tests.addon.scenes import command_line, drawn_points, imported
+from tests.addon.splat_cases import random_arrays, random_ply
+
+pytestmark = pytest.mark.blender
+
+SH_C0 = 0.28209479177387814
+
+
+def levels(scene) -> dict[str, object]:
+    from roigs_addon.scene import lookup
+
+    return {item.roigs.level: item for item in lookup.splats(scene)}
+
+
+def values(mesh, name: str) -> np.ndarray:
+    """(N, ...) of an attribute."""
+    from roigs_addon.scene.clouds import ATTRIBUTE_KEYS
+
+    attribute = mesh.attributes[name]
+    width = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}[attribute.data_type]
+    flat = np.empty(width * len(attribute.data), np.float32)
+    attribute.data.foreach_get(ATTRIBUTE_KEYS[attribute.data_type], flat)
+    return flat.reshape(-1, width).squeeze()
+
+
+def test_results_are_objects_below_the_root(blender: ModuleType, run) -> None:
+    scene, folder = run
+    assert blender.ops.roigs.load_results() == {"FINISHED"}
+    found = levels(scene)
+    assert set(found) == {"RESULT", "ROI", "SCENE"}
+    assert all(item.parent == scene.roigs.root for item in found.values())
+    assert [len(found[level].data.vertices) for level in ("RESULT", "ROI", "SCENE")] == [41, 42, 43]
+    assert found["ROI"].roigs.roi == "thing" == found["SCENE"].roigs.roi
+    assert Path(found["RESULT"].roigs.ply) == folder / BACKGROUND
+    assert not found["ROI"].hide_get() and not found["RESULT"].hide_get()
+    assert found["SCENE"].hide_get() and found["SCENE"].hide_render
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 16])
+def test_attributes(blender: ModuleType, run, coefficients: int) -> None:
+    scene, folder = run
+    random_ply(folder / "rois" / "thing.ply", 30, seed=9, coefficients=coefficients)
+    arrays = random_arrays(30, seed=9, coefficients=coefficients)
+    blender.ops.roigs.load_results()
+    item = levels(scene)["ROI"]
+    mesh = item.data
+    from roigs_addon.scene.clouds import positions
+
+    np.testing.assert_array_equal(positions(item), arrays["means"])
+    np.testing.assert_allclose(values(mesh, "scale"), np.exp(arrays["log_scales"]), rtol=1e-5)
+    opacity = 1 / (1 + np.exp(-arrays["logit_opacities"]))
+    np.testing.assert_allclose(values(mesh, "opacity"), opacity, rtol=1e-5)
+    quats = arrays["quats"] / np.linalg.norm(arrays["quats"], axis=1, keepdims=True)
+    np.testing.assert_allclose(values(mesh, "rotation"), quats, atol=1e-6)
+    radiance = values(mesh, "radiance:base")
+    np.testing.assert_array_equal(radiance[:, :3], arrays["sh"][:, 0])
+    np.testing.assert_allclose(radiance[:, 3], opacity, rtol=1e-5)
+    for index, name in enumerate((f"radiance:sh_{i}" for i in range(coefficients - 1)), start=1):
+        np.testing.assert_array_equal(values(mesh, name), arrays["sh"][:, index])
+    assert f"radiance:sh_{coefficients - 1}" not in mesh.attributes
+    srgb = np.clip(0.5 + SH_C0 * arrays["sh"][:, 0], 0, 1)
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(values(mesh, "Color")[:, :3], linear, atol=1e-5)
+
+
+def test_points_and_gaussians(blender: ModuleType, run) -> None:
+    """As points the objects have geometry in the viewport; as Gaussians they have none."""
+    scene, _ = run
+    blender.ops.roigs.load_results()
+    item = levels(scene)["RESULT"]
+    assert item.name not in drawn_points(blender)
+    blender.ops.roigs.show_points(points=True)
+    drawn = drawn_points(blender)[item.name]
+    assert drawn["points"] == 41 and drawn["radius"] > 0 and "opacity" in drawn["attributes"]
+    assert item.roigs.as_points
+    blender.ops.roigs.show_points(points=False)
+    assert item.name not in drawn_points(blender) and not item.roigs.as_points
+
+
+def test_coarse_and_fine(blender: ModuleType, run) -> None:
+    from roigs_addon.scene.splats import shown_levels
+
+    scene, _ = run
+    blender.ops.roigs.load_results()
+    for fine in (False, True):
+        blender.ops.roigs.set_detail(roi="thing", fine=fine)
+        found = levels(scene)
+        assert found["ROI"].hide_get() != fine == found["SCENE"].hide_get()
+        assert found["ROI"].hide_render != fine
+        assert shown_levels(scene) == {"thing": fine}
+    blender.ops.roigs.set_detail(roi="thing", fine=False)
+    blender.ops.roigs.load_results()  # something of the box is seen in any case
+    found = levels(scene)
+    assert not found["ROI"].hide_get() and not found["ROI"].hide_render
+    assert found["SCENE"].hide_get() and found["SCENE"].hide_render
+
+
+def test_new_results_replace_old_ones(blender: ModuleType, run) -> None:
+    bpy, (scene, folder) = blender, run
+    bpy.ops.roigs.load_results()
+    item = levels(scene)["ROI"]
+    item.name, item.location.x = "mine", 3.0
+    before = len(bpy.data.meshes), len(bpy.data.objects), len(bpy.data.node_groups)
+    random_ply(folder / "rois" / "thing.ply", 77, seed=5)
+    bpy.ops.roigs.load_results()
+    assert levels(scene)["ROI"] == item
+    assert (item.name, item.location.x, len(item.data.vertices)) == ("mine", 3.0, 77)
+    assert (len(bpy.data.meshes), len(bpy.data.objects), len(bpy.data.node_groups)) == before
+    (folder / "rois" / "thing.ply").write_bytes(b"ply\n")
+    with pytest.raises(RuntimeError, match=r"thing\.ply"):
+        bpy.ops.roigs.load_results()
+
+
+def test_archived_results_are_removed(blender: ModuleType, run) -> None:
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    others = [item for item in levels(scene).values() if item.roigs.level != "RESULT"]
+    data = [item.data for item in others]
+    assert len(data) == 2
+    random_ply(folder / "rois" / "other.ply", 7, seed=1)
+    archive = folder / "archive"
+    archive.mkdir()
+    for name in ("rois", "coarse"):
+        (folder / name / "thing.ply").rename(archive / f"{name}.ply")
+    names = [mesh.name for mesh in data]
+    blender.ops.roigs.load_results()
+    assert {item.roigs.roi for item in levels(scene).values()} == {"", "other"}
+    assert not any(name in blender.data.meshes for name in names)
+
+
+def test_previews_come_and_go(blender: ModuleType, run) -> None:
+    from roigs_addon.scene import splats
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    preview = splats.show_preview(scene, folder / "result.ply")
+    assert splats.show_preview(scene, folder / "result.ply") == preview
+    found = levels(scene)
+    assert found["ROI"].hide_get() and found["RESULT"].hide_get() and not preview.hide_get()
+    assert preview.parent == scene.roigs.root
+    blender.ops.roigs.load_results()
+    found = levels(scene)
+    assert "PREVIEW" not in found
+    assert not found["ROI"].hide_get() and found["SCENE"].hide_get()
+    # In a scene that no window shows.
+    other = blender.data.scenes.new("other")
+    splats.show_preview(other, folder / "result.ply")
+    splats.show_results(other, folder)
+    assert len(levels(other)) == 3
+
+
+def test_cycles_shows_them(blender: ModuleType, run, tmp_path: Path) -> None:
+    bpy, (scene, _) = blender, run
+    bpy.ops.roigs.load_results()
+    bpy.ops.roigs.look_through(photo="photo 0.png")
+    render = scene.render
+    try:
+        render.engine = "CYCLES"
+    except TypeError:
+        pytest.skip("this Blender has no Cycles")
+    scene.cycles.samples, scene.cycles.device = 8, "CPU"
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Standard"
+    render.resolution_x = render.resolution_y = 64
+    render.film_transparent = True
+    render.image_settings.file_format = "PNG"
+    render.filepath = str(tmp_path / "cycles.png")
+    bpy.ops.render.render(write_still=True)
+    picture = read_png(tmp_path / "cycles.png").astype(float)
+    assert (picture.max(axis=2) > 40).mean() > 0.01
+    assert picture.std(axis=2).max() > 10  # colours
+
+
+def test_render_is_the_engines_own(blender: ModuleType, run, engine, tmp_path: Path) -> None:
+    bpy, (scene, folder) = blender, run
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    scene.roigs.root.scale = 2, 2, 2
+    scene.roigs.root.location = 1, 2, 3
+    scene.frame_set(7)
+    assert bpy.ops.roigs.render() == {"FINISHED"}
+    mine = folder / "renders" / "0007.png"
+    arguments = ["--scene", scene.roigs.colmap, "--name", "photo 3.png", "--out", tmp_path / "own"]
+    command_line(engine, "render", folder / "result.ply", *arguments)
+    (own,) = (tmp_path / "own").rglob("*.png")
+    np.testing.assert_array_equal(read_png(mine), read_png(own))
+    assert read_png(mine).std() > 1
+    assert any(image.filepath.endswith("0007.png") for image in bpy.data.images)
+
+
+def test_an_animation_is_rendered_frame_by_frame(
+    blender: ModuleType, run, engine, tmp_path: Path
+) -> None:
+    bpy, (scene, folder) = blender, run
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    camera = scene.camera
+    for frame, x in ((1, 0.0), (5, 0.5)):
+        camera.location.x = x
+        camera.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 5, 2
+    scene.frame_set(4)
+    bpy.ops.roigs.render(animation=True, directory=str(tmp_path / "out"))
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        f"000{n}.png" for n in (1, 3, 5)
+    ]
+    assert scene.frame_current == 4
+    path = json.loads((folder / "blender" / "path.json").read_text("utf-8"))
+    x = [-np.linalg.inv(c["world_to_camera"])[0, 3] for c in path["cameras"]]
+    np.testing.assert_allclose(np.diff(x), np.diff(x)[0], atol=0.3)
+    camera.data.type = "ORTHO"
+    with pytest.raises(RuntimeError, match="not a perspective camera"):
+        bpy.ops.roigs.render()
+
+
+def test_nothing_to_load(blender: ModuleType, addon: ModuleType, project: Path) -> None:
+    imported(blender, project)
+    assert not blender.ops.roigs.load_results.poll()
+    assert not blender.ops.roigs.render.poll()

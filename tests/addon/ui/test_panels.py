@@ -1,0 +1,87 @@
+"""What the panels draw."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import pytest
+
+pytestmark = pytest.mark.blender
+
+
+def stand_in(cls: type):
+    """An object with a panel's methods; without a window Blender makes no panels."""
+    methods = {
+        name: value
+        for c in cls.__mro__
+        for name, value in vars(c).items()
+        if callable(value) and not name.startswith("__")
+    }
+    return type("Stand-in", (), methods)()
+
+
+class Layout:
+    """A layout that accepts everything, and keeps the labels."""
+
+    def __init__(self, labels: list[str]) -> None:
+        vars(self)["labels"] = labels
+
+    def __getattr__(self, name: str):
+        def take(*args: object, **keywords: object) -> Layout:
+            if name == "label":
+                self.labels.append(str(keywords.get("text", "")))
+            return Layout(self.labels)
+
+        return take
+
+    def __setattr__(self, name: str, value: object) -> None:
+        pass
+
+
+def said(bpy: ModuleType, cls: type) -> list[str]:
+    """The labels of a panel."""
+    panel = stand_in(cls)
+    panel.layout = Layout([])
+    panel.draw(bpy.context)
+    return panel.layout.labels
+
+
+def test_missing_files_are_named(blender: ModuleType, run) -> None:
+    from roigs_addon.facts import run_facts
+    from roigs_addon.ui.result import ResultPanel
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    assert run_facts.missing_splats(scene) == []
+    moved = folder.rename(folder.with_name("moved"))
+    assert run_facts.missing_splats(scene) == ["Background", "thing Gaussians", "thing coarse"]
+    assert any("Missing splat files: Background" in text for text in said(blender, ResultPanel))
+    scene.roigs.run_dir = str(moved)
+    blender.ops.roigs.load_results()
+    assert run_facts.missing_splats(scene) == []
+
+
+def test_panels_draw(blender: ModuleType, run) -> None:
+    """Every panel's `draw`, on a layout that accepts everything."""
+    from roigs_addon.jobs import current
+    from roigs_addon.ui import boxes, cameras, result, scene, train
+
+    panels = (
+        *(scene.ScenePanel, boxes.BoxesPanel, boxes.PlacePanel, cameras.CamerasPanel),
+        *(train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
+    )
+
+    def draw_all() -> None:
+        for cls in panels:
+            if not hasattr(cls, "poll") or cls.poll(blender.context):
+                said(blender, cls)
+
+    draw_all()
+    blender.ops.roigs.select_cameras()
+    blender.ops.roigs.load_results()
+    blender.ops.roigs.look_through(photo="photo 0.png")
+    draw_all()
+    current.state().error = "Something is wrong. " * 9
+    draw_all()
+    blender.ops.roigs.remove_roi()
+    draw_all()

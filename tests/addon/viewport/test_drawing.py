@@ -1,0 +1,139 @@
+"""The viewport's splats in a Blender, by the scripts in tests/blender.
+
+`ROIGS_BLENDER` names the Blenders: executables `blender`, or Pythons that have `bpy`, separated by
+the system's path separator. Without it, this Python is used when it has `bpy`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.addon.scenes import ROOT
+from tests.addon.splat_cases import random_ply
+
+pytestmark = pytest.mark.blender
+
+BLENDERS = [name for name in os.environ.get("ROIGS_BLENDER", "").split(os.pathsep) if name]
+if not BLENDERS and importlib.util.find_spec("bpy"):
+    BLENDERS = [__import__("bpy").app.binary_path or sys.executable]
+
+
+@pytest.fixture(params=BLENDERS or ["none"])
+def blender(request: pytest.FixtureRequest) -> str:
+    if not BLENDERS:
+        pytest.skip("no bpy here and no ROIGS_BLENDER")
+    return str(request.param)
+
+
+def run(blender: str, script: str, folder: Path) -> str:
+    """Output of a script of tests/blender in a folder; fails when the script does."""
+    command = [blender, str(ROOT / "tests" / "blender" / script), str(folder)]
+    if "python" not in Path(blender).name:
+        command = [blender, "-b", "--factory-startup", "--python-exit-code", "1"]
+        command += ["--python", str(ROOT / "tests" / "blender" / script), "--", str(folder)]
+    (folder / "resources").mkdir()
+    environment = {
+        **os.environ,
+        "BLENDER_USER_RESOURCES": str(folder / "resources"),
+        "LIBGL_ALWAYS_SOFTWARE": "1",
+        "PYTHONUNBUFFERED": "1",
+    }
+    environment.pop("PYTHONPATH", None)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def look_at_origin(eye: tuple[float, float, float]) -> np.ndarray:
+    """world_to_camera of a camera at `eye`."""
+    forward = -np.array(eye) / np.linalg.norm(eye)
+    right = np.cross(forward, [0.0, 0.1, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = [right, np.cross(forward, right), forward]
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
+
+
+def cameras() -> list[dict]:
+    """Square and oblong, off-centre, with fx ≠ fy, from outside and from among the Gaussians."""
+    shapes = [
+        ("outside", 160, 112, 170.0, 170.0, 80.0, 56.0, (2.2, -1.0, 0.7)),
+        ("shifted", 112, 160, 150.0, 120.0, 90.5, 50.25, (-1.0, 2.0, 1.2)),
+        ("inside", 160, 160, 90.0, 100.0, 70.0, 95.0, (0.3, 0.2, -0.2)),
+    ]
+    names = ("name", "width", "height", "fx", "fy", "cx", "cy")
+    return [
+        {
+            **dict(zip(names, shape[:7], strict=True)),
+            "world_to_camera": look_at_origin(shape[7]).tolist(),
+        }
+        for shape in shapes
+    ]
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_the_viewport_draws_what_the_engine_draws(
+    blender: str, tmp_path: Path, coefficients: int
+) -> None:
+    pytest.importorskip("torch")
+    from roigs_engine.model.gaussians import Gaussians
+    from roigs_engine.rasterize.camera_path import load_camera_path
+    from roigs_engine.rasterize.sequence import render_sequence
+
+    path = random_ply(tmp_path / "splats.ply", 1500, seed=5, coefficients=coefficients)
+    chosen = cameras() if coefficients == 16 else cameras()[:1]
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+    gaussians = Gaussians.load_ply(path)
+    render_sequence(gaussians, load_camera_path(tmp_path / "cameras.json"), tmp_path)
+    assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
+
+
+def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
+    """The composition of `make demo`, or of the run folder that `ROIGS_DEMO_RUN` names."""
+    pytest.importorskip("torch")
+    result = Path(os.environ.get("ROIGS_DEMO_RUN", ROOT / "runs" / "demo")) / "result.ply"
+    if not result.is_file():
+        pytest.skip("the demo has not been trained")
+    from roigs_engine import load_colmap
+    from roigs_engine.model.gaussians import Gaussians
+    from roigs_engine.rasterize.camera_path import load_camera_path
+    from roigs_engine.rasterize.sequence import render_sequence
+
+    (tmp_path / "splats.ply").symlink_to(result.resolve())
+    chosen = []
+    for image in load_colmap(ROOT / "demo" / "scene").images[::30]:
+        camera, shrink = image.camera, 320 / image.camera.width
+        width, height = 320, round(camera.height * shrink)
+        chosen.append(
+            {
+                "name": image.name.replace("/", " "),
+                "width": width,
+                "height": height,
+                "fx": camera.fx * shrink,
+                "fy": camera.fy * shrink,
+                "cx": camera.cx * shrink,
+                "cy": camera.cy * shrink,
+                "world_to_camera": image.world_to_camera.tolist(),
+            }
+        )
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+    gaussians = Gaussians.load_ply(result)
+    render_sequence(gaussians, load_camera_path(tmp_path / "cameras.json"), tmp_path)
+    run(blender, "viewport_parity.py", tmp_path)
+
+
+def test_the_viewport_draws_objects_as_they_lie(blender: str, tmp_path: Path) -> None:
+    random_ply(tmp_path / "a.ply", 600, seed=1)
+    random_ply(tmp_path / "b.ply", 400, seed=2, coefficients=4)
+    run(blender, "viewport_checks.py", tmp_path)
