@@ -207,10 +207,20 @@ def test_the_engine_knows_nothing_of_blender() -> None:
         assert not outside(path) & {"bpy", "mathutils", "gpu", ADDON}, name
 
 
-def test_the_addon_knows_nothing_of_the_engines_code() -> None:
-    forbidden = {"torch", "pycolmap", "sklearn", "scipy", ENGINE}
+def test_the_addon_knows_nothing_of_the_engine_but_its_formats() -> None:
+    forbidden = {"torch", "pycolmap", "sklearn", "scipy"}
     for name, path in {**files(ADDON), "__init__": ROOT / "__init__.py"}.items():
         assert not outside(path) & forbidden, name
+        of_engine = {e.target for e in imports(path) if e.target.split(".")[0] == ENGINE}
+        assert name == f"{ADDON}.shared" or not of_engine, name
+        assert {unit(target) for target in of_engine} <= set(SHARED), name
+
+
+def test_formats_need_numpy_alone() -> None:
+    for name, path in files(ENGINE).items():
+        if unit(name) in SHARED:
+            foreign = outside(path) - set(sys.stdlib_module_names) - {ENGINE}
+            assert foreign <= {"numpy"}, name
 
 
 def test_pycolmap_stays_where_photos_are_undistorted() -> None:

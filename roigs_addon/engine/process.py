@@ -1,6 +1,6 @@
 """One engine command as a child process: started, listened to, stopped. No bpy.
 
-The engine writes one JSON line per event to its standard output (formats/events.py) and text for
+The engine writes one JSON line per event to its standard output (`shared.events`) and text for
 people to standard error. It stops when its standard input ends, so no engine outlives Blender.
 Threads only queue what arrives; the owner takes it from the queue, on Blender's main thread.
 """
@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from ..formats.events import FINAL, Event, in_words, parse_event, read_lines
+from ..shared import events
 from .command import HIDDEN, Engine
+from .event_log import in_words, read_lines
 
 MAX_WAITING = 10_000  # events that nobody has taken: further ones are dropped, except the final one
 KEPT_LINES = 200
@@ -61,8 +62,8 @@ class EngineProcess:
         Raises:
             OSError: the Python could not be started.
         """
-        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        self._final: Event | None = None
+        self._events: queue.SimpleQueue[events.Record] = queue.SimpleQueue()
+        self._final: events.Record | None = None
         self._log = _Log(log)
         self._log.write(f"{time.strftime('%Y-%m-%d')} roigs_engine {' '.join(arguments)}")
         self._process = subprocess.Popen(
@@ -89,15 +90,15 @@ class EngineProcess:
         """The operating system's number of the process."""
         return int(self._process.pid)
 
-    def events(self) -> list[Event]:
+    def events(self) -> list[events.Record]:
         """What has arrived since the last call, in order; the final event is held back."""
-        arrived: list[Event] = []
+        arrived: list[events.Record] = []
         while True:
             try:
                 event = self._events.get_nowait()
             except queue.Empty:
                 return arrived
-            if event["event"] in FINAL:
+            if event["event"] in events.FINAL:
                 self._final = event
             else:
                 arrived.append(event)
@@ -156,11 +157,11 @@ class EngineProcess:
     def _read_events(self) -> None:
         assert self._process.stdout is not None
         for line in read_lines(self._process.stdout):
-            event = parse_event(line)
+            event = events.parse_event(line)
             if event is None:
                 self._log.note(line)
                 continue
-            if event["event"] in FINAL or self._events.qsize() < MAX_WAITING:
+            if event["event"] in events.FINAL or self._events.qsize() < MAX_WAITING:
                 self._events.put(event)
             self._log.take(event)
 
@@ -181,7 +182,7 @@ class _Log:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("a", encoding="utf-8")
 
-    def take(self, event: Event) -> None:
+    def take(self, event: events.Record) -> None:
         """An event in words; of progress, a line now and then."""
         if event["event"] == "progress":
             now = time.monotonic()

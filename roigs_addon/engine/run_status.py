@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..formats.lock import holder
-from . import run_files
+from ..shared import lock, run_files
 
 TrainedBox = tuple[Any, Any]
 """world_to_box and half_extents, as the file has them."""
@@ -47,14 +46,14 @@ def read(folder: Path) -> RunStatus:
 
 
 def _read(folder: Path) -> RunStatus:
-    stages = sorted(folder.glob(run_files.STAGE_DONE), key=_age)
-    left = [path.parent.name for path in folder.glob(run_files.STAGE_LEFT)]
+    stages = sorted(folder.glob(f"*/{run_files.STAGE}"), key=_age)
+    left = [path.parent.name for path in folder.glob("*/checkpoint*.bin")]
     return RunStatus(
         done=tuple(path.parent.name for path in stages),
         left=left[0] if left else "",
         result=(folder / run_files.RESULT).is_file(),
         boxes=_boxes(folder / run_files.MANIFEST),
-        holder=holder(folder / run_files.LOCK),
+        holder=lock.holder(folder / run_files.LOCK),
     )
 
 

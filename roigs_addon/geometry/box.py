@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..shared import rois
 from .frames import Matrix, nearest_rotation
 
 
@@ -16,6 +17,17 @@ class Box:
 
     world_to_box: Matrix
     half_extents: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, record: rois.RoiRecord) -> Box:
+        """The box that a file describes."""
+        return cls(world_to_box=record.world_to_box, half_extents=record.half_extents)
+
+    def record(self, name: str) -> rois.RoiRecord:
+        """The box as a file describes it."""
+        return rois.RoiRecord(
+            name=name, world_to_box=self.world_to_box, half_extents=self.half_extents
+        )
 
     def contains(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
         """(N,) which of the points (N, 3) lie inside."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from ..engine.command import Engine
 from ..engine.process import EngineProcess, JobResult
 from ..errors import AddonError
-from ..formats.events import Event
+from ..shared import events
 from .spec import JobSpec, nothing
 from .state import STOPPED, STOPPING, JobState
 
@@ -88,7 +88,7 @@ class Job:
         self.process.kill()
         self.process.wait(seconds)
 
-    def _take(self, event: Event) -> None:
+    def _take(self, event: events.Record) -> None:
         self.state.take(event)
         if event["event"] == "message":
             self.messages.append(event.get("text", ""))

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from .. import settings
-from ..engine import run_files
+from ..engine import own_files
 from ..errors import AddonError, writing
 from ..properties import object_props, scene_props
 from ..scene import rois
@@ -57,7 +57,7 @@ def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) 
     values = common_options(scene, boxes)
     if not values["test_every"]:
         del values["test_every"]
-    return _write(scene, run_files.SELECT_OPTIONS, boxes, values)
+    return _write(scene, own_files.SELECT_OPTIONS, boxes, values)
 
 
 def write_train_options(
@@ -75,7 +75,7 @@ def write_train_options(
     }
     if any(len(object_props(box).selection) for box in boxes):
         values["selection"] = str(_write_selections(scene, boxes))
-    return _write(scene, run_files.TRAIN_OPTIONS, boxes, values)
+    return _write(scene, own_files.TRAIN_OPTIONS, boxes, values)
 
 
 def _write(
@@ -95,7 +95,7 @@ def own_folder(scene: bpy.types.Scene) -> Path:
     Raises:
         AddonError: it cannot be created.
     """
-    folder = run_folders.settle(scene) / run_files.OWN
+    folder = run_folders.settle(scene) / own_files.OWN
     with writing(folder, "Run Folder"):
         folder.mkdir(exist_ok=True)
     return folder
@@ -103,7 +103,7 @@ def own_folder(scene: bpy.types.Scene) -> Path:
 
 def _write_selections(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
     """Write the photos of each box that has a list; the engine selects for the other boxes."""
-    folder = own_folder(scene) / run_files.MANUAL_SELECTION
+    folder = own_folder(scene) / own_files.MANUAL_SELECTION
     with writing(folder, "Run Folder"):
         folder.mkdir(exist_ok=True)
         for old in folder.glob("*.json"):

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import bpy
 
-from ..engine import run_files
+from ..engine import own_files
 from ..errors import writing
 from ..scene.camera_path import camera_path
+from ..shared import run_files
 from . import options_files, run_folders
 from .spec import RENDERING, JobSpec
 
@@ -27,8 +28,8 @@ def spec(scene: bpy.types.Scene, directory: str, *, animation: bool) -> JobSpec:
             be written to.
     """
     folder = run_folders.run_folder(scene)
-    out = Path(bpy.path.abspath(directory)) if directory else folder / run_files.RENDERS
-    path = folder / run_files.OWN / run_files.CAMERA_PATH
+    out = Path(bpy.path.abspath(directory)) if directory else folder / own_files.RENDERS
+    path = folder / own_files.OWN / own_files.CAMERA_PATH
     cameras = camera_path(scene, animation=animation)
     with writing(folder, "Run Folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -45,6 +46,6 @@ def spec(scene: bpy.types.Scene, directory: str, *, animation: bool) -> JobSpec:
     return JobSpec(
         title=RENDERING,
         arguments=["render", result, *where, *options_files.machine_options()],
-        log=run_files.log_file(folder),
+        log=own_files.log_file(folder),
         on_done=load,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..engine import run_files
+from ..engine import own_files
 from ..engine.python import FOR_GAUSSIAN_PROCESS, FOR_READING
 from ..properties import scene_props
 from ..scene import lookup, selections
@@ -21,7 +21,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
         AddonError: something is missing, or the run folder cannot be written to.
     """
     options = options_files.write_select_options(scene, boxes)
-    out = options.parent / run_files.SELECTED
+    out = options.parent / own_files.SELECTED
     names, find = {box.name for box in boxes}, run_folders.finder(scene)
 
     def take() -> None:
@@ -33,7 +33,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
     return JobSpec(
         title=SELECTING,
         arguments=["select", str(options), "--out", str(out)],
-        log=run_files.log_file(run_folders.run_folder(scene)),
+        log=own_files.log_file(run_folders.run_folder(scene)),
         on_done=take,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..formats.events import Event
+from ..shared import events
 
 STOPPING = "Stopping …"
 STOPPED = "Stopped. Press 'Continue' to resume."
@@ -36,7 +36,7 @@ class JobState:
     message: str = ""
     error: str = ""
 
-    def take(self, event: Event) -> None:
+    def take(self, event: events.Record) -> None:
         """Follow an event of the engine."""
         match event["event"]:
             case "stagestarted":

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..engine import run_files
+from ..engine import own_files
 from ..engine.run_status import RunStatus
 from ..scene import lookup, splats
 from ..windows import redraw
@@ -37,7 +37,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
     return JobSpec(
         title=TRAINING,
         arguments=["train", str(options), "--run-dir", str(folder)],
-        log=run_files.log_file(folder),
+        log=own_files.log_file(folder),
         folder=folder,
         on_preview=preview,
         on_done=take,

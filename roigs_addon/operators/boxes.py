@@ -13,7 +13,6 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..blender import registration, scene_of, view_layer_of
 from ..errors import AddonError
-from ..formats.rois import from_corners, read_rois
 from ..properties import object_props, scene_props
 from ..scene import lookup, rois, selections
 from .base import FRESH, NO_BOX, available, box_problem, failed
@@ -68,10 +67,8 @@ class AddBox(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add it below the root, so that it moves with the root."""
         try:
-            box = from_corners(self.low, self.high)
+            box = rois.between(self.name, self.low, self.high)
             rois.add_boxes(scene_of(context), {self.name: box})
-        except ValueError as error:
-            return failed(self, f"Box '{self.name}' has no volume: {error}.")
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}
@@ -91,7 +88,7 @@ class LoadRois(bpy.types.Operator, ImportHelper):  # type: ignore[misc] # the st
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add its boxes, which are in the COLMAP frame, below the root."""
         try:
-            boxes = read_rois(Path(bpy.path.abspath(self.filepath)))
+            boxes = rois.read(Path(bpy.path.abspath(self.filepath)))
             rois.add_boxes(scene_of(context), boxes)
         except AddonError as error:
             return failed(self, error)

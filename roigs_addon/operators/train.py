@@ -10,7 +10,7 @@ from bpy.props import BoolProperty
 
 from .. import blender
 from ..blender import registration, scene_of
-from ..engine.run_files import log_file
+from ..engine.own_files import log_file
 from ..facts import engine_ability, run_facts
 from ..jobs import current, run_folders, train_job
 from ..jobs.spec import JobSpec

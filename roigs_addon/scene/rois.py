@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,12 @@ from numpy.typing import NDArray
 
 from .. import blender
 from ..blender import mesh_of
-from ..engine.run_files import ROIS
+from ..engine.own_files import ROIS
 from ..errors import AddonError
-from ..formats.names import can_name_a_file
-from ..formats.rois import write_rois
 from ..geometry.box import Box
 from ..properties import object_props, scene_props
+from ..shared import EngineError
+from ..shared import rois as roi_format
 from . import lookup
 
 Place = tuple[Vector, Vector]
@@ -175,11 +176,10 @@ def file_name(roi: bpy.types.Object) -> str:
     Raises:
         AddonError: it cannot name a file.
     """
-    if not can_name_a_file(roi.name):
-        raise AddonError(
-            f"'{roi.name}' cannot name a file. Rename the box, without / \\ : * ? \" < > |"
-        )
-    return roi.name
+    try:
+        return roi_format.check_roi_name(roi.name)
+    except EngineError as error:
+        raise AddonError(str(error)) from error
 
 
 def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> Path:
@@ -189,5 +189,30 @@ def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -
         AddonError: one is not a box, or its name cannot name a file.
     """
     path = folder / ROIS
-    write_rois(path, [(file_name(roi), lookup.box(roi, scene)) for roi in boxes])
+    records = [lookup.box(roi, scene).record(file_name(roi)) for roi in boxes]
+    path.write_text(roi_format.rois_document(records), encoding="utf-8")
     return path
+
+
+def read(path: Path) -> dict[str, Box]:
+    """The boxes of a `rois.json` by name.
+
+    Raises:
+        AddonError: it cannot be read, or one of its entries is not a box.
+    """
+    try:
+        return {record.name: Box.of(record) for record in roi_format.read_rois(path)}
+    except EngineError as error:
+        raise AddonError(str(error)) from error
+
+
+def between(name: str, low: Sequence[float], high: Sequence[float]) -> Box:
+    """The box between two corners, along the axes of the COLMAP frame.
+
+    Raises:
+        AddonError: it has no volume.
+    """
+    try:
+        return Box.of(roi_format.RoiRecord.between(name, low, high))
+    except EngineError as error:
+        raise AddonError(str(error)) from error

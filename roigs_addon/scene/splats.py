@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blender import mesh_of
-from ..engine import run_files
 from ..errors import AddonError
-from ..formats.splat_ply import SplatCloud, read_splats
+from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..properties import object_props, scene_props
+from ..shared import run_files
 from . import clouds, lookup, native_splats
 
 if TYPE_CHECKING:

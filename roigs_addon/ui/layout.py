@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import blender
-from ..engine.run_files import stage_in_words
+from ..engine.own_files import stage_in_words
 from ..jobs import current
 from ..jobs.state import JobState
 from ..operators import train

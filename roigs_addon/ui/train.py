@@ -6,7 +6,7 @@ import bpy
 
 from .. import settings
 from ..blender import layout_of, registration, scene_of
-from ..engine.run_files import stage_in_words
+from ..engine.own_files import stage_in_words
 from ..engine.run_status import RunStatus
 from ..facts import engine_ability, run_facts
 from ..jobs import current, run_folders

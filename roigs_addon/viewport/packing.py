@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..formats.splat_ply import SplatCloud
+from ..geometry.splat_cloud import SplatCloud
 
 Float32 = NDArray[np.float32]
 

@@ -12,7 +12,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from ..formats.splat_ply import SplatCloud, read_splats
+from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..worker import Worker
 from . import shaders, targets
 from .objects import FileKey, SplatObject

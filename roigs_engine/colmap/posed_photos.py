@@ -15,8 +15,9 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import RunFolderError, SceneError
 from ..formats.events import StageStarted
+from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
-from ..model.scene import FAR, Camera, Float64, PosedImage
+from ..model.scene import Camera, Float64, PosedImage
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, check_whole, photo_size
 from .records import NO_IDS, Model, ModelCamera, ModelImage

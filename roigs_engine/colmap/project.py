@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.events import Message
-from ..model.scene import FAR, Float64, Int64, SfmScene
+from ..formats.rois import FAR
+from ..model.scene import Float64, Int64, SfmScene
 from ..photos.files import PhotoFolder, find_photos
 from .model_files import count_images, model_suffix, read_model
 from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.scene import FAR, Float64, Int64
+from ..formats.rois import FAR
+from ..model.scene import Float64, Int64
 
 # COLMAP's camera models: (name, number of parameters), indexed by the id in binary files.
 CAMERA_MODELS = (

@@ -69,6 +69,18 @@ class Failed:
 
 
 Event = StageStarted | Progress | Message | Preview | Done | Failed
+Record = dict[str, Any]
+"""An event as it was read: `event`, its name, and those of its fields that are present."""
+
+_KINDS = {"str": str, "int": int, "float": float, "bool": bool, "dict[str, str]": dict}
+FIELDS: dict[str, dict[str, type]] = {
+    kind.__name__.lower(): {f.name: _KINDS[str(f.type)] for f in dataclasses.fields(kind)}
+    for kind in (StageStarted, Progress, Message, Preview, Done, Failed)
+}
+"""The fields of each event, by its name in JSON; readers ignore anything else on a line."""
+FINAL = ("done", "failed")
+MAX_NUMBER = 1 << 31  # what Blender's integers hold
+MAX_LINE = 1 << 16  # characters; a longer line is not an event
 
 
 def to_json(event: Event) -> str:
@@ -83,3 +95,44 @@ def to_json(event: Event) -> str:
     line = json.dumps(record, ensure_ascii=False, allow_nan=False)
     # A file name that is no UTF-8 comes with surrogates, which no stream could write.
     return line.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def parse_event(line: str) -> Record | None:
+    """The event on a line, or None if the line is not an event.
+
+    Whatever wrote the line: the record holds the fields that are present with the right type,
+    finite numbers, printable text, and paths as they are.
+    """
+    if len(line) > MAX_LINE:
+        return None
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    name = record.get("event") if isinstance(record, dict) else None
+    if not isinstance(name, str) or name not in FIELDS:
+        return None
+    event = {"event": name}
+    for key, kind in FIELDS[name].items():
+        value = _typed(record.get(key), kind)
+        if value is not None:
+            event[key] = value if key == "path" else _printable(value)
+    return event
+
+
+def _typed(value: Any, kind: type) -> Any:
+    """The value if it is of that kind, else None."""
+    if kind is dict and isinstance(value, dict):
+        return {key: path for key, path in value.items() if isinstance(path, str)}
+    if kind in (int, float):
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        # The comparison is exact for integers of any size, and False for NaN.
+        return kind(value) if number and abs(value) < MAX_NUMBER else None
+    return value if isinstance(value, kind) else None
+
+
+def _printable(value: Any) -> Any:
+    """Text as a single line of printable characters, which is what Blender's properties accept."""
+    if not isinstance(value, str):
+        return value
+    return "".join(c if c.isprintable() else " " for c in value)

@@ -108,8 +108,45 @@ def _lock(file: BinaryIO) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+def holder(path: Path) -> int:
+    """The process that holds a lock file; 0 when nobody does, as after an engine was killed."""
+    try:
+        with open(path, "r+b") as file:
+            return _recorded(path) if _is_locked(file) else 0
+    except OSError:
+        return 0
+
+
+def _is_locked(file: BinaryIO) -> bool:
+    """Whether another process has the lock; if none has, it is taken and given back at once."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            _lock(file)
+        except BlockingIOError:
+            return True
+        file.seek(LOCKED_BYTE)
+        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
+        return False
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
+
+
+def _recorded(path: Path) -> int:
+    """The process that the file names; 0 where it names none."""
+    with suppress(OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        return int(json.loads(path.read_text(encoding="utf-8"))["pid"])
+    return 0
+
+
 def _holder(path: Path) -> str:
-    """', process N', when the file says so."""
-    with suppress(OSError, ValueError, TypeError, KeyError):
-        return f", process {int(json.loads(path.read_text(encoding='utf-8'))['pid'])}"
-    return ""
+    """ ", process N", when the file says so."""
+    process = _recorded(path)
+    return f", process {process}" if process else ""

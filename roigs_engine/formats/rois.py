@@ -19,7 +19,8 @@ from ..errors import RoiError
 from .names import MAX_NAME, first_taken, is_file_name
 
 Float64 = NDArray[np.float64]
-NAME_HINT = f"Use at most {MAX_NAME} letters, digits, spaces, - and _."
+FAR = 1e15  # world units; larger coordinates are damage, and their squares overflow float32
+NAME_HINT = f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +37,18 @@ class RoiRecord:
     world_to_box: Float64
     half_extents: Float64
 
+    def __post_init__(self) -> None:
+        check_box(self.name, self.world_to_box, self.half_extents)
+
+    @classmethod
+    def between(cls, name: str, low: Any, high: Any) -> RoiRecord:
+        """The box between two corners, (3,) each, along the axes of the COLMAP frame."""
+        low_, high_ = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+        transform = np.eye(4)
+        with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
+            transform[:3, 3] = -(low_ + high_) / 2
+            return cls(name=name, world_to_box=transform, half_extents=(high_ - low_) / 2)
+
     def to_dict(self) -> dict[str, Any]:
         """The form that `roi_record` reads."""
         return {
@@ -48,8 +61,21 @@ class RoiRecord:
 def check_roi_name(name: str) -> str:
     """The name; RoiError where files cannot be called by it on every system."""
     if not is_file_name(name):
-        raise RoiError(f"Box name '{name:.{MAX_NAME}}' cannot be used in file names.", NAME_HINT)
+        raise RoiError(f"'{name:.{MAX_NAME}}' cannot name a file.", NAME_HINT)
     return name
+
+
+def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
+    """Raise RoiError where the numbers are not a box's."""
+    numbers = np.concatenate([world_to_box.ravel(), half_extents])
+    if not (np.abs(numbers) < FAR).all():  # nor is it for NaN
+        raise RoiError(f"Box '{name}' holds a number that is not finite or far too large.")
+    if not (half_extents > 0).all():
+        sides = " x ".join(f"{2 * side:g}" for side in half_extents)
+        raise RoiError(
+            f"Box '{name}' is empty: its sides are {sides}.",
+            "Make every side longer than zero (min < max).",
+        )
 
 
 def roi_record(record: Any) -> RoiRecord:
@@ -65,7 +91,7 @@ def roi_record(record: Any) -> RoiRecord:
         if "min" in record:
             low = np.asarray(record["min"], dtype=float).reshape(3)
             high = np.asarray(record["max"], dtype=float).reshape(3)
-            return _between(name, low, high)
+            return RoiRecord.between(name, low, high)
         transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
         half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
     except (KeyError, ValueError, TypeError, OverflowError) as error:
@@ -82,14 +108,6 @@ def roi_record(record: Any) -> RoiRecord:
             "Put the box's size into half_extents.",
         )
     return RoiRecord(name=name, world_to_box=transform, half_extents=half_extents)
-
-
-def _between(name: str, low: Float64, high: Float64) -> RoiRecord:
-    """The box between two corners, (3,) each."""
-    transform = np.eye(4)
-    with np.errstate(all="ignore"):  # the sum of two huge corners is refused as it is
-        transform[:3, 3] = -(low + high) / 2
-        return RoiRecord(name=name, world_to_box=transform, half_extents=(high - low) / 2)
 
 
 def read_rois(path: Path) -> list[RoiRecord]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
-from ..formats.rois import RoiRecord, read_rois, roi_record
-from .scene import FAR, Camera, Float64
+from ..formats.rois import RoiRecord, check_box, read_rois, roi_record
+from .scene import Camera, Float64
 from .silhouette import convex_hull, fill_convex
 
 # A vertex of the clipped box lies at least this share of the box's size in front of the camera.
@@ -36,15 +36,7 @@ class OrientedBox:
     half_extents: Float64
 
     def __post_init__(self) -> None:
-        numbers = np.concatenate([self.world_to_box.ravel(), self.half_extents])
-        if not (np.abs(numbers) < FAR).all():  # nor is it for NaN
-            raise RoiError(f"Box '{self.name}' holds a number that is not finite or far too large.")
-        if not (self.half_extents > 0).all():
-            sides = " x ".join(f"{2 * side:g}" for side in self.half_extents)
-            raise RoiError(
-                f"Box '{self.name}' is empty: its sides are {sides}.",
-                "Make every side longer than zero (min < max).",
-            )
+        check_box(self.name, self.world_to_box, self.half_extents)
 
     @classmethod
     def from_record(cls, record: RoiRecord) -> OrientedBox:
@@ -58,10 +50,7 @@ class OrientedBox:
     @classmethod
     def axis_aligned(cls, name: str, low: Any, high: Any) -> OrientedBox:
         """The box between the corners `low` and `high`, both (3,), in world units."""
-        low_, high_ = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-        transform = np.eye(4)
-        transform[:3, 3] = -(low_ + high_) / 2
-        return cls(name=name, world_to_box=transform, half_extents=(high_ - low_) / 2)
+        return cls.from_record(RoiRecord.between(name, low, high))
 
     @property
     def centre(self) -> Float64:

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-FAR = 1e15  # world units; larger coordinates are damage, and their squares overflow float32
-
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:

@@ -15,7 +15,7 @@ from types import ModuleType
 
 import pytest
 
-from roigs_addon.engine.run_files import BACKGROUND
+from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.colmap_project import write_project
 from tests.addon.scenes import ready
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from roigs_addon.engine.command import Engine
 from roigs_addon.engine.process import EngineProcess, JobResult
 from roigs_addon.engine.python import own_python
-from roigs_addon.formats.events import Event
+from roigs_engine.formats.events import Record as Event
 
 PYTHON = Path(os.environ.get("ROIGS_TEST_PYTHON") or own_python())
 

@@ -58,10 +58,9 @@ def status(scene):
 
 def record(roi, scene) -> dict[str, object]:
     """A box as `rois.json` has it."""
-    from roigs_addon.formats.rois import to_record
     from roigs_addon.scene import lookup
 
-    return to_record(roi.name, lookup.box(roi, scene))
+    return lookup.box(roi, scene).record(roi.name).to_dict()
 
 
 def command_line(engine, *arguments: object) -> subprocess.CompletedProcess[str]:

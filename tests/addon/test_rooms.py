@@ -10,9 +10,8 @@ import roigs_addon
 
 PACKAGE = Path(roigs_addon.__path__[0])
 ROOMS = (
-    {"errors", "worker"},
+    {"errors", "shared", "worker"},
     {"geometry"},
-    {"formats"},
     {"engine"},
     {"blender", "properties"},
     {"settings", "windows"},
@@ -36,8 +35,8 @@ def imports(module: str) -> Iterator[str]:
     path = MODULES[module]
     package = path.relative_to(PACKAGE).parts[:-1]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if not isinstance(node, ast.ImportFrom) or not node.level:
-            continue
+        if not isinstance(node, ast.ImportFrom) or not 0 < node.level <= len(package) + 1:
+            continue  # of other packages, or above the add-on: the engine, in `shared`
         stem = [*package[: len(package) - node.level + 1], *filter(None, [node.module])]
         for alias in node.names:
             deeper = ".".join([*stem, alias.name])

@@ -20,7 +20,7 @@ from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from roigs_addon import properties
-from roigs_addon.formats.splat_ply import read_splats
+from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_addon.scene import clouds
 from roigs_addon.viewport import draw, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects

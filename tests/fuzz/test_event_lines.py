@@ -11,7 +11,8 @@ import pytest
 from hypothesis import example, given, seed, settings
 from hypothesis import strategies as st
 
-from roigs_addon.formats.events import FIELDS, MAX_LINE, MAX_NUMBER, parse_event, read_lines
+from roigs_addon.engine.event_log import read_lines
+from roigs_engine.formats.events import FIELDS, MAX_LINE, MAX_NUMBER, parse_event
 from tests.fuzz.cases import SEED
 
 ODD_NUMBERS = [float("nan"), float("inf"), 1e308, 2**31, -(10**400), 2**63, True]

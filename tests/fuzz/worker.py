@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.memory import resident
-from roigs_addon.formats.splat_ply import read_splats
+from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_engine import cli
 from roigs_engine.commands import train
 from roigs_engine.errors import EngineError

@@ -8,7 +8,7 @@ import pytest
 
 from roigs_addon.engine.command import Engine
 from roigs_addon.engine.process import EngineProcess
-from roigs_addon.formats.events import parse_event
+from roigs_engine.formats.events import parse_event
 from tests.addon.fake_engine import LISTEN, fake, finished, until
 
 BROKEN = [

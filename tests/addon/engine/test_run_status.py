@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 from roigs_addon.engine import run_status
-from roigs_addon.engine.run_files import MANIFEST, stage_in_words
+from roigs_addon.engine.own_files import stage_in_words
 from roigs_addon.engine.run_status import RunStatus
+from roigs_engine.formats.run_files import MANIFEST
 from tests.addon.scenes import ROOT
 
 HOLD = """

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from roigs_addon.engine.run_files import BACKGROUND, MANIFEST
+from roigs_engine.formats.run_files import BACKGROUND, MANIFEST
 from tests.addon.scenes import (
     add_box,
     command_line,

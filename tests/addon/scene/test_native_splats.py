@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from numpy.testing import assert_array_equal
 
-from roigs_addon.engine.run_files import BACKGROUND
+from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.scenes import ready
 from tests.addon.splat_cases import random_ply
 

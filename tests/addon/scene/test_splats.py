@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_addon.engine.run_files import BACKGROUND
+from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.colmap_project import read_png
 from tests.addon.scenes import command_line, drawn_points, imported
 from tests.addon.splat_cases import random_arrays, random_ply

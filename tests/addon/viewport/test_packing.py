@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roigs_addon.formats.splat_ply import SplatCloud, read_splats
+from roigs_addon.geometry.splat_cloud import SplatCloud, read_splats
 from roigs_addon.viewport.packing import INDEX_MARK, ROW, pack, pack_order
 from tests.addon.splat_cases import random_ply
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roigs_addon.formats.splat_ply import read_splats
+from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_engine.formats.splat_ply import write_ply
 from tests.addon.splat_cases import random_arrays, random_ply
 
@@ -83,9 +83,9 @@ def test_no_gaussians(tmp_path: Path) -> None:
         (b"binary_little_endian", b"ascii", "format 'ascii'"),
         (b"vertex 20", b"vertex 21", "truncated: it has 20 of 21"),
         (b"vertex 20", b"vertex 999999999999999999", "truncated: it has 20 of 999999999999999999"),
-        (b"vertex 20", b"vertex " + b"9" * 5000, "cannot read 'element vertex 999"),
-        (b"vertex 20", b"vertex many", "cannot read 'element vertex many'"),
-        (b"element vertex", b"element face", "first element is 'face'"),
+        (b"vertex 20", b"vertex " + b"9" * 5000, "is not a number of vertices"),
+        (b"vertex 20", b"vertex many", "'many' is not a number of vertices"),
+        (b"element vertex", b"element face", "one vertex element must come first"),
         (b"float opacity", b"float opaque", "no property opacity"),
         (b"float f_rest_44", b"float g_rest_44", "44 properties f_rest"),
         (b"float f_rest_44", b"float f_rest_45", "no property f_rest_44"),

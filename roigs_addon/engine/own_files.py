@@ -1,0 +1,40 @@
+"""The add-on's own files in a run folder, and the stages in words. No bpy.
+
+The engine's files are named in `roigs_engine.formats.run_files`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..shared import run_files
+
+RENDERS = "renders"
+
+UNDISTORT = "undistort"
+
+OWN = "blender"
+"""The add-on's own folder in it; all that follows is in there."""
+LOG = f"{OWN}/engine.log"
+TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
+CAMERA_PATH = "path.json"
+MANUAL_SELECTION, SELECTED = "selection", "selected"
+"""Folders with a list of photos for each box: given to the engine, and chosen by it."""
+
+
+def stage_in_words(stage: str) -> str:
+    """'whole scene' for `scene`."""
+    words = {
+        run_files.SCENE_STAGE: "whole scene",
+        run_files.JOINT_STAGE: "all boxes",
+        run_files.REFINE_STAGE: "refining",
+        UNDISTORT: "undistorting photos",
+    }
+    if stage.startswith(run_files.OBJECT_STAGE):
+        return f"box '{stage.removeprefix(run_files.OBJECT_STAGE)}'"
+    return words.get(stage, stage)
+
+
+def log_file(folder: Path) -> Path:
+    """Where the engine's words go."""
+    return folder / LOG

@@ -1,0 +1,64 @@
+"""Gaussians as they are drawn. Numpy only, no bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..shared import EngineError, splat_ply
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SplatCloud:
+    """N Gaussians as they are drawn, float32; K = 1, 4, 9 or 16 SH coefficients per colour.
+
+    Attributes:
+        means: (N, 3) centres.
+        quats: (N, 4) unit quaternions, wxyz.
+        scales: (N, 3) standard deviations.
+        opacities: (N,) 0 to 1.
+        sh: (N, K, 3) SH coefficients; a colour is max(0, 0.5 + sum of sh * basis), sRGB.
+    """
+
+    means: Float32
+    quats: Float32
+    scales: Float32
+    opacities: Float32
+    sh: Float32
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def read_splats(path: str | Path) -> SplatCloud:
+    """Read a PLY of Gaussians.
+
+    Those that cannot be drawn are skipped: NaN or Inf, or a rotation of length zero.
+
+    Raises:
+        ValueError: the file cannot be read, see `splat_ply.read_ply`; one line that says why.
+    """
+    try:
+        stored = splat_ply.read_ply(path)
+    except EngineError as error:
+        raise ValueError(str(error)) from error
+    quats = stored["quats"]
+    with np.errstate(all="ignore"):  # what is out of range is skipped below
+        cloud = {
+            "means": stored["means"],
+            "quats": quats / np.linalg.norm(quats, axis=1, keepdims=True),
+            "scales": np.exp(stored["log_scales"]),
+            "opacities": 1 / (1 + np.exp(-stored["logit_opacities"])),
+            "sh": stored["sh"],
+        }
+        usable = np.ones(len(quats), bool)
+        for values in cloud.values():
+            usable &= np.isfinite(values.sum(axis=tuple(range(1, values.ndim))))
+    if not usable.all():
+        cloud = {name: values[usable] for name, values in cloud.items()}
+    return SplatCloud(**cloud)

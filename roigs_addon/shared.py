@@ -1,0 +1,18 @@
+"""What the add-on shares with the engine: its formats and their errors. Numpy only, no bpy.
+
+In a Blender extension both packages lie in the extension's own package; in a checkout, and in its
+tests, they are top-level packages. All other files of the add-on import from here.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING or __package__ == "roigs_addon":
+    from roigs_engine.errors import EngineError
+    from roigs_engine.formats import events, lock, names, rois, run_files, splat_ply
+else:
+    from ..roigs_engine.errors import EngineError
+    from ..roigs_engine.formats import events, lock, names, rois, run_files, splat_ply
+
+__all__ = ["EngineError", "events", "lock", "names", "rois", "run_files", "splat_ply"]
