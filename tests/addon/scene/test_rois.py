@@ -236,7 +236,9 @@ def test_what_the_engine_reads(blender: ModuleType, addon: ModuleType, tmp_path:
     np.testing.assert_allclose(roi.half_extents, numbers[16:])
 
 
-@pytest.mark.parametrize("name", ["a/b", "a\\b", "c:", "who?", "(*)", "...", 'a"', "<", "|", "NUL", "com1.x"])
+@pytest.mark.parametrize(
+    "name", ["a/b", "a\\b", "c:", "who?", "(*)", "...", 'a"', "<", "|", "NUL", "com1.x"]
+)
 def test_names_that_cannot_name_files(
     blender: ModuleType, addon: ModuleType, tmp_path: Path, name: str
 ) -> None:

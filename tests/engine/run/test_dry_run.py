@@ -1,0 +1,89 @@
+"""What `--dry-run` says: every stage, what is done already; nothing is written or trained."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.errors import RunFolderError
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run.definition import define_run
+from roigs_engine.run.dry_run import describe_plan
+from roigs_engine.run.estimate import expected_counts, model_of_size
+from roigs_engine.run.folder import train_run
+from roigs_engine.run.strategies import plan_run
+from tests.engine.runs import tiny
+from tests.engine.synthetic_scene import BOX, make_scene
+
+ALL = ("full-scene", "full-object", "independent")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """Stage -> the words of its row."""
+    lines = text.splitlines()
+    begin = next(i for i, line in enumerate(lines) if line.startswith("stage ")) + 1
+    end = lines.index("", begin)
+    return {line.split()[0]: line.split() for line in lines[begin:end]}
+
+
+def test_every_stage_has_a_row_and_nothing_is_written(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path / "run", scene, [BOX], tiny("joint"))
+    text = describe_plan(run, ALL)
+    found = rows(text)
+    stages = plan_run(run, ALL).stages
+    assert list(found) == [stage.name for stage in stages]
+    for stage in stages:
+        assert found[stage.name][1] == str(len(stage.images))
+        assert found[stage.name][3] == str(stage.config.steps)
+        assert "done" not in found[stage.name]
+    assert "Memory: up to about" in text and "on this machine" in text
+    assert f"{len(run.train_scene.images)} to train on, {len(run.test)} for tests" in text
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_is_done_is_said(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    train_run(run)
+    before = sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*"))
+    found = rows(describe_plan(run, ("full-scene",)))
+    assert {name for name, row in found.items() if row[-1] == "done"} == {"scene", "joint"}
+    assert before == sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*"))
+    other = replace(run, config=tiny("joint", seed=1))
+    text = describe_plan(other)
+    assert "config.seed was 0, now 1" in text and "--update" in text
+    assert "would be archived" in describe_plan(other, update=True)
+
+
+def test_a_folder_of_an_earlier_version_is_refused(scene: SfmScene, tmp_path: Path) -> None:
+    (tmp_path / "request.json").write_text("{}", encoding="utf-8")
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    for work in (describe_plan, train_run):
+        with pytest.raises(RunFolderError, match="earlier version") as caught:
+            work(run)
+        assert "--run-dir" in caught.value.hint
+    assert [path.name for path in tmp_path.iterdir()] == ["request.json"]
+
+
+def test_expected_counts_follow_the_schedule(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    for stage in plan_run(run, ALL).stages:
+        counts = expected_counts(stage, 1000, share_in_boxes=0.2)
+        assert len(counts) == stage.config.steps and counts[0] == 1000
+        assert counts == sorted(counts)
+        after = counts[min(stage.config.densify_until, len(counts)) - 1 :]
+        assert len(set(after)) == 1
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 2.7])
+def test_a_model_of_any_size_to_measure_with(scene: SfmScene, share: float) -> None:
+    count = round(share * len(scene.points))
+    model = model_of_size(scene, count)
+    assert len(model) == count
+    assert all(bool(tensor.isfinite().all()) for tensor in model.tensors().values())

@@ -1,0 +1,72 @@
+"""How large files and functions may be: small ones are read and tested more easily."""
+
+from __future__ import annotations
+
+import ast
+import io
+import statistics
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+MEDIAN_LINES = {"roigs_engine": 100, "roigs_addon": 100, "benchmarks": 120}
+MOST_LINES, FUNCTION_LINES, PARAMETERS = 320, 60, 8
+PACKAGES = tuple(MEDIAN_LINES)
+# The one way to draw has the argument names of gsplat, and describes all of them.
+EXEMPT = {"rasterize"}
+LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def code_lines(path: Path) -> int:
+    """Lines with code: no comments, blank lines and docstrings."""
+    text = path.read_text(encoding="utf-8")
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in LAYOUT | {tokenize.ENDMARKER}:
+            lines |= set(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            assert node.end_lineno is not None
+            lines -= set(range(node.lineno, node.end_lineno + 1))
+    return len(lines)
+
+
+def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and node.name not in EXEMPT:
+            yield node
+
+
+def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Without `self` and `cls`."""
+    given = function.args
+    names = [a.arg for a in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+    starred = [a for a in (given.vararg, given.kwarg) if a is not None]
+    return len([name for name in names if name not in ("self", "cls")]) + len(starred)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_files_are_small(package: str) -> None:
+    sizes = {path: code_lines(path) for path in modules(package)}
+    assert statistics.median(sizes.values()) <= MEDIAN_LINES[package]
+    assert not {str(path): size for path, size in sizes.items() if size > MOST_LINES}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_functions_are_short_and_take_few_arguments(package: str) -> None:
+    for path in modules(package):
+        for function in functions(path):
+            assert function.end_lineno is not None
+            lines = function.end_lineno - function.lineno + 1
+            assert lines <= FUNCTION_LINES, f"{path}: {function.name} has {lines} lines"
+            count = parameters(function)
+            # Blender fixes the arguments of what it calls.
+            most = PARAMETERS + (function.name == "draw_item")
+            assert count <= most, f"{path}: {function.name} takes {count} arguments"
