@@ -25,7 +25,7 @@ from .plan import Stage
 
 # One densification adds this share of few Gaussians, and ever less of many: half of it where there
 # are so many. Seen in two scenes, 640 px, which differed by a factor of 2 (docs/lab_notebook.md).
-GROWTH, HALF, SATURATION = 0.4, 120_000, 1.3
+GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
 WARM_UP, MEASURED = 4, 12  # steps
 RENDER_SHARE = 0.5  # of a training step's time, to draw and compare a test photo
 
@@ -107,7 +107,7 @@ class Estimator:
                 trainer.train_step()
                 _finish(data.device)
                 times.append(time.perf_counter() - began)
-        return float(np.mean(times[WARM_UP:]))
+        return float(np.median(times[WARM_UP:]))
 
     def _masks(self, stage: Stage, images: Sequence[PosedImage]) -> RoiMasks | None:
         if stage.config.full_every == 1:
@@ -118,17 +118,16 @@ class Estimator:
 def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int]:
     """Number of Gaussians at each step of a stage, by the rule of thumb."""
     config, count, counts = stage.config, float(start), []
-    growing = count
-    limit = float("inf")
-    if config.densify_in_boxes:
-        growing = count * share_in_boxes
+    growing, half, limit = count, float(HALF), float("inf")
+    if config.densify_in_boxes:  # as much detail as their share of the scene
+        growing, half = count * share_in_boxes, max(1.0, HALF * share_in_boxes)
         if stage.budgets is not None:
             limit = max(0.0, sum(stage.budgets) - growing)
     threshold = TrainConfig.grad_threshold / config.grad_threshold
     for step in range(1, config.steps + 1):
         due = config.densify_from <= step < config.densify_until
         if due and step % config.densify_every == 0:
-            share = min(1.0, GROWTH * threshold / (1 + (count / HALF) ** SATURATION))
+            share = min(1.0, GROWTH * threshold / (1 + (growing / half) ** SATURATION))
             added = min(share * growing, limit)
             count, growing, limit = count + added, growing + added, limit - added
         counts.append(round(count))
