@@ -34,7 +34,7 @@ def model_suffix(folder: Path) -> str | None:
 def read_model(folder: Path, context: Context = QUIET) -> Model:
     """The model in `folder`, binary files before text ones.
 
-    Args: `context`: asked while reading whether to stop.
+    Args: `context`: checked for cancellation while reading.
 
     Raises:
         SceneError: a file is missing, unreadable or damaged.

@@ -18,7 +18,7 @@ from ..formats.events import StageStarted
 from ..model.rotations import rotation_entries
 from ..model.scene import FAR, Camera, Float64, PosedImage
 from ..photos.files import PhotoFolder
-from ..photos.headers import PhotoError, check_whole, photo_size
+from ..photos.headers import PhotoError, check_complete, photo_size
 from .records import NO_IDS, Model, ModelCamera, ModelImage
 from .undistort import (
     Plan,
@@ -111,7 +111,7 @@ class PhotoLoader:
             return MISSING
         try:
             size = photo_size(path) or (camera.width, camera.height)
-            check_whole(path)
+            check_complete(path)
         except SceneError:
             return UNREADABLE
         if not _same_shape(camera, size):
@@ -157,7 +157,7 @@ class PhotoLoader:
         """Image id -> photo, the distorted ones' undistorted copies made or found in the cache."""
         if not self._plans:
             return self.posed
-        folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
+        folder = temporary_folder() if cache is None else _created(Path(cache) / "undistorted")
         total = len(self._plans)
         made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
         context = replace(context, emit=QUIET.emit) if made else context
@@ -169,7 +169,7 @@ class PhotoLoader:
             for step, (key, job) in enumerate(jobs.items(), start=1):
                 image = self.posed[key]
                 try:
-                    self.posed[key] = replace(image, path=_waited(job, context), distorted=False)
+                    self.posed[key] = replace(image, path=_wait_for(job, context), distorted=False)
                 except PhotoError:
                     self.skipped[UNREADABLE].append(image.name)
                     del self.posed[key]
@@ -179,7 +179,7 @@ class PhotoLoader:
         return self.posed
 
 
-def _waited(job: Future[Path], context: Context) -> Path:
+def _wait_for(job: Future[Path], context: Context) -> Path:
     """The job's result, asking now and then whether to stop."""
     while not wait([job], timeout=0.2).done:
         context.check_cancelled()
@@ -187,7 +187,7 @@ def _waited(job: Future[Path], context: Context) -> Path:
     return job.result()
 
 
-def _made(folder: Path) -> Path:
+def _created(folder: Path) -> Path:
     """The folder, created before photos are decoded for it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

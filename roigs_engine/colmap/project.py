@@ -42,7 +42,7 @@ def load_colmap(
             Works with numpy alone; without pycolmap, cameras with distortion are taken as if they
             had none, and a warning says so.
         context: receives messages.
-        context: asked between files and photos whether to stop.
+        context: checked for cancellation between files and photos.
 
     Raises:
         SceneError: no usable model, points or photos.

@@ -97,7 +97,7 @@ def has_triton() -> bool:
     return importlib.util.find_spec("triton") is not None
 
 
-def can_weigh(device: torch.device) -> bool:
+def has_blending_weights(device: torch.device) -> bool:
     """Whether Gaussians there can be drawn with their blending weights (`with_max_weight`)."""
     return device.type != "cuda" or has_triton()
 

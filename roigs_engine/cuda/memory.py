@@ -13,7 +13,7 @@ GIB = 1 << 30
 
 
 @contextmanager
-def memory_explained(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
+def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
     """Turns torch's out-of-memory error into one line.
 
     Args:
@@ -30,7 +30,7 @@ def memory_explained(doing: Callable[[], str], advice: Callable[[], str]) -> Ite
         raise KernelError(message, advice()) from error
 
 
-def smaller(width: int, height: int) -> int:
+def smaller_side(width: int, height: int) -> int:
     """A longest side, in pixels, to propose in place of that of (width, height)."""
     return max(64, max(width, height) * 3 // 4)
 

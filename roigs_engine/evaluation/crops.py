@@ -56,7 +56,7 @@ def write_crops(
         names: the rows to show after the photo; the last one is the result that is compared.
             Default: the baseline and the box's last row.
         views: the photos to show, instead of those with the largest, median and least gain.
-        context: asked before every picture whether to stop.
+        context: checked for cancellation before every picture.
     """
     written: list[Path] = []
     for roi in rois:

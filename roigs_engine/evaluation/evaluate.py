@@ -52,7 +52,7 @@ def evaluate(
 
     Args:
         models, scene, test, rois: see above.
-        context: takes events; asked between photos whether to stop.
+        context: takes events; checked for cancellation between photos.
         baseline: name of the model that gains are counted from.
         object_mask_from: name of the model whose depth makes the object's mask; None: the best one.
             Evaluations that are to be compared need the same.

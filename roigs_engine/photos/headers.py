@@ -58,7 +58,7 @@ def photo_size(path: Path) -> tuple[int, int] | None:
     return _usable(path, (width, height))
 
 
-def check_whole(path: Path) -> None:
+def check_complete(path: Path) -> None:
     """Nothing, where the file ends as a JPEG or PNG does or is of another kind.
 
     Where a JPEG's end mark is far from the file's end, as before a film that a telephone has put

@@ -99,7 +99,7 @@ def _draw(
     """Image (H, W, 3), alpha (H, W) and depth (H, W) of one camera; adds to the statistics."""
     gsplat = library.gsplat()
     splats = _project(gsplat, inputs, camera)
-    _watch(splats.means2d, statistics.grad2d[camera], inputs)
+    _record_grad2d(splats.means2d, statistics.grad2d[camera], inputs)
     # The tiles are cut out after the projection, so that their Gaussians look as in the whole.
     left, top, right, bottom = inputs.tiles
     x0, y0 = left * TILE, top * TILE
@@ -140,7 +140,7 @@ def _draw(
         image = image[..., :3]
     statistics.visible[camera] = touched[0] > 0
     if statistics.largest is not None or statistics.sums is not None:
-        _weigh(
+        _add_blending_weights(
             inputs, camera, splats, means2d, (offsets[0], ids), (x0, y0, width, height), statistics
         )
     place = slice(y0, y0 + height), slice(x0, x0 + width)
@@ -202,7 +202,7 @@ def _without(culled: Tensor) -> Any:
     return clean
 
 
-def _watch(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
+def _record_grad2d(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
     """Has `backward` write the scaled norm of dL / d(means2d) (1, N, 2) into `grad2d` (N,)."""
     if not means2d.requires_grad:
         return
@@ -215,7 +215,7 @@ def _watch(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
     means2d.register_hook(write)  # type: ignore[no-untyped-call]
 
 
-def _weigh(
+def _add_blending_weights(
     inputs: RenderInputs,
     camera: int,
     projected: ProjectedGaussians,

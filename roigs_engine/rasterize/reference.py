@@ -51,7 +51,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
     for c in range(cameras):
         splats = project(inputs, c)
         visible[c, splats.index] = True
-        watch_mean2d(splats, grad2d[c], inputs.width, inputs.height)
+        record_grad2d(splats, grad2d[c], inputs.width, inputs.height)
         colours, opacity, depths, largest, sums = blend(inputs, splats, c)
         image.append(colours)
         alpha.append(opacity)
@@ -82,7 +82,7 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
         index = usable.nonzero()[:, 0]
         mean2d, covariance, opacity = (f[index] for f in fields[:3])
         size = (inputs.width, inputs.height)
-        tiles = tiles_to_work_on(inputs)
+        tiles = active_tile_positions(inputs)
         index = index[reaches_a_tile(mean2d, covariance, opacity, tiles, size)]
         index = index[torch.sort(fields[4][index], stable=True).indices]
     # Projected again from the kept rows alone: a culled row's NaN or overflow, multiplied by a
@@ -195,7 +195,7 @@ def reaches_a_tile(
     return (least < torch.log(opacity / ALPHA_MIN)).any(dim=0)
 
 
-def tiles_to_work_on(inputs: RenderInputs) -> Tensor:
+def active_tile_positions(inputs: RenderInputs) -> Tensor:
     """(tiles, 2) column and row of each."""
     left, top, right, bottom = inputs.tiles
     wanted = torch.ones(bottom - top, right - left, dtype=torch.bool)
@@ -204,10 +204,10 @@ def tiles_to_work_on(inputs: RenderInputs) -> Tensor:
     return wanted.nonzero().flip(1) + torch.tensor([left, top])
 
 
-def pixels_to_work_on(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
+def active_pixels(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
     """Rows and columns of the pixels in the tiles to work on, (P,) each, row by row."""
     wanted = torch.zeros(inputs.height, inputs.width, dtype=torch.bool)
-    for column, row in (TILE * tiles_to_work_on(inputs)).tolist():
+    for column, row in (TILE * active_tile_positions(inputs)).tolist():
         wanted[row : row + TILE, column : column + TILE] = True
     rows, columns = wanted.nonzero().to(inputs.means.device).unbind(1)
     return rows, columns
@@ -224,7 +224,7 @@ def blend(
     image = inputs.background.expand(inputs.height, inputs.width, 3).clone()
     alpha, depth = image.new_zeros(image.shape[:2]), image.new_zeros(image.shape[:2])
     largest, weight_sum = (image.new_zeros(len(splats.index)) for _ in range(2))
-    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in pixels_to_work_on(inputs))
+    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in active_pixels(inputs))
     for place in zip(*chunks, strict=True):
         weights, left = blending_weights(splats, torch.stack(place[::-1], -1).to(image) + 0.5)
         image[place] = weights @ splats.colour + left[:, None] * inputs.background
@@ -254,7 +254,7 @@ def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor
     return a * before[:, :-1], before[:, -1]
 
 
-def watch_mean2d(splats: ProjectedGaussians, grad2d: Tensor, width: int, height: int) -> None:
+def record_grad2d(splats: ProjectedGaussians, grad2d: Tensor, width: int, height: int) -> None:
     """Has `backward` write the scaled norm of dL / d(mean2d) into a row of `grad2d` (N,)."""
     if not splats.mean2d.requires_grad:
         return

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cuda.memory import memory_explained, smaller
+from ..cuda.memory import explain_out_of_memory, smaller_side
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from . import RenderOutput, rasterize
@@ -53,9 +53,9 @@ def render_view(
         return f"drawing {len(gaussians):,} Gaussians at {size[0]}x{size[1]}"
 
     def advice() -> str:
-        return f"Draw smaller pictures (--max-side {smaller(*size)}), or use --device cpu."
+        return f"Draw smaller pictures (--max-side {smaller_side(*size)}), or use --device cpu."
 
-    with memory_explained(doing, advice):
+    with explain_out_of_memory(doing, advice):
         output = rasterize_view(
             gaussians, camera, world_to_camera, background=background, with_depth=with_depth
         )

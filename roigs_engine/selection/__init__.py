@@ -46,7 +46,7 @@ def select_cameras(
         scene: the model, test photos already taken out (`SfmScene.without`).
         roi: the box.
         config: method and settings.
-        context: gets one warning for each degenerate case met; asked whether to stop.
+        context: gets one warning for each degenerate case met; checked for cancellation.
 
     Raises:
         RoiError: no point lies in the box, or no photo sees one that does.

@@ -49,7 +49,7 @@ def box_budgets(
         images: what the stage trains on; pixels count in each of them.
         rois: the boxes.
         config: gives `box_budget`.
-        context: asked between photos whether to stop.
+        context: checked for cancellation between photos.
     """
     if not rois or config.box_budget <= 0:
         return None

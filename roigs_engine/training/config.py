@@ -95,7 +95,7 @@ class TrainConfig:
                 f"view_weighting is {self.view_weighting:g}.", "Use a number from 0 to 2."
             )
 
-    def position_rate(self, step: int) -> float:
+    def position_learning_rate(self, step: int) -> float:
         """Learning rate of positions at a step, before the scene extent."""
         t = min(step / max(self.steps, 1), 1.0)
         return math.exp((1 - t) * math.log(self.lr_means) + t * math.log(self.lr_means_final))

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU
-from ..cuda.library import can_weigh
+from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
 from ..model.ownership import owners
 from ..model.roi import OrientedBox
@@ -45,10 +45,10 @@ def consistent_across_views(
         min_views: a Gaussian that is nearer than the nearest box in every photo that shows it
             must be shown by so many photos, or by all where there are fewer. Only photos that see
             a box say what is nearer than a box.
-        context: asked between photos whether to stop.
+        context: checked for cancellation between photos.
     """
     device = gaussians.means.device
-    model = gaussians if can_weigh(device) else gaussians.to(CPU)
+    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
     shown_by = torch.zeros(len(model), dtype=torch.int32, device=model.means.device)
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
     min_views = min(min_views, len(images))

@@ -38,7 +38,7 @@ class Health:
         self._new: list[tuple[int, int, Tensor]] = []
         self._recent: dict[int, deque[float]] = {}
 
-    def saw(self, step: int, photo: int, loss: Tensor) -> None:
+    def record_loss(self, step: int, photo: int, loss: Tensor) -> None:
         """Keep the loss, a scalar tensor, of a step."""
         self._new.append((step, photo, loss))
 

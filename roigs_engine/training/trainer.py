@@ -14,11 +14,11 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
-from ..cuda.memory import memory_explained, smaller
+from ..cuda.memory import explain_out_of_memory, smaller_side
 from ..cuda.photos import Photos, photos_on
 from ..errors import Stopped
 from ..formats.events import Progress
-from ..machine import give_back_freed
+from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
@@ -117,7 +117,7 @@ class Trainer:
             stage: name that progress events carry.
             callbacks: called between steps, to write checkpoints and previews.
         """
-        with one_torch_thread(), memory_explained(self._doing, self._advice):
+        with one_torch_thread(), explain_out_of_memory(self._doing, self._advice):
             return self._run(context, stage, callbacks)
 
     def _run(self, context: Context, stage: str, callbacks: Sequence[PeriodicCallback]) -> bool:
@@ -149,7 +149,7 @@ class Trainer:
         index = data.photo_at(self.step)
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target = self._photos[index]
-        self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
+        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         mask = self._mask(index)
         output = self._render(index, mask)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
@@ -166,7 +166,7 @@ class Trainer:
             self._optimizer.step(visible)
         self._density.observe(visible, output.grad2d[0], output.max_weight)
         self._observe(loss.loss.detach(), image, target, weights)
-        self.health.saw(self.step, index, loss.loss.detach())
+        self.health.record_loss(self.step, index, loss.loss.detach())
         self.step += 1
         if self.step % min(CHECK_EVERY, config.densify_every) == 0:
             self.check()
@@ -200,7 +200,7 @@ class Trainer:
             camera.height,
             sh_degree=self.config.degree(self.step),
             raw=True,
-            with_max_weight=self._density.watches_max_weight,
+            with_max_weight=self._density.needs_max_weight,
             mask=None if mask is None else mask.pixels,
             backward_step=self._optimizer.backward_step,
         )
@@ -261,7 +261,7 @@ class Trainer:
     def _advice(self) -> str:
         return (
             "Close what else uses the GPU, or train with smaller photos"
-            f" (--max-side {smaller(*self._largest())}) or fewer Gaussians (a smaller --preset)."
+            f" (--max-side {smaller_side(*self._largest())}) or fewer Gaussians (a smaller --preset)."
             " The last checkpoint is untouched."
         )
 
@@ -275,7 +275,7 @@ class Trainer:
             self._mean.clear()
             self._parameters = _leaves(edit.gaussians)
             self._optimizer.replace(self._parameters.tensors(), edit.rows)
-            give_back_freed()
+            release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
             with torch.no_grad():

@@ -66,7 +66,7 @@ def _rays(images: Sequence[PosedImage], roi: OrientedBox) -> tuple[Float64, Floa
     return rays / distances[:, None], distances
 
 
-def rates_for_spacing(config: TrainConfig, spacing: float, detail: float) -> TrainConfig:
+def learning_rates_for_spacing(config: TrainConfig, spacing: float, detail: float) -> TrainConfig:
     """The config with the harmonics' rate that photos so far apart allow, 3DGS's at least.
 
     Args:

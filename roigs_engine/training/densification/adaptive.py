@@ -33,7 +33,7 @@ class AdaptiveDensity:
         self._window = 0  # the step at which the present one began
 
     @property
-    def watches_max_weight(self) -> bool:
+    def needs_max_weight(self) -> bool:
         """Only pruning by contribution goes by it."""
         return self.config.contribution_every > 0
 
@@ -51,7 +51,7 @@ class AdaptiveDensity:
             assert edit.rows is not None
             self.follow(edit.rows)
         if config.contribution_every and step - self._window >= self._window_steps():
-            edit = self._without_idle(edit)
+            edit = self._prune_idle(edit)
             self.stats.new_window()
             self._window = step
         if densifying and config.reset_every and step % config.reset_every == 0:
@@ -87,7 +87,7 @@ class AdaptiveDensity:
             keep &= largest <= config.prune_size * self.inputs.extent
         return ~keep
 
-    def _without_idle(self, edit: Edit) -> Edit:
+    def _prune_idle(self, edit: Edit) -> Edit:
         """Without what contributed to no training pixel of the window (ROI-GS, sec. II-B)."""
         keep = self.stats.weight >= VISIBLE_WEIGHT
         if bool(keep.all()):

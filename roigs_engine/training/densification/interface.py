@@ -43,7 +43,7 @@ class DensityControl(Protocol):
     """Adds and removes Gaussians while a stage trains."""
 
     @property
-    def watches_max_weight(self) -> bool:
+    def needs_max_weight(self) -> bool:
         """Whether `observe` needs each Gaussian's largest blending weight."""
         ...
 

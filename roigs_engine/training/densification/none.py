@@ -13,7 +13,7 @@ from .edits import Edit
 class FixedDensity:
     """Watches nothing, edits nothing."""
 
-    watches_max_weight = False
+    needs_max_weight = False
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
         """Nothing is watched."""
