@@ -66,7 +66,9 @@ def test_presets_are_complete_and_fair(name: str) -> None:
 def test_short_presets_break_the_decay_off_and_begin_anew(name: str) -> None:
     config, whole = preset(name), stage_configs.baseline(preset(name))
     steps = config.scene.steps
-    assert config.scene.position_learning_rate(steps) == pytest.approx(whole.position_learning_rate(steps))
+    assert config.scene.position_learning_rate(steps) == pytest.approx(
+        whole.position_learning_rate(steps)
+    )
     assert config.roi.position_learning_rate(0) == pytest.approx(whole.position_learning_rate(0))
 
 

@@ -128,7 +128,9 @@ def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(library, "has_triton", lambda: True)
     assert library.has_blending_weights(card)
     monkeypatch.setattr(library, "has_triton", lambda: False)
-    assert not library.has_blending_weights(card) and library.has_blending_weights(torch.device("cpu"))
+    assert not library.has_blending_weights(card) and library.has_blending_weights(
+        torch.device("cpu")
+    )
 
 
 def test_it_can_be_stopped() -> None:
