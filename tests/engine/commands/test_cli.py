@@ -296,7 +296,7 @@ def without(missing: str, project: Project, out: Path, *methods: str) -> str:
 
 def test_inspect_and_every_selection_need_no_torch(project: Project, tmp_path: Path) -> None:
     shown = without("torch", project, tmp_path / "out", *METHODS)
-    assert all(f"chosen by {method}" in shown for method in METHODS)
+    assert all(f"selected by {method}" in shown for method in METHODS)
 
 
 def test_what_blender_runs_itself_needs_numpy_alone(project: Project, tmp_path: Path) -> None:
