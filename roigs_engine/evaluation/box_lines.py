@@ -1,4 +1,4 @@
-"""A box's edges in the image, clipped to it."""
+"""The edges of a box in the image."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..model.scene import Camera, Float64
 def box_lines(
     roi: OrientedBox, camera: Camera, world_to_camera: Float64
 ) -> list[tuple[float, float, float, float]]:
-    """The box's edges in the picture, x0, y0, x1, y1 in pixels, cut to it; hidden ones too."""
+    """The box's edges, x0, y0, x1, y1 in pixels, clipped to the image; hidden edges too."""
     corners = roi.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     near = NEAR_SHARE * roi.diagonal
     lines = []
