@@ -1,7 +1,7 @@
 """ROI-GS: boxed objects trained sharper inside 3D Gaussian Splatting scenes.
 
-The public names below are imported when they are first used, so that `import roigs_engine`, the
-camera selection and everything before training work where torch is not installed:
+The public names below are imported on first use. So `import roigs_engine`, the camera selection and
+everything else before training work without torch:
 
     from roigs_engine import load_colmap, load_rois, select_cameras, SelectionConfig
 
@@ -9,9 +9,8 @@ camera selection and everything before training work where torch is not installe
     (vase,) = load_rois("garden/rois.json")
     print(select_cameras(scene, vase, SelectionConfig()).names)
 
-Functions that have the name of their own file are imported from there, because a package cannot
-hold a module and a function of one name: `roigs_engine.rasterize.rasterize`,
-`roigs_engine.evaluation.evaluate.evaluate`.
+A package cannot hold a module and a function of the same name, so import these functions from their
+modules: `roigs_engine.rasterize.rasterize`, `roigs_engine.evaluation.evaluate.evaluate`.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
     from .training.config import TrainConfig
     from .training.trainer import StageData, Trainer
 
-_HOMES = {
+_MODULES = {
     "colmap.project": ("load_colmap",),
     "errors": ("EngineError",),
     "model.gaussians": ("Gaussians",),
@@ -80,9 +79,9 @@ _HOMES = {
         "Trainer",
     ),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
-__all__ = [  # noqa: RUF022 - grouped as a reader meets them
+__all__ = [  # noqa: RUF022 - grouped by topic
     "Camera",
     "PosedImage",
     "SfmScene",
@@ -114,10 +113,10 @@ __all__ = [  # noqa: RUF022 - grouped as a reader meets them
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, imported from its home now."""
-    if name not in _HOME_OF:
+    """A public name, imported from its module now."""
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f".{_HOME_OF[name]}", __name__), name)
+    value = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
     globals()[name] = value
     return value
 

@@ -1,7 +1,7 @@
-"""The command line: which command, what becomes of errors, and the exit status.
+"""The command line: chooses the command, prints errors, and sets the exit status.
 
-Exit status: 0 done, 2 an `EngineError`, options that do not fit among them (one line on standard
-error), 3 stopped on request with a checkpoint written, 130 interrupted at once.
+Exit status: 0 done; 2 an `EngineError`, wrong options included (one line on standard error);
+3 stopped on request, with a checkpoint written; 130 interrupted at once.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ STOPPED = 3
 
 
 class Parser(argparse.ArgumentParser):
-    """Options that do not fit are an error as any other; argparse would print all of the usage.
+    """Raises an `EngineError` for wrong options; argparse would print the whole usage.
 
-    Options are written in full: a new one must not change what an abbreviation meant.
+    Options cannot be abbreviated: a new option must not change the meaning of an old abbreviation.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -50,7 +50,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def build_parser() -> tuple[Parser, dict[str, Parser]]:
-    """The parser, and that of each command."""
+    """The main parser, and the parser of each command by name."""
     parser = Parser(
         prog="python -m roigs_engine",
         description="Sharp boxed objects in 3D Gaussian Splatting scenes (ROI-GS).",
@@ -88,11 +88,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
 
     name = next((word for word in argv if word in COMMANDS), parser.prog)
-    return answered(work, console, name)
+    return exit_status_of(work, console, name)
 
 
-def answered(work: Callable[[], int], console: Console, name: str) -> int:
-    """The exit status of `work`, whose errors become one line each; `name` is what it is called."""
+def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
+    """Do the work and return its exit status; an error becomes one line.
+
+    Args:
+        work: returns an exit status.
+        console: receives the events.
+        name: the work's name in messages.
+    """
     try:
         return work()
     except EngineError as error:
@@ -101,11 +107,11 @@ def answered(work: Callable[[], int], console: Console, name: str) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith(__package__):
             raise
-        text = f"`{name}` needs {error.name}, which this Python lacks ({sys.executable})."
+        text = f"`{name}` needs {error.name}, which is not installed in {sys.executable}."
         console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
     except (OSError, MemoryError, RuntimeError) as error:
-        failed = _in_words(error)
+        failed = _system_failure(error)
         if failed is None:
             raise
         console.emit(failed)
@@ -119,27 +125,27 @@ def answered(work: Callable[[], int], console: Console, name: str) -> int:
         console.close_bar()
 
 
-def _in_words(error: Exception) -> Failed | None:
-    """What the system refused, where no command has words of its own; None for faults of ours."""
+def _system_failure(error: Exception) -> Failed | None:
+    """The message for a file or memory error that no command handled; None for other errors."""
     if isinstance(error, OSError) and error.filename is not None:
         name = f"{os.fsdecode(error.filename):.200}"
         return Failed(message=f"Cannot use {name!r} ({error.strerror}).", hint="Choose another.")
-    # torch says it in a RuntimeError.
+    # torch raises a RuntimeError when memory is full.
     if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
-        hint = "Use smaller photos (--max-side), smaller pictures, or a computer with more."
-        return Failed(message="The memory does not suffice for this.", hint=hint)
+        hint = "Use smaller photos (--max-side), or a computer with more memory."
+        return Failed(message="There is not enough memory for this.", hint=hint)
     return None
 
 
 def entry() -> None:
-    """What `python -m roigs_engine` calls.
+    """Run the command line and end the process; `python -m roigs_engine` calls this.
 
-    The process ends at once: taking Python, torch and a large scene apart piece by piece takes most
-    of a second, in which whoever asked for a stop waits.
+    The process ends at once: cleaning up Python, torch and a large scene takes most of a second,
+    and a user who stops a run would wait for it.
     """
     status = main()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):  # nobody reads it any more
+        with suppress(OSError, ValueError):  # the reader is gone
             stream.flush()
     os._exit(status)

@@ -1,4 +1,4 @@
-"""What long work is given besides its input: where events go, whether to stop, where to compute."""
+"""The context of long work: where its events go, whether to stop, which device computes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Emit = Callable[[Event], None]
 
 
 def _no_events(event: Event) -> None:
-    """The sink for callers who want no events."""
+    """Drop the event: the default."""
 
 
 def _never() -> bool:
@@ -23,13 +23,13 @@ def _never() -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """Passed down as one value, and never part of what decides a result.
+    """Passed down as one value; nothing in it changes a result, except for rounding on a GPU.
 
     Attributes:
-        emit: takes events.
-        should_stop: whether somebody asked to stop; asked often, so it must be quick.
-        device: where Gaussians are drawn and trained, as torch names it: `cpu`, `cuda:0`.
-        photo_memory: bytes of decoded photos to keep; None: as `run.memory` plans.
+        emit: receives events.
+        should_stop: whether a stop was requested; called often, so it must be fast.
+        device: where Gaussians are rendered and trained, in torch's notation: `cpu`, `cuda:0`.
+        photo_memory: bytes of decoded photos to keep; None: `run.memory` decides.
     """
 
     emit: Emit = _no_events
@@ -38,22 +38,26 @@ class Context:
     photo_memory: int | None = None
 
     def check_cancelled(self) -> None:
-        """Raise `Stopped` if somebody asked to stop. Long work calls it every now and then."""
+        """Raise `Stopped` if a stop was requested. Long work calls this regularly."""
         if self.should_stop():
             raise Stopped
 
     def info(self, text: str) -> None:
-        """Emit something a person may want to know."""
+        """Emit a message for the user."""
         self.emit(Message(text=text))
 
     def warn(self, text: str) -> None:
-        """Emit something a person should know."""
+        """Emit a warning for the user."""
         self.emit(Message(text=text, level="warning"))
 
     def progress(self, stage: str, step: int, total: int, started: float, **figures: float) -> None:
-        """Emit progress of work that has no loss and began at `time.monotonic()` = `started`.
+        """Emit progress of work that has no loss.
 
-        Args: `figures`: `psnr`, dB, and `gaussians`, a count, where there are any.
+        Args:
+            stage: name of the work.
+            step, total: units of work done, and all of them.
+            started: `time.monotonic()` when the work began.
+            figures: optional `psnr` (dB) and `gaussians` (count).
         """
         self.emit(
             Progress(

@@ -1,17 +1,17 @@
-"""The engine's error tree: every failure a person can mend is an `EngineError`.
+"""The engine's error tree: every failure that the user can fix is an `EngineError`.
 
-An `EngineError` carries one line that says what is wrong and, where it helps, one that says what
-to change. The command line prints it without a traceback and exits with status 2; the add-on shows
-it in its panel.
+An `EngineError` has one line that says what is wrong and, where it helps, one line that says what
+to change. The command line prints both without a traceback and exits with status 2. The add-on
+shows them in its panel.
 """
 
 
 class EngineError(Exception):
-    """Root of all errors that bad input, a bad machine or a bad run folder can cause.
+    """Base class of all errors caused by the input, the machine or the run folder.
 
     Args:
-        message: one line, what is wrong, with names and numbers.
-        hint: one line, what to change; may be empty.
+        message: one line: what is wrong, with names and numbers.
+        hint: one line: what to change; may be empty.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:
@@ -28,7 +28,7 @@ class SceneError(EngineError):
 
 
 class RoiError(EngineError):
-    """A region of interest is malformed, unknown or empty."""
+    """A box is malformed, unknown or empty."""
 
 
 class ConfigError(EngineError):
@@ -36,16 +36,16 @@ class ConfigError(EngineError):
 
 
 class RunFolderError(EngineError):
-    """A run folder or a file in it (checkpoint, PLY) cannot be read, written or continued."""
+    """A run folder or a file in it (checkpoint, PLY) cannot be read, written or resumed."""
 
 
 class KernelError(EngineError):
-    """The compiled kernels are missing, cannot be built, or refuse their input."""
+    """The compiled kernels are missing, cannot be built, or do not accept their input."""
 
 
 class TrainingError(EngineError):
-    """Training has come to numbers that are none."""
+    """Training diverged: a loss, a gradient or a parameter is NaN or Inf."""
 
 
-class Stopped(Exception):  # noqa: N818 - a request that was followed, not an error
-    """The run was asked to stop; what is done so far is on disk and can be gone on with."""
+class Stopped(Exception):  # noqa: N818 - a request, not an error
+    """The work was stopped on request; what is done so far is on disk and can be resumed."""

@@ -12,11 +12,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-FALLBACK_MEMORY = 8 << 30  # bytes, where the machine does not tell
+FALLBACK_MEMORY = 8 << 30  # bytes, if the machine's memory is unknown
 
 
 def machine_memory() -> int:
-    """Bytes of memory this process may count on: the machine's, or its container's limit."""
+    """Bytes of memory this process can use: the machine's, or its container's limit."""
     total = FALLBACK_MEMORY
     if sys.platform == "win32":
         total = _windows_memory() or total
@@ -31,7 +31,7 @@ def machine_memory() -> int:
 
 
 def _windows_memory() -> int:
-    """Physical memory in bytes from the Windows API, 0 when it does not answer."""
+    """Physical memory in bytes from the Windows API; 0 if the call fails."""
     import ctypes
 
     class Status(ctypes.Structure):
@@ -47,11 +47,11 @@ def _windows_memory() -> int:
     return int(status.total) if kernel.GlobalMemoryStatusEx(ctypes.byref(status)) else 0
 
 
-def give_back_freed() -> None:
-    """Hand memory that was freed back to the system, where the C library (glibc) would keep it.
+def release_freed_memory() -> None:
+    """Return freed memory to the system; the C library (glibc) would keep it.
 
-    Every densification frees all parameters and their moments and allocates them a little larger.
-    What is freed stays in holes of the heap that the next ones do not fit.
+    Every densification frees all parameters and their moments, and allocates slightly larger ones.
+    The freed blocks are too small for these, so the heap would grow each time.
     """
     trim = _malloc_trim()
     if trim is not None:
@@ -63,8 +63,8 @@ def _malloc_trim() -> Callable[[int], int] | None:
     return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
-def chip() -> str:
-    """The processor's name, as far as it can be had without asking another program."""
+def processor_name() -> str:
+    """The processor's name, read without starting another program."""
     with suppress(OSError):
         for line in (
             Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()

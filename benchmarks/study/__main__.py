@@ -19,7 +19,7 @@ from benchmarks.study.rows import TABLES, Row, all_rows, parse_variant, variant,
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from benchmarks.study.tables import Study, command_line
 from benchmarks.study.work import Work
-from roigs_engine.cli import answered
+from roigs_engine.cli import exit_status_of
 from roigs_engine.commands.console import Console
 from roigs_engine.errors import ConfigError
 from roigs_engine.formats.events import Failed
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(options, given, console)
 
     with one_torch_thread():
-        return answered(work, console, "study")
+        return exit_status_of(work, console, "study")
 
 
 def _run(options: argparse.Namespace, given: Sequence[str], console: Console) -> int:

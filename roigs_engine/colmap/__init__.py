@@ -1,1 +1,1 @@
-"""A COLMAP project read into a scene, inspected and exported."""
+"""Reads a COLMAP project as a scene; inspects and exports it."""

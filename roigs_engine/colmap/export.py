@@ -1,4 +1,4 @@
-"""Cameras and points of a scene as files that any program reads; numpy and JSON only."""
+"""Exports the cameras and points of a scene as JSON and NumPy files."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .inspect import inspect_scene
 
 
 def write_export(scene: SfmScene, folder: Path) -> dict[str, str]:
-    """Write the scene below `folder`; name -> path of the files.
+    """Write the scene's files to `folder`; returns name -> path.
 
-    scene.json: what `inspect_scene` says, and `images`, one record each (docs/files.md).
+    scene.json: the keys of `inspect_scene`, and `images`, one record each (docs/files.md).
     points.npy (P, 3) float32, colors.npy (P, 3) uint8.
-    observed.npy (M,) int32 rows of points, photo after photo; observed_starts.npy (V + 1,) int64:
+    observed.npy (M,) int32: rows of points, ordered by photo. observed_starts.npy (V + 1,) int64:
     photo k observes the points observed[starts[k]:starts[k + 1]].
     """
     starts = np.cumsum([0, *(len(image.point_indices) for image in scene.images)])

@@ -1,4 +1,4 @@
-"""What a scene holds and how well its regions of interest are seen, before any training."""
+"""Inspects a scene before training: its contents, and how well photos see each box."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FIRST_NAMES = 5
 
 
 def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str, Any]:
-    """The scene in figures, as plain values that JSON can hold.
+    """The scene in numbers, as plain values for JSON.
 
     Keys: `photos`; `cameras` (distinct intrinsics); `smallest`, `largest` ([width, height] in
     pixels, by area); `skipped` (reason -> {count, first}); `points`; `observations`;
@@ -45,13 +45,13 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
 
 
 def inspect_roi(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> dict[str, Any]:
-    """One box in figures.
+    """One box in numbers.
 
     Keys: `name`; `sides` (3 lengths, world units); `points` (inside); `photos` (that see the box,
     by the rule that selection uses: `model.visibility`);
-    `median_area` (of those photos, share of the image that the silhouette covers, 0 to 1);
-    `nearest`, `farthest` (distance of those photos' cameras from the box's centre, world units;
-    0 when there are none); `cameras_inside` (of those photos).
+    `median_area` (of these photos, share of the image that the silhouette covers, 0 to 1);
+    `nearest`, `farthest` (distance of these photos' cameras from the box's centre, world units;
+    0 if there are none); `cameras_inside` (number of these photos inside the box).
     """
     seen = observations(scene, roi, context)
     photos = seen.images
@@ -70,7 +70,7 @@ def inspect_roi(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> 
 
 
 def format_inspection(record: dict[str, Any]) -> str:
-    """`inspect_scene`'s dictionary as lines for a terminal."""
+    """The result of `inspect_scene` as text."""
     sizes = [" x ".join(map(str, record[key])) for key in ("smallest", "largest")]
     size = " to ".join(dict.fromkeys(sizes)) + " pixels"
     lines = [
@@ -79,7 +79,7 @@ def format_inspection(record: dict[str, Any]) -> str:
         f"extent   {record['extent']:.4g} scene units",
     ]
     if not record["has_tracks"]:
-        lines.append("tracks   none: which photo sees which point is not stored in this model")
+        lines.append("tracks   none: the model does not store which photo sees which point")
     for reason, entry in record["skipped"].items():
         more = ", …" if entry["count"] > len(entry["first"]) else ""
         lines.append(f"skipped  {entry['count']} {reason}: {', '.join(entry['first'])}{more}")

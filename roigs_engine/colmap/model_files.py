@@ -1,8 +1,8 @@
-"""Reading COLMAP's model files, binary and text, into plain arrays; every count is distrusted.
+"""Reads COLMAP's model files, binary and text, as plain arrays.
 
-The readers do not rely on COLMAP's own: that one loops for ever or asks for absurd amounts of
-memory on damaged files and rejects a model with a single dangling observation. `rigs` and `frames`
-files are not needed, as `images` holds each photo's full pose, rig or not.
+pycolmap's reader is not used: on damaged files it can loop forever or allocate huge amounts of
+memory, and it rejects a model with a single dangling observation. `rigs` and `frames` files are not
+needed, since `images` has each photo's full pose.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from .records import Model
 
 T = TypeVar("T")
 
-HINT_DAMAGED = "The file is damaged or unfinished: export the model again."
+HINT_DAMAGED = "The file is damaged or incomplete: export the model again."
 
 
 def model_suffix(folder: Path) -> str | None:
-    """`.bin` or `.txt` when `folder` holds a model's cameras and images in that form, else None."""
+    """The suffix of the folder's cameras and images files, `.bin` or `.txt`; None: no model."""
     for suffix in (".bin", ".txt"):
         if all((folder / (stem + suffix)).is_file() for stem in ("cameras", "images")):
             return suffix
@@ -32,9 +32,9 @@ def model_suffix(folder: Path) -> str | None:
 
 
 def read_model(folder: Path, context: Context = QUIET) -> Model:
-    """The model in `folder`, binary files before text ones.
+    """The model in `folder`; binary files take precedence over text files.
 
-    Args: `context`: asked while reading whether to stop.
+    Args: `context`: checked for cancellation while reading.
 
     Raises:
         SceneError: a file is missing, unreadable or damaged.
@@ -42,16 +42,16 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     suffix = model_suffix(folder)
     if suffix is None:
         raise SceneError(
-            f"{folder} holds no COLMAP model.",
+            f"{folder} has no COLMAP model.",
             "It needs cameras, images and points3D, all .bin or all .txt.",
         )
     paths = [folder / (stem + suffix) for stem in ("cameras", "images", "points3D")]
     if not paths[2].is_file():
-        raise SceneError(f"{folder} holds no {paths[2].name}.", "Export the 3D points as well.")
+        raise SceneError(f"{folder} has no {paths[2].name}.", "Export the 3D points as well.")
     files = binary_files if suffix == ".bin" else text_files
     cameras = _read(paths[0], files.read_cameras)
     images = _read(paths[1], partial(files.read_images, context=context))
-    # Normally the photos tell what they observe; the points' side is read only where they do not.
+    # Normally the photos list what they observe; else the points' tracks are read.
     tracks = not any((image.point_ids >= 0).any() for image in images)
     parse = partial(files.read_points, tracks=tracks, context=context)
     ids, points, colors, rows, viewers = _read(paths[2], parse)
@@ -67,7 +67,7 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
 
 
 def count_images(folder: Path) -> int:
-    """How many posed photos the model in `folder` says it holds; 0 when that cannot be read."""
+    """The number of posed photos in the model in `folder`; 0 if it cannot be read."""
     path = folder / f"images{model_suffix(folder)}"
     try:
         if path.suffix == ".bin":
@@ -80,7 +80,7 @@ def count_images(folder: Path) -> int:
 
 
 def _read(path: Path, parse: Callable[[bytes], T]) -> T:
-    """`parse` of the file's bytes; whatever goes wrong becomes one line that names the file."""
+    """`parse` of the file's bytes; any error becomes a SceneError that names the file."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -91,9 +91,3 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T:
         raise SceneError(f"{path} ends too early ({len(data)} bytes).", HINT_DAMAGED) from error
     except (ValueError, IndexError, OverflowError) as error:
         raise SceneError(f"Cannot read {path} ({error}).", HINT_DAMAGED) from error
-
-
-# --- binary ---------------------------------------------------------------------------------------
-
-
-# --- text -----------------------------------------------------------------------------------------

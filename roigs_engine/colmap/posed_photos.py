@@ -1,4 +1,4 @@
-"""A model's photos: which of them can be used, with which pose, camera and file."""
+"""A model's photos: decides which can be used, and finds their poses, cameras and files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.files import PhotoFolder
-from ..photos.headers import PhotoError, check_whole, photo_size
+from ..photos.headers import PhotoError, check_complete, photo_size
 from .records import NO_IDS, Model, ModelCamera, ModelImage
 from .undistort import (
     Plan,
@@ -41,12 +41,12 @@ Shrink = Callable[[int, int], tuple[int, int]]
 
 
 def photo_name(image: ModelImage) -> str:
-    """The photo's name in the scene: with `/` between folders whatever system wrote the model."""
+    """The photo's name in the scene, with `/` between folders on all systems."""
     return image.name.replace("\\", "/")
 
 
 def _pose(image: ModelImage) -> Float64 | None:
-    """(4, 4) world to camera, None when the stored numbers are no pose."""
+    """(4, 4) world to camera; None if the stored numbers are not a pose."""
     numbers = np.concatenate([image.quaternion, image.translation])
     if not (np.abs(numbers) < FAR).all():
         return None
@@ -61,18 +61,18 @@ def _pose(image: ModelImage) -> Float64 | None:
 
 
 def _same_shape(camera: ModelCamera, size: tuple[int, int]) -> bool:
-    """Whether a photo of that size is a resampled copy, rounded by a pixel at most."""
+    """Whether a photo of that size has the camera's aspect ratio, rounded by at most a pixel."""
     slack = 1 / camera.width + 1 / camera.height
     return abs(size[0] / camera.width - size[1] / camera.height) <= slack + 1e-9
 
 
 class PhotoLoader:
-    """Sorts a model's photos into usable ones, plans for distorted ones, and skipped names.
+    """Separates a model's usable photos from skipped ones, and plans to undistort distorted ones.
 
     Attributes:
         posed: image id -> photo, with its final camera and the original file.
         skipped: reason -> names.
-        approximate: whether a camera's distortion is ignored, for want of pycolmap.
+        approximate: whether lens distortion is ignored, because pycolmap is not installed.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class PhotoLoader:
         pixels: bool = True,
         context: Context = QUIET,
     ) -> None:
-        """Args: `pixels`: False where only cameras matter, see `load_colmap`."""
+        """Args: `pixels`: False if only cameras are needed, see `load_colmap`."""
         self.approximate = False
         self._pixels = pixels
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
@@ -102,7 +102,7 @@ class PhotoLoader:
     def _add(
         self, image: ModelImage, camera: ModelCamera | None, photos: PhotoFolder, shrink: Shrink
     ) -> str:
-        """Take the photo in, or say why not."""
+        """Add the photo; returns the reason if it must be skipped, else an empty string."""
         pose, path = _pose(image), photos.find(image.name)
         if pose is None:
             return UNPOSED
@@ -112,7 +112,7 @@ class PhotoLoader:
             return MISSING
         try:
             size = photo_size(path) or (camera.width, camera.height)
-            check_whole(path)
+            check_complete(path)
         except SceneError:
             return UNREADABLE
         if not _same_shape(camera, size):
@@ -146,7 +146,7 @@ class PhotoLoader:
         size: tuple[int, int],
         shrink: Shrink,
     ) -> Camera:
-        """The pinhole of a distorted camera; the photo is noted for undistortion."""
+        """The pinhole of a distorted camera; plans the photo's undistortion."""
         if not self._pixels and not has_pycolmap():
             self.approximate = True
             return without_distortion(camera).resized(*shrink(*size))
@@ -155,10 +155,10 @@ class PhotoLoader:
         return plan.target
 
     def undistorted(self, cache: Path | None, context: Context = QUIET) -> dict[int, PosedImage]:
-        """Image id -> photo, the distorted ones' undistorted copies made or found in the cache."""
+        """Image id -> photo; distorted photos are undistorted, or taken from the cache."""
         if not self._plans:
             return self.posed
-        folder = temporary_folder() if cache is None else _made(Path(cache) / "undistorted")
+        folder = temporary_folder() if cache is None else _created(Path(cache) / "undistorted")
         total = len(self._plans)
         made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
         context = replace(context, emit=QUIET.emit) if made else context
@@ -170,7 +170,7 @@ class PhotoLoader:
             for step, (key, job) in enumerate(jobs.items(), start=1):
                 image = self.posed[key]
                 try:
-                    self.posed[key] = replace(image, path=_waited(job, context), distorted=False)
+                    self.posed[key] = replace(image, path=_wait_for(job, context), distorted=False)
                 except PhotoError:
                     self.skipped[UNREADABLE].append(image.name)
                     del self.posed[key]
@@ -180,16 +180,16 @@ class PhotoLoader:
         return self.posed
 
 
-def _waited(job: Future[Path], context: Context) -> Path:
-    """The job's result, asking now and then whether to stop."""
+def _wait_for(job: Future[Path], context: Context) -> Path:
+    """The job's result; checks for cancellation while waiting."""
     while not wait([job], timeout=0.2).done:
         context.check_cancelled()
     context.check_cancelled()
     return job.result()
 
 
-def _made(folder: Path) -> Path:
-    """The folder, created before photos are decoded for it."""
+def _created(folder: Path) -> Path:
+    """The folder, created if it does not exist."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

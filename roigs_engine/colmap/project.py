@@ -1,4 +1,4 @@
-"""A COLMAP project folder to an `SfmScene`: finds model and photos, undistorts what needs it."""
+"""Loads a COLMAP project as an `SfmScene`: finds model and photos, undistorts photos if needed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
-from ..formats.events import Message
 from ..formats.rois import FAR
 from ..model.scene import Float64, Int64, SfmScene
 from ..photos.files import PhotoFolder, find_photos
@@ -33,17 +32,15 @@ def load_colmap(
 
     Args:
         path: project folder with `sparse/0` or `sparse`, or the model's own folder.
-        images: the photos' folder; default `images`, `images_2`, `images_4` or `images_8` of the
-            project, the first that holds any of the model's photos.
-        cache: where undistorted photos are kept between loads; default a temporary folder.
+        images: the photos' folder; default: the first of the project's folders `images`,
+            `images_2`, `images_4` and `images_8` that has any of the model's photos.
+        cache: folder that keeps undistorted photos between loads; default: a temporary folder.
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
-        pixels: False when nobody will look at the photos themselves: the cameras are the same,
-            but nothing is undistorted (it takes seconds), and `path` names the distorted photo.
-            Works with numpy alone; without pycolmap, cameras with distortion are taken as if they
-            had none, and a warning says so.
-        context: receives messages.
-        context: asked between files and photos whether to stop.
+        pixels: False if only cameras are needed: the cameras are the same, but nothing is
+            undistorted (it takes seconds), and `path` names the distorted photo. Needs numpy alone;
+            without pycolmap, lens distortion is ignored, with a warning.
+        context: receives messages; checked for cancellation between files and photos.
 
     Raises:
         SceneError: no usable model, points or photos.
@@ -64,10 +61,7 @@ def load_colmap(
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
-    for reason, names in skipped.items():
-        first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
-        say = context.info if reason == UNPOSED else context.warn
-        say(f"Photos left out, {reason}: {len(names)} ({first}).")
+    _report_skipped(skipped, context)
     observed = _observations(model, ids, context)
     used = {image.name: observed.get(image_id, NO_IDS) for image_id, image in posed.items()}
     return SfmScene(
@@ -82,10 +76,18 @@ def load_colmap(
     )
 
 
+def _report_skipped(skipped: dict[str, tuple[str, ...]], context: Context) -> None:
+    """Emit a message for each reason: a warning, unless the photos merely have no pose."""
+    for reason, names in skipped.items():
+        first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
+        emit = context.info if reason == UNPOSED else context.warn
+        emit(f"Skipped {len(names)} photos, {reason}: {first}.")
+
+
 def find_model(path: Path, context: Context = QUIET) -> Path:
     """The model folder of a project: `path`, `path/sparse` or one of their numbered subfolders.
 
-    Of several models the one with the most photos is taken, and a message says so.
+    If there are several models, the one with the most photos is used, with a warning.
 
     Raises:
         SceneError: there is none.
@@ -101,18 +103,15 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
     counts = {folder: count_images(folder) for folder in found if model_suffix(folder)}
     if not counts:
         raise SceneError(
-            f"{path} holds no COLMAP model.",
+            f"{path} has no COLMAP model.",
             "Give a folder with sparse/0, or one with cameras, images and points3D files.",
         )
     best = max(counts, key=lambda folder: counts[folder])
     if len(counts) > 1:
         others = (f"{f.relative_to(path)}: {n}" for f, n in counts.items() if f != best)
-        context.emit(
-            Message(
-                text=f"{path} holds {len(counts)} models; taking {best.relative_to(path)} "
-                f"with {counts[best]} photos (others: {', '.join(others)}).",
-                level="warning",
-            )
+        context.warn(
+            f"{path} has {len(counts)} models; using {best.relative_to(path)} with"
+            f" {counts[best]} photos (others: {', '.join(others)})."
         )
     return best
 
@@ -125,11 +124,11 @@ def _children(folder: Path) -> list[Path]:
 
 
 def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
-    """The function from a photo's (width, height) to those wanted."""
+    """The function from a photo's (width, height) to the requested ones."""
     if downscale is not None and not 1 <= downscale < 1e6:
-        raise ConfigError(f"downscale is {downscale:g}.", "Give a number of at least 1.")
+        raise ConfigError(f"downscale is {downscale:g}.", "Use a number of at least 1.")
     if max_side is not None and not 1 <= max_side <= MAX_SIDE:
-        raise ConfigError(f"max_side is {max_side}.", "Give a number of pixels.")
+        raise ConfigError(f"max_side is {max_side}.", f"Use 1 to {MAX_SIDE} pixels.")
 
     def shrink(width: int, height: int) -> tuple[int, int]:
         scale = 1 / (downscale or 1)
@@ -143,25 +142,23 @@ def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
 def _points(
     model: Model, folder: Path, context: Context
 ) -> tuple[Int64, Float64, NDArray[np.uint8]]:
-    """Ids ascending, positions and colours of the points with usable numbers."""
+    """Ids (ascending), positions and colours of the points with valid numbers."""
     good = (np.abs(model.points) < FAR).all(axis=1) & (model.point_ids >= 0)  # False for NaN
     if not good.any():
         raise SceneError(
-            f"The model in {folder} holds no 3D points.",
+            f"The model in {folder} has no 3D points.",
             "Export the sparse point cloud with the model: training starts from it.",
         )
     if not good.all():
-        text = f"{int((~good).sum())} 3D points without a usable position are left out."
-        context.warn(text)
+        context.warn(f"Skipped {int((~good).sum())} 3D points without a valid position.")
     ids, rows = np.unique(model.point_ids[good], return_index=True)
     return ids, model.points[good][rows], model.colors[good][rows]
 
 
 def _observations(model: Model, ids: Int64, context: Context) -> dict[int, Int64]:
-    """Image id -> ascending rows of the points it observes; ids of no point are ignored.
+    """Image id -> ascending rows of the points it observes; unknown point ids are ignored.
 
-    The photos' side of the observations counts; a model that has only the points' side (tracks)
-    is read from there.
+    The photos' lists of observations are used, or the points' tracks if the photos have no lists.
     """
     seen = {image.image_id: image.point_ids for image in model.images}
     if len(model.track_rows):
@@ -186,7 +183,7 @@ def _rows(values: Int64, ids: Int64) -> Int64:
 
 def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]]) -> SceneError:
     if not model.images:
-        return SceneError("The model holds no posed photos.", "Run COLMAP's mapper to its end.")
+        return SceneError("The model has no posed photos.", "Run COLMAP's mapper to its end.")
     counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
     first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
     return SceneError(

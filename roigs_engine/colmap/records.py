@@ -1,4 +1,4 @@
-"""COLMAP's model as plain records, their numbers checked."""
+"""COLMAP's model as plain records with checked numbers."""
 
 from __future__ import annotations
 
@@ -31,22 +31,18 @@ CAMERA_MODELS = (
     ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )
-
-
 PARAMETER_COUNT = dict(CAMERA_MODELS)
 
-
-# Models whose parameters begin with one focal length; of the others' two, fx and fy.
+# Models whose parameters begin with one focal length; the others begin with fx and fy.
 ONE_FOCAL = {
     *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "SIMPLE_RADIAL_FISHEYE", "SIMPLE_DIVISION"),
     *("SIMPLE_FISHEYE", "RADIAL", "RADIAL_FISHEYE"),
 }
-
-
-MAX_SIDE = 1 << 20  # pixels; a larger camera is a damaged file
-
-
+MAX_SIDE = 1 << 20  # pixels; a larger camera means a damaged file
 NO_IDS = np.empty(0, dtype=np.int64)
+
+Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]
+"""ids (P,), positions (P, 3), colours (P, 3), and `Model.track_rows`, `Model.track_images`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +60,7 @@ class ModelImage:
     """A posed photo as COLMAP stores it.
 
     Attributes:
-        quaternion: (4,) wxyz of the rotation world -> camera, as stored (perhaps not normalised).
+        quaternion: (4,) wxyz of the rotation world -> camera, as stored (may not be normalised).
         translation: (3,) of the same transform.
         point_ids: (M,) ids of the observed points, -1 for keypoints without one.
     """
@@ -84,7 +80,7 @@ class Model:
     Attributes:
         point_ids, points, colors: (P,) ids, (P, 3) positions, (P, 3) uint8 sRGB.
         track_rows, track_images: (T,) rows of `points` and ids of the photos that observe them;
-            read only when no photo tells what it observes, else empty.
+            empty unless the photos have no lists of observations.
     """
 
     cameras: dict[int, ModelCamera]
@@ -97,7 +93,7 @@ class Model:
 
 
 def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ModelCamera:
-    """A checked camera; ValueError when its numbers cannot be a camera's."""
+    """The camera; ValueError if its numbers are not valid."""
     if model not in PARAMETER_COUNT:
         raise ValueError(f"unknown camera model {model}")
     if len(params) != PARAMETER_COUNT[model]:
@@ -105,7 +101,7 @@ def checked_camera(model: str, width: int, height: int, params: tuple[float, ...
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
         raise ValueError(f"camera of {width} x {height} pixels")
     focals = params[: 1 if model in ONE_FOCAL else 2]
-    if not (np.abs(params) < FAR).all() or min(focals) <= 0:  # nor is it for NaN
+    if not (np.abs(params) < FAR).all() or min(focals) <= 0:  # catches NaN too
         raise ValueError(f"{model} camera with parameters {params}")
     return ModelCamera(model=model, width=width, height=height, params=params)
 
@@ -124,6 +120,3 @@ def checked_image(
         translation=np.array(pose[4:7], dtype=np.float64),
         point_ids=point_ids,
     )
-
-
-Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]

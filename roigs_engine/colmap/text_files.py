@@ -15,14 +15,14 @@ T = TypeVar("T")
 
 
 def _lines(data: bytes) -> list[str]:
-    """All lines, stripped, without comments (blank ones stay: images.txt gives them a meaning)."""
+    """All lines, stripped, without comments. Blank lines stay: in images.txt they have meaning."""
     text = data.decode("utf-8-sig", errors="replace")
     stripped = (line.strip() for line in text.split("\n"))
     return [line for line in stripped if not line.startswith("#")]
 
 
 def image_lines(data: bytes) -> Iterator[tuple[str, str]]:
-    """Per photo its two lines: pose and name, observations (perhaps blank)."""
+    """The two lines of each photo: pose and name; observations (may be blank)."""
     lines = iter(_lines(data))
     for line in lines:
         if line:
@@ -30,7 +30,7 @@ def image_lines(data: bytes) -> Iterator[tuple[str, str]]:
 
 
 def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
-    """`parse` of the line's words; ValueError that quotes the line when it does not fit."""
+    """`parse` of the line's words; a ValueError quotes the line if it is malformed."""
     try:
         return parse(line.split(maxsplit=fields))
     except (ValueError, IndexError) as error:
@@ -38,6 +38,8 @@ def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
 
 
 def read_cameras(data: bytes) -> dict[int, ModelCamera]:
+    """Camera id -> camera, from cameras.txt."""
+
     def parse(words: list[str]) -> tuple[int, ModelCamera]:
         camera_id, model, width, height, *params = words
         values = tuple(float(value) for value in params)
@@ -47,6 +49,7 @@ def read_cameras(data: bytes) -> dict[int, ModelCamera]:
 
 
 def read_images(data: bytes, context: Context) -> list[ModelImage]:
+    """The photos of images.txt."""
     images = []
     for head, tail in image_lines(data):
         context.check_cancelled()
@@ -63,6 +66,8 @@ def read_images(data: bytes, context: Context) -> list[ModelImage]:
 
 
 def read_points(data: bytes, tracks: bool, context: Context) -> Points:
+    """The points of points3D.txt, with their tracks if `tracks`."""
+
     def parse(words: list[str]) -> tuple[int, list[float], list[int]]:
         context.check_cancelled()
         numbers = [float(value) for value in words[1:7]]

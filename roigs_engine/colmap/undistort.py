@@ -1,4 +1,4 @@
-"""Camera models to pinholes: undistorted photos, made once and cached. The only pycolmap import."""
+"""Undistorts photos to pinhole cameras, with a cache. The only module that imports pycolmap."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from ..formats.files import atomic_write
 from ..model.scene import Camera
 from .records import ONE_FOCAL, ModelCamera
 
-# Models that are a pinhole once their distortion is all zeros (a fisheye's projection never is).
+# Models that are a pinhole if their distortion is zero (a fisheye is not), and the index of their
+# first distortion parameter.
 PINHOLE_AT_ZERO = {
     "SIMPLE_PINHOLE": 3,
     "PINHOLE": 4,
@@ -32,9 +33,9 @@ PINHOLE_AT_ZERO = {
     "SIMPLE_DIVISION": 3,
     "DIVISION": 4,
 }
-# Undistorting happens at full size or, for a much smaller result, at this multiple of it.
+# Photos are undistorted at full size, or at this multiple of a much smaller target size.
 OVERSAMPLING = 2.0
-CACHE_VERSION = 1  # part of each cached photo's name: raise it when the pixels would differ
+CACHE_VERSION = 1  # part of each cached photo's name: increase it if the pixels change
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ class Plan:
     target: Camera
 
     def file_name(self) -> str:
-        """The cached photo's name: a digest of everything its pixels follow from."""
+        """The cached photo's name: a hash of everything that decides its pixels."""
         status = self.photo.stat()
         size = (self.target.width, self.target.height)
         facts = (CACHE_VERSION, str(self.photo.resolve()), status.st_mtime_ns, status.st_size)
@@ -55,7 +56,7 @@ class Plan:
 
 
 def as_pinhole(camera: ModelCamera) -> Camera | None:
-    """The camera's exact pinhole, or None when its photos need undistorting."""
+    """The camera's exact pinhole, or None if its photos must be undistorted."""
     first_extra = PINHOLE_AT_ZERO.get(camera.model)
     if first_extra is None or any(camera.params[first_extra:]):
         return None
@@ -66,7 +67,7 @@ def as_pinhole(camera: ModelCamera) -> Camera | None:
 
 
 def without_distortion(camera: ModelCamera) -> Camera:
-    """The pinhole of the camera's focal lengths and principal point, its distortion ignored.
+    """The pinhole with the camera's focal lengths and principal point; ignores distortion.
 
     Raises:
         SceneError: the model has no focal length (an equirectangular panorama).
@@ -79,7 +80,7 @@ def without_distortion(camera: ModelCamera) -> Camera:
 
 
 def has_pycolmap() -> bool:
-    """Whether distortion can be dealt with here."""
+    """Whether pycolmap is installed, which undistorts photos."""
     try:
         _pycolmap()
     except EngineError:
@@ -93,15 +94,16 @@ def plan_undistortion(
     size: tuple[int, int],
     shrink: Callable[[int, int], tuple[int, int]],
 ) -> Plan:
-    """What to do to a distorted photo.
+    """How to undistort a photo.
 
     Args:
-        camera: the photo's camera as modelled; the photo may be a resampled copy.
+        photo: the file.
+        camera: the photo's camera in the model; the photo may be a resampled copy.
         size: (width, height) of the photo on disk.
-        shrink: (width, height) of the undistorted photo -> those wanted.
+        shrink: (width, height) of the undistorted photo -> requested (width, height).
 
     Raises:
-        SceneError: the camera cannot be turned into a pinhole.
+        SceneError: the camera cannot be undistorted.
     """
     source = _resized(camera, *size)
     pinhole = undistorted_camera(source)
@@ -109,13 +111,13 @@ def plan_undistortion(
     share = OVERSAMPLING * max(target.width / pinhole.width, target.height / pinhole.height)
     if share < 0.75:
         source = _resized(camera, round(size[0] * share), round(size[1] * share))
-        # The smaller photo's pinhole differs by less than a pixel; the target follows it.
+        # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
     return Plan(photo=photo, source=source, target=target)
 
 
 def undistort(plan: Plan, folder: Path) -> Path:
-    """The undistorted photo in `folder`, made now unless it is there already.
+    """The undistorted photo in `folder`; created now if it is not in the cache.
 
     Raises:
         PhotoError: the photo cannot be decoded.
@@ -124,7 +126,7 @@ def undistort(plan: Plan, folder: Path) -> Path:
     path = folder / plan.file_name()
     if path.is_file():
         return path
-    from PIL import Image  # needed for pixels only: cameras are looked at without it
+    from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode
 
@@ -144,10 +146,10 @@ def undistort(plan: Plan, folder: Path) -> Path:
 
 @lru_cache(maxsize=1024)
 def undistorted_camera(camera: ModelCamera) -> Camera:
-    """The pinhole that shows only pixels the distorted photo has (no black borders).
+    """The pinhole whose view lies inside the distorted photo (no black borders).
 
     Raises:
-        SceneError: no pinhole can show this camera's photos.
+        SceneError: the camera has no such pinhole.
     """
     try:
         pinhole = _pycolmap().undistort_camera(_options(), _colmap_camera(camera))
@@ -163,7 +165,7 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
 
 
 def temporary_folder() -> Path:
-    """A folder that lasts as long as this process."""
+    """A folder that is deleted at the end of this process."""
     folder = tempfile.mkdtemp(prefix="roigs-photos-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
@@ -180,7 +182,7 @@ def _resized(camera: ModelCamera, width: int, height: int) -> ModelCamera:
 
 
 def _colmap_camera(camera: ModelCamera) -> Any:
-    """The camera as pycolmap's; SceneError when the installed version does not know the model."""
+    """pycolmap's camera; SceneError if the installed pycolmap does not know the model."""
     colmap = _pycolmap()
     if camera.model not in colmap.CameraModelId.__members__:
         raise SceneError(
@@ -198,17 +200,17 @@ def _options() -> Any:
 
 @cache
 def _pycolmap() -> Any:
-    """The module, its log silenced: what matters comes as an exception."""
+    """The module pycolmap with its log switched off: it also raises its errors."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError as error:
         raise EngineError(
-            f"Undistorting photos needs pycolmap, which this Python lacks ({error}).",
-            "Install pycolmap, or give a model that COLMAP's image_undistorter has written.",
+            f"Undistorting photos needs pycolmap, which is not installed ({error}).",
+            "Install pycolmap, or use a model written by COLMAP's image_undistorter.",
         ) from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL.value)
     if threading.current_thread() is threading.main_thread():
-        # The import takes SIGTERM over, to print a stack trace; ending a process is no crash.
+        # The import installs a SIGTERM handler that prints a stack trace; restore the old handler.
         signal.signal(signal.SIGTERM, before)
     return pycolmap

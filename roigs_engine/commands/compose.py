@@ -1,4 +1,4 @@
-"""`compose`: put objects' Gaussians in the place of a scene's."""
+"""`compose`: replace a scene's Gaussians in boxes by those of object models."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..errors import RoiError
 from .console import Console
 from .options import add_roi_options, boxes
 
-HELP = "replace a scene's Gaussians in the boxes by objects'"
+HELP = "replace a scene's Gaussians in the boxes by those of object models"
 EXAMPLES = """\
   python -m roigs_engine compose scene.ply --rois rois.json --object vase=vase.ply --out all.ply"""
 
@@ -23,13 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         required=True,
         metavar="ROI=FILE.ply",
-        help="PLY whose Gaussians fill that box; repeatable",
+        help="PLY whose Gaussians in the box replace the scene's; repeatable",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="PLY to write")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Read, replace, write."""
+    """Read the models, merge them and write the result."""
     from ..model.compose import merge
     from ..model.gaussians import Gaussians
 
@@ -39,10 +39,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         name, _, path = text.partition("=")
         if name not in by_name:
             raise RoiError(
-                f"--object {text} names no ROI.", f"Write ROI=FILE; ROIs: {', '.join(by_name)}."
+                f"--object {text} does not name a box.",
+                f"Write ROI=FILE; the boxes are: {', '.join(by_name)}.",
             )
         if name in objects:
-            raise RoiError(f"--object names '{name}' twice.", "Give one file for each ROI.")
+            raise RoiError(f"--object names '{name}' twice.", "Give one file for each box.")
         objects[name] = Gaussians.load_ply(Path(path))
     pairs = [(by_name[name], model) for name, model in objects.items()]
     composed = merge(Gaussians.load_ply(args.scene_ply), pairs)

@@ -1,4 +1,4 @@
-"""How a command talks: a progress bar for people, JSON lines for programs; how it is stopped."""
+"""A command's output and stop requests: a progress bar for users, JSON lines for programs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class Console:
-    """Takes events and shows them; knows whether somebody asked to stop.
+    """Shows events, and records whether a stop was requested.
 
     Args:
-        json_lines: write one JSON line per event on standard output, and take 'stop' or the end of
-            standard input as a request to stop; otherwise a progress bar on standard error.
+        json_lines: write one JSON line per event to standard output, and stop at the line 'stop' or
+            the end of standard input; otherwise show a progress bar on standard error.
     """
 
     def __init__(self, *, json_lines: bool) -> None:
@@ -35,19 +35,19 @@ class Console:
         self._log: TextIO | None = None
 
     def watch(self) -> None:
-        """Begin to listen for requests to stop: Ctrl-C, SIGTERM, standard input (JSON lines)."""
+        """Start to watch for stop requests: Ctrl-C, SIGTERM, and standard input (JSON lines)."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupted)
         if self._json_lines:
             threading.Thread(target=self._read_input, daemon=True).start()
 
     def should_stop(self) -> bool:
-        """Whether a stop was asked for."""
+        """Whether a stop was requested."""
         return self._stop.is_set()
 
     @property
     def context(self) -> Context:
-        """For the work of a command: events are shown here, and stops come from here."""
+        """The context of a command's work, with this console's events and stop requests."""
         return Context(emit=self.emit, should_stop=self.should_stop)
 
     def log_to(self, folder: Path) -> None:
@@ -62,7 +62,7 @@ class Console:
             with open(path, "a+b") as file:
                 size = file.seek(0, os.SEEK_END)
                 file.seek(max(size - 1, 0))
-                if size and file.read(1) != b"\n":  # a killed engine has left half a line
+                if size and file.read(1) != b"\n":  # a killed engine left half a line
                     file.write(b"\n")
             self._log = open(path, "a", encoding="utf-8")  # noqa: SIM115
         except OSError as error:
@@ -80,37 +80,37 @@ class Console:
             self._show(event)
 
     def _append(self, line: str, log: TextIO) -> None:
-        """A line of the log. A full disk ends the log, not what it tells of."""
+        """Append a line to the log. A full disk ends the log, but not the work."""
         try:
             print(line, file=log, flush=True)
         except OSError as error:
             self._log = None
-            with suppress(OSError):  # what could not be written is tried again here
+            with suppress(OSError):  # closing tries to write the rest again
                 log.close()
             text = f"Events are no longer written to events.jsonl ({error.strerror or error})."
             self.emit(Message(text=text, level="warning"))
 
     def print(self, text: str) -> None:
-        """Text that is the command's answer: standard output, but never among JSON lines."""
+        """Print the command's answer: to standard output, but to standard error beside JSON."""
         self.close_bar()
         self._write(text, sys.stderr if self._json_lines else sys.stdout)
 
     def close_bar(self) -> None:
-        """End the progress bar, if one is up."""
+        """End the progress bar, if there is one."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None
 
     def _write(self, text: str, stream: TextIO) -> None:
-        """One line. Nobody reading any more is a request to stop, as the end of input is."""
-        # A file name may hold letters that the encoding lacks, or bytes that are no letters.
+        """Write one line. If the reader is gone, stop, as at the end of standard input."""
+        # A file name may have characters that the encoding lacks, or bytes that are no characters.
         encoding = getattr(stream, "encoding", None) or "utf-8"
         text = text.encode(encoding, "backslashreplace").decode(encoding)
         try:
             print(text, file=stream, flush=True)
         except OSError:
             self._stop.set()
-            # What Python flushes when it exits shall not fail again.
+            # Keep Python's flush at exit from failing again.
             with open(os.devnull, "wb") as nowhere:
                 os.dup2(nowhere.fileno(), stream.fileno())
 
@@ -135,7 +135,7 @@ class Console:
                 pass
 
     def _open_bar(self, stage: str, total: int) -> None:
-        """A progress bar, where tqdm is installed (Blender's own Python has none)."""
+        """Open a progress bar if tqdm is installed (Blender's own Python does not have it)."""
         try:
             from tqdm import tqdm
         except ImportError:
@@ -164,10 +164,10 @@ class Console:
         if self._stop.is_set():
             raise KeyboardInterrupt
         self._stop.set()
-        self._line("Stopping after this step; once more to leave at once.")
+        self._line("Stopping after this step. Press Ctrl-C again to quit at once.")
 
     def _read_input(self) -> None:
-        """Until 'stop' or the end. Read past `sys.stdin`, whose lock would hold up the exit."""
+        """Read lines until 'stop' or the end; bypasses `sys.stdin`, whose lock would delay exit."""
         rest = b""
         while True:
             try:

@@ -1,4 +1,4 @@
-"""`evaluate`: the table for any PLYs, on photos they have not seen."""
+"""`evaluate`: the evaluation table of any PLYs, on test photos."""
 
 from __future__ import annotations
 
@@ -34,18 +34,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         required=True,
         metavar="NAME=FILE.ply",
-        help="a row of the table; the first one is what gains are measured from; repeatable",
+        help="a row of the table; gains are relative to the first one; repeatable",
     )
     tests = parser.add_mutually_exclusive_group()
     tests.add_argument("--split", type=Path, metavar="FILE", help="split.json of a run")
     tests.add_argument(
-        "--test-every", type=int, default=8, metavar="N", help="every n-th ROI-visible photo"
+        "--test-every",
+        type=int,
+        default=8,
+        metavar="N",
+        help="test on every n-th photo that sees a box (default: 8)",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Render the test photos with every model and compare."""
+    """Render the test photos with every model, and compare."""
     import torch
 
     from ..evaluation.crops import write_crops
@@ -59,7 +63,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
     unknown = sorted(set(test) - {image.name for image in scene.images})
     if unknown:
-        raise ConfigError(f"The split names '{unknown[0]}', which the scene does not have.")
+        raise ConfigError(
+            f"{args.split} names '{unknown[0]}', which is not in the scene.",
+            "Use the split.json of a run on this scene.",
+        )
     context, models = context_on_device(args, console), []
     for text in args.model:
         name, separator, path = text.partition("=")
@@ -85,5 +92,5 @@ def _split(path: Path) -> list[str]:
     record = read_json(path)
     names = record.get("test") if isinstance(record, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ConfigError(f"{path} holds no list 'test' of photo names.")
+        raise ConfigError(f"{path} has no list 'test' of photo names.", "Use a run's split.json.")
     return names

@@ -1,4 +1,4 @@
-"""`export`: a COLMAP model's cameras and points as JSON and NumPy files; needs numpy alone."""
+"""`export`: a COLMAP model's cameras and points as JSON and NumPy files; needs only numpy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from .console import Console
 from .options import add_scene_options, load_scene
 
-HELP = "write the cameras and points of a COLMAP model as files that any program reads"
+HELP = "write the cameras and points of a COLMAP model as JSON and NumPy files"
 EXAMPLES = """\
   python -m roigs_engine export garden --out out
   python -m roigs_engine export garden --max-side 640 --out out --events"""
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Read, write."""
+    """Read the model and write the files."""
     from ..colmap.export import write_export
 
     scene = load_scene(args, console)

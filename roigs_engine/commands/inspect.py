@@ -1,4 +1,4 @@
-"""`inspect`: what a COLMAP model holds, and what its boxes see."""
+"""`inspect`: the contents of a COLMAP model, and the photos that see each box."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..colmap.inspect import format_inspection, inspect_scene
 from .console import Console
 from .options import add_roi_options, add_scene_options, boxes, load_scene
 
-HELP = "say what a COLMAP model holds and what sees each box"
+HELP = "show what a COLMAP model contains and which photos see each box"
 EXAMPLES = """\
   python -m roigs_engine inspect garden
   python -m roigs_engine inspect garden --rois garden/rois.json --json"""
@@ -19,11 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
     add_roi_options(parser)
-    parser.add_argument("--json", action="store_true", help="answer in JSON")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Load, look, answer."""
+    """Load the scene, inspect it and print the result."""
     rois = boxes(args, required=False)
     report = inspect_scene(load_scene(args, console), rois)
     console.print(json.dumps(report, indent=1) if args.json else format_inspection(report))

@@ -1,10 +1,11 @@
-"""Options that several commands share, and what they are turned into."""
+"""Options that several commands share, and the values made from them."""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..context import Context
 from ..errors import ConfigError, RoiError
@@ -18,24 +19,24 @@ from .console import Console
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """The scene and how large its photos are used."""
+    """The scene, and the size of its photos."""
     parser.add_argument(
         "scene",
         type=Path,
-        help="folder with a COLMAP model (sparse/0, sparse, or the model itself), or a request"
+        help="folder with a COLMAP model (sparse/0, sparse, or the model itself), or an options"
         " file (JSON) whose keys are the long names of these options",
     )
     group = parser.add_argument_group("scene")
     group.add_argument("--images", type=Path, help="folder of the photos (default: found)")
     size = group.add_mutually_exclusive_group()
-    size.add_argument("--downscale", type=float, metavar="N", help="use photos N times smaller")
-    size.add_argument("--max-side", type=int, metavar="PX", help="longest side of the photos used")
+    size.add_argument("--downscale", type=float, metavar="N", help="divide the photos' size by N")
+    size.add_argument("--max-side", type=int, metavar="PX", help="limit the photos' longest side")
     group.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
 
 
 def add_roi_options(parser: argparse.ArgumentParser) -> None:
     """The boxes."""
-    group = parser.add_argument_group("regions of interest")
+    group = parser.add_argument_group("boxes")
     group.add_argument("--rois", type=Path, metavar="FILE", help="rois.json with the boxes")
     group.add_argument(
         "--roi",
@@ -50,7 +51,7 @@ def add_roi_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_selection_options(parser: argparse.ArgumentParser) -> None:
-    """How photos are selected."""
+    """The selection of photos."""
     group = parser.add_argument_group("selection")
     group.add_argument("--method", choices=METHODS, help="how photos are selected")
     group.add_argument("--count", type=int, metavar="K", help="photos to select per box")
@@ -59,12 +60,12 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
         "--test-every",
         type=int,
         metavar="N",
-        help="keep every n-th ROI-visible photo for tests; 0: none",
+        help="make every n-th photo that sees a box a test photo; 0: none",
     )
 
 
 def add_training_options(parser: argparse.ArgumentParser) -> None:
-    """Preset and what may differ from it."""
+    """The preset, and settings that override it."""
     group = parser.add_argument_group("training")
     group.add_argument(
         "--preset", choices=sorted(PRESETS), default="draft", help="settings (default: draft)"
@@ -74,20 +75,20 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
         "--steps-factor", type=float, metavar="F", help="multiply the steps of both stages"
     )
     group.add_argument(
-        "--kept-share", type=float, metavar="S", help="share of selected photos Scene-GS sees"
+        "--kept-share", type=float, metavar="S", help="share of selected photos Scene-GS uses too"
     )
-    group.add_argument("--roi-init", choices=INITS, help="what the ROI stage starts from")
+    group.add_argument("--roi-init", choices=INITS, help="what the box stage starts from")
     group.add_argument("--roi-order", choices=ORDERS, help="order of the selected photos")
-    group.add_argument("--sh-degree", type=int, choices=range(4), help="spherical harmonics")
+    group.add_argument("--sh-degree", type=int, choices=range(4), help="highest SH degree")
 
 
 def add_device_option(parser: argparse.ArgumentParser) -> None:
-    """Where Gaussians are drawn and trained."""
+    """The device that renders and trains."""
     parser.add_argument(
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="the CPU or an NVIDIA GPU (default: auto, the GPU where gsplat can use it)",
+        help="the CPU or an NVIDIA GPU (default: auto, the GPU if gsplat can use it)",
     )
 
 
@@ -95,7 +96,7 @@ def context_on_device(args: argparse.Namespace, console: Console) -> Context:
     """The console's context with the device of `add_device_option`.
 
     Raises:
-        KernelError: the device cannot be had.
+        KernelError: the device is not available.
     """
     from ..cuda.device import choose_device
 
@@ -108,12 +109,12 @@ def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = 
 
     Args:
         args, console: of the command.
-        cache: where undistorted photos go; None: nobody will look at pixels, only at cameras.
+        cache: folder for undistorted photos; None: only cameras are needed, not pixels.
     """
     from ..colmap.project import load_colmap
     from ..kernels.library import set_threads
 
-    if args.threads is not None:  # photos can be looked at where the kernels cannot run
+    if args.threads is not None:  # else do not load the kernels: they may not run here
         set_threads(args.threads)
     return load_colmap(
         args.scene,
@@ -130,41 +131,44 @@ def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBo
     """The boxes of `add_roi_options`.
 
     Raises:
-        RoiError: there is none, two share a name, or `--only` names none of them.
+        RoiError: there is no box, two share a name, or `--only` names an unknown one.
     """
     rois = load_rois(args.rois) if args.rois else []
     rois += [parse_roi(text) for text in args.roi]
     names = [roi.name for roi in rois]
     taken = first_taken(names)
     if taken is not None:
-        raise RoiError(f"Two ROIs are named '{taken}'.", "Give each its own name.")
+        raise RoiError(f"Two boxes are named '{taken}'.", "Give each its own name.")
     for name in args.only:
         if name not in names:
-            raise RoiError(f"There is no box '{name}'.", f"There are: {', '.join(names)}.")
+            raise RoiError(f"There is no box '{name}'.", f"The boxes are: {', '.join(names)}.")
     if args.only:
         rois = [roi for roi in rois if roi.name in args.only]
     if required and not rois:
-        raise RoiError("No ROI is given.", "Add --rois FILE or --roi NAME=x0,y0,z0,x1,y1,z1.")
+        raise RoiError("There is no box.", "Add --rois FILE or --roi NAME=x0,y0,z0,x1,y1,z1.")
     return rois
 
 
+def given_options(args: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """The named options that the user gave, by name."""
+    values = {name: getattr(args, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def selection_options(args: argparse.Namespace) -> dict[str, Any]:
+    """The options of `add_selection_options` that are fields of `SelectionConfig`."""
+    return given_options(args, "method", "count", "seed")
+
+
 def run_config(args: argparse.Namespace) -> RunConfig:
-    """The preset with the given options in it."""
+    """The preset with the options applied."""
     config = preset(args.preset)
     if args.strategy and args.strategy != config.strategy:
         config = replace(in_strategy(config, args.strategy), preset=config.preset)
     if args.steps_factor is not None:
         config = config.scaled(args.steps_factor)
-    given = {
-        name: getattr(args, name)
-        for name in ("kept_share", "roi_init", "roi_order", "test_every", "seed")
-        if getattr(args, name) is not None
-    }
-    selection = {
-        name: getattr(args, name)
-        for name in ("method", "count", "seed")
-        if getattr(args, name) is not None
-    }
+    given = given_options(args, "kept_share", "roi_init", "roi_order", "test_every", "seed")
+    selection = selection_options(args)
     if args.test_every is not None and args.test_every < 2 and args.test_every != 0:
         raise ConfigError(f"--test-every is {args.test_every}.", "Use 2 or more, or 0 for none.")
     config = replace(config, **given, selection=replace(config.selection, **selection))

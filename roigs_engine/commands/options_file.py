@@ -1,4 +1,4 @@
-"""A request file: a command's options as JSON, checked as strictly as on the command line."""
+"""Options files: a command's options as JSON, checked as strictly as on the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import ConfigError
 from ..formats.files import read_json
 
-NOT_KEYS = {"help", "events"}  # what a command does with its output is not of the request
+NOT_KEYS = {"help", "events"}  # options that an options file must not set
 
 
 def with_options_file(
@@ -19,33 +19,38 @@ def with_options_file(
     args: argparse.Namespace,
     argv: Sequence[str] | None,
 ) -> argparse.Namespace:
-    """When the scene is a request file, its values become defaults; given options still win.
+    """If the scene is an options file, use its values as defaults; the command line wins.
 
     Raises:
-        ConfigError: a key is unknown, or a value is not what its option takes.
+        ConfigError: a key is unknown, or a value does not fit its option.
         RunFolderError: the file cannot be read.
     """
     path = getattr(args, "scene", None)
     if not isinstance(path, Path) or path.suffix.lower() != ".json" or args.command == "render":
         return args
-    request = read_json(path)
-    if not isinstance(request, dict) or not isinstance(request.get("scene"), str):
-        raise ConfigError(f"The request {path} names no scene.", 'It needs "scene": "FOLDER".')
+    record = read_json(path)
+    if not isinstance(record, dict) or not isinstance(record.get("scene"), str):
+        raise ConfigError(
+            f"The options file {path} has no scene.", 'Add the key "scene": "FOLDER".'
+        )
     options = {action.dest: action for action in command._actions}
     values: dict[str, Any] = {}
-    for key, value in request.items():
+    for key, value in record.items():
         name = key.replace("-", "_")
         if name not in options or name in NOT_KEYS:
             known = ", ".join(sorted(set(options) - NOT_KEYS))
             raise ConfigError(
-                f"The request {path} has an unknown key '{key:.60}'.", f"Known: {known}."
+                f"The options file {path} has an unknown key '{key:.60}'.",
+                f"The known keys are: {known}.",
             )
-        if value is not None:  # null: as if it were not there
+        if value is not None:  # null: as if the key were missing
             values[name] = _typed(options[name], value, f"'{key}' in {path}")
     for group in command._mutually_exclusive_groups:
         names = [action.dest for action in group._group_actions]
         if len(both := [name for name in names if name in values]) > 1:
-            raise ConfigError(f"The request {path} has both '{both[0]}' and '{both[1]}'.")
+            raise ConfigError(
+                f"The options file {path} has both '{both[0]}' and '{both[1]}'.", "Remove one."
+            )
         if any(getattr(args, name) != command.get_default(name) for name in names):
             values = {key: value for key, value in values.items() if key not in names}
     scene = values.pop("scene")
@@ -56,7 +61,7 @@ def with_options_file(
 
 
 def _typed(option: argparse.Action, value: Any, where: str) -> Any:
-    """A request's value as the option would have parsed it."""
+    """A value of the file, converted as the option would parse it."""
     if isinstance(option, argparse._AppendAction) or option.nargs == "*":
         items = value if isinstance(value, list) else [value]
         return [_one(option, item, where) for item in items]
@@ -64,12 +69,12 @@ def _typed(option: argparse.Action, value: Any, where: str) -> Any:
 
 
 def _one(option: argparse.Action, value: Any, where: str) -> Any:
-    """One value of an option: a whole number, a number, a text, or true and false."""
+    """One value of an option: an integer, a number, a string, or true or false."""
     fits, kind = False, option.type or str
     if option.nargs == 0:
         fits, kind = isinstance(value, bool), bool
     elif kind in (int, float):
-        # What is 640 to people is 640.0 to some programs.
+        # Some programs write the integer 640 as 640.0.
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         fits = number and (kind is float or value == value // 1)
     else:
@@ -79,11 +84,18 @@ def _one(option: argparse.Action, value: Any, where: str) -> Any:
     except (OverflowError, ValueError):
         typed = None
     if typed is None:
-        raise ConfigError(f"{where} is {_short(value)}, which it cannot be.")
+        raise ConfigError(f"{where} is {_short(value)}.", f"Use {_expected(option, kind)}.")
     if option.choices is not None and typed not in option.choices:
         allowed = ", ".join(str(choice) for choice in option.choices)
         raise ConfigError(f"{where} is {_short(value)}.", f"Use one of {allowed}.")
     return typed
+
+
+def _expected(option: argparse.Action, kind: Any) -> str:
+    """The kind of value that an option takes, for a message."""
+    if option.nargs == 0:
+        return "true or false"
+    return {int: "an integer", float: "a number"}.get(kind, "a string")
 
 
 def _short(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""`render`: pictures of a PLY from a model's cameras or along a camera path."""
+"""`render`: images of a PLY from a COLMAP model's cameras or along a camera path."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..errors import ConfigError
 from .console import Console
 from .options import add_device_option, context_on_device
 
-HELP = "draw a PLY from COLMAP cameras or along a camera path"
+HELP = "render a PLY from COLMAP cameras or along a camera path"
 EXAMPLES = """\
   python -m roigs_engine render result.ply --scene garden --name IMG_0004.jpg --out frames
   python -m roigs_engine render result.ply --path cameras.json --out frames"""
@@ -17,21 +17,21 @@ EXAMPLES = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("ply", type=Path, help="the Gaussians to draw")
+    parser.add_argument("ply", type=Path, help="the Gaussians to render")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--scene", type=Path, help="COLMAP model whose cameras are used")
     source.add_argument("--path", type=Path, metavar="FILE", help="camera path (docs/files.md)")
     parser.add_argument("--images", type=Path, help="folder of the photos (default: found)")
     parser.add_argument("--name", action="append", default=[], help="only these photos; repeatable")
-    parser.add_argument("--downscale", type=float, metavar="N", help="draw N times smaller")
-    parser.add_argument("--max-side", type=int, metavar="PX", help="longest side")
+    parser.add_argument("--downscale", type=float, metavar="N", help="divide the size by N")
+    parser.add_argument("--max-side", type=int, metavar="PX", help="limit the longest side")
     parser.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
     add_device_option(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of PNGs")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Draw every camera to a PNG."""
+    """Render every camera to a PNG."""
     import torch
 
     from ..kernels.library import set_threads

@@ -1,4 +1,4 @@
-"""`run`: select, train, compare, evaluate: from photos to table in one command."""
+"""`run`: select photos, train, compare and evaluate in one command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from . import train
 from .console import Console
 from .options import run_config
 
-HELP = "do everything: select, train, compare with baselines, evaluate"
+HELP = "do everything: select photos, train, compare with baselines, evaluate"
 EXAMPLES = """\
   python -m roigs_engine run garden --rois garden/rois.json --max-side 640 --run-dir runs/garden
   python -m roigs_engine run garden --rois garden/rois.json --run-dir runs/garden --dry-run
@@ -25,14 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         choices=[*COMPARISONS, "all"],
         default=["full-scene"],
-        help="what else is trained for the table, each with the same steps (default: full-scene)",
+        help="models to train for comparison, with the same number of steps (default: full-scene)",
     )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Train and evaluate; an unfinished run resumes."""
     if run_config(args).test_every == 0:
-        raise ConfigError("--test-every 0 keeps no photo to compare on.", "Use `train` with it.")
+        raise ConfigError(
+            "--test-every 0 leaves no test photo to evaluate.", "Use `train` with it."
+        )
     compare = COMPARISONS if "all" in args.compare else args.compare
     if args.dry_run:
         return train.show_plan(args, console, compare)
@@ -43,14 +45,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..evaluation.report import format_markdown, write_report
     from ..run.folder import train_opened
 
-    with train.opened_run(args, console) as (work, context):
+    with train.opened_run(args, console) as (opened, context):
         trained = train_opened(
-            work, compare, context, update=args.update, preview_seconds=args.preview_seconds
+            opened, compare, context, update=args.update, preview_seconds=args.preview_seconds
         )
         device = torch.device(context.device)
         models = [model.evaluated().to(device) for model in trained]
-        scene, rois = work.scene, work.rois
-        evaluation = evaluate(models, scene, work.test, rois, context=context)
+        scene, rois = opened.scene, opened.rois
+        evaluation = evaluate(models, scene, opened.test, rois, context=context)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
     console.print(format_markdown(evaluation))

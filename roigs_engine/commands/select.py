@@ -1,4 +1,4 @@
-"""`select`: the photos that show each box best, in order; needs no torch."""
+"""`select`: the photos that show each box best, in order; does not need torch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from pathlib import Path
 from ..formats.files import write_json
 from ..selection import SelectionConfig, format_selection, select_cameras
 from .console import Console
-from .options import add_roi_options, add_scene_options, add_selection_options, boxes, load_scene
+from .options import (
+    add_roi_options,
+    add_scene_options,
+    add_selection_options,
+    boxes,
+    load_scene,
+    selection_options,
+)
 
 HELP = "choose the photos that show each box best"
 EXAMPLES = """\
@@ -26,10 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Select for every box. Test photos are taken out when `--test-every` is given."""
+    """Select photos for every box; `--test-every` removes test photos first."""
     rois = boxes(args)
-    given = {n: getattr(args, n) for n in ("method", "count", "seed")}
-    config = replace(SelectionConfig(), **{n: v for n, v in given.items() if v is not None})
+    config = replace(SelectionConfig(), **selection_options(args))
     scene = load_scene(args, console)
     if args.test_every is not None:
         from ..selection.split import choose_test_views

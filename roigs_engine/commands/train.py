@@ -1,4 +1,4 @@
-"""`train`: Scene-GS and the ROI stage, without baselines and evaluation."""
+"""`train`: the Scene-GS and the box stage, without baselines and evaluation."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EXAMPLES = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the command; `run` has the same and more."""
+    """Options of the command; `run` has them too."""
     add_scene_options(parser)
     add_roi_options(parser)
     add_selection_options(parser)
@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--selection",
         type=Path,
         metavar="DIR",
-        help="ROI.json files with the photos of each box, as `select --out` writes them; boxes"
-        " without a file get theirs by --method",
+        help="folder of ROI.json files with the photos of each box, as `select --out` writes them;"
+        " --method selects the photos of boxes without a file",
     )
     parser.add_argument(
         "--update",
         action="store_true",
-        help="bring a folder made for other settings up to date: what still fits is kept, the rest"
-        " moved to its folder 'archive'",
+        help="use a folder made for other settings: results that still fit are kept, the others"
+        " are moved to its folder 'archive'",
     )
     parser.add_argument(
         "--dry-run",
@@ -71,18 +71,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="S",
-        help="write the present Gaussians to preview.ply every S seconds of training",
+        help="write the current Gaussians to preview.ply every S seconds of training",
     )
     parser.add_argument(
         "--image-cache",
         type=float,
         metavar="MB",
-        help="keep so many megabytes of decoded photos in memory (default: a quarter of it)",
+        help="megabytes of decoded photos to keep in memory (default: a quarter of the memory)",
     )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
-    """Train, or resume the run that is in the folder."""
+    """Train, or resume the run in the folder."""
     if args.dry_run:
         return show_plan(args, console)
     from ..run.folder import train_opened
@@ -94,9 +94,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
 @contextmanager
 def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run, Context]]:
-    """The run that the options describe, its folder opened and locked while the block lasts.
+    """The run of the options; its folder is open and locked during the block.
 
-    Its events go to the folder too.
+    Events are also written to the folder.
     """
     from ..run.definition import define_run
     from ..run.folder import open_folder
@@ -120,7 +120,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
 def show_plan(
     args: argparse.Namespace, console: Console, compare: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Print what the options would do; nothing is trained or written."""
+    """Print the plan of the run; a few steps are trained to measure time, nothing is written."""
     from ..run.definition import define_run
     from ..run.dry_run import describe_plan
 
@@ -133,7 +133,7 @@ def show_plan(
 
 
 def _inputs(args: argparse.Namespace) -> dict[str, Any]:
-    """Boxes, settings and manual photos, as `define_run` takes them; other values are checked."""
+    """Boxes, settings and manual photos for `define_run`; checks the other options too."""
     rois, config = boxes(args), run_config(args)
     manual = load_manual(args.selection, rois) if args.selection else {}
     if not 0 <= args.preview_seconds < math.inf:

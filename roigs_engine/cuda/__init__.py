@@ -1,4 +1,4 @@
-"""What is done differently on an NVIDIA card; nothing above the rasterizer, loss and Adam asks.
+"""Support for NVIDIA GPUs: device choice, optional packages, memory, photos on the GPU.
 
-gsplat, fused-ssim and Triton are imported when they are first used, and need not be there.
+gsplat, fused-ssim and Triton are optional and imported on first use.
 """

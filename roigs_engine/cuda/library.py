@@ -1,7 +1,7 @@
-"""The packages that compute on the card, found when first used; their absence in one line.
+"""The packages that compute on the GPU, imported on first use; a missing one gives a clear error.
 
-gsplat (Apache-2.0) is called by the names and arguments of its version 1.5.3, as its documentation
-has them (docs/cuda.md). Its wheel holds CUDA sources, which it compiles at first use.
+gsplat (Apache-2.0) is called with the names and arguments of version 1.5.3 (docs/cuda.md). Its
+wheel contains CUDA sources and compiles them on first use.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ CALLS = {
         *("isect_offsets", "flatten_ids", "backgrounds", "masks"),
     ),
 }
-"""What is called of gsplat, and the arguments that are passed, all by name."""
+"""The gsplat functions that are used, and the arguments that are passed, all by name."""
 
 
 @functools.cache
 def gsplat() -> Any:
-    """gsplat, its kernels compiled.
+    """gsplat with compiled kernels.
 
     Raises:
-        KernelError: it is not there, has another interface, or cannot be compiled.
+        KernelError: it is not installed, has another interface, or cannot be compiled.
     """
     try:
-        # It reports its compilation on standard output, where our events go.
+        # gsplat prints compiler messages to standard output, which is for our events.
         with contextlib.redirect_stdout(sys.stderr):
             module = importlib.import_module("gsplat")
             compiled = importlib.import_module("gsplat.cuda._backend")._C
     except ImportError as error:
         missing = error.name or "gsplat"
         raise KernelError(f"{missing} is not installed.", how_to_install()) from error
-    except Exception as error:  # of compilers there are many kinds
+    except Exception as error:  # compilers fail in many ways
         because = str(error).strip().partition("\n")[0]
         raise KernelError(
             f"gsplat could not compile its kernels ({because}).", how_to_install()
@@ -64,7 +64,7 @@ def gsplat() -> Any:
 
 
 def check_interface(module: Any) -> None:
-    """Raises KernelError unless the module has what is called of it (`CALLS`)."""
+    """Raise KernelError unless the module has the functions and arguments of `CALLS`."""
     for name, arguments in CALLS.items():
         function = getattr(module, name, None)
         known = inspect.signature(function).parameters if callable(function) else {}
@@ -77,34 +77,37 @@ def check_interface(module: Any) -> None:
 
 
 def how_to_install() -> str:
-    """One line: gsplat for the torch at hand."""
+    """A hint: how to install gsplat for the installed torch."""
     version, cuda = torch.__version__.partition("+")[0], torch.version.cuda
     if cuda is None:
-        return f"Install a torch for CUDA (this one, {torch.__version__}, is not), then gsplat."
+        return f"Install torch with CUDA (torch {torch.__version__} is without), then gsplat."
     if tuple(map(int, version.split(".")[:2])) <= (2, 4):
         return (
-            f"gsplat's own index has wheels for this torch: gsplat {GSPLAT}"
+            f"Install a wheel for this torch from gsplat's own index: gsplat {GSPLAT}"
             f"+pt{''.join(version.split('.')[:2])}cu{cuda.replace('.', '')} (docs/cuda.md)."
         )
     return (
-        f"pip install gsplat=={GSPLAT}; it compiles at first use, which needs the CUDA toolkit"
+        f"Run pip install gsplat=={GSPLAT}; it compiles on first use, which needs the CUDA toolkit"
         f" {cuda} (nvcc) and a C++ compiler."
     )
 
 
 def has_triton() -> bool:
-    """Whether kernels in Triton can be used (it comes with torch for CUDA on Linux)."""
+    """Whether Triton is installed (torch for CUDA on Linux includes it)."""
     return importlib.util.find_spec("triton") is not None
 
 
-def can_weigh(device: torch.device) -> bool:
-    """Whether Gaussians there can be drawn with their blending weights (`with_max_weight`)."""
+def has_blending_weights(device: torch.device) -> bool:
+    """Whether rendering on the device can return blending weights (`with_max_weight`)."""
     return device.type != "cuda" or has_triton()
 
 
 @functools.cache
 def fused_ssim() -> Callable[[Tensor, Tensor], Tensor] | None:
-    """Mean SSIM of (1, 3, H, W) values, differentiable in the first; None: not installed."""
+    """fused-ssim's mean SSIM of two (1, 3, H, W) tensors, differentiable in the first.
+
+    None: fused-ssim is not installed.
+    """
     try:
         found: Callable[[Tensor, Tensor], Tensor] = importlib.import_module("fused_ssim").fused_ssim
     except (ImportError, AttributeError):

@@ -1,4 +1,4 @@
-"""When the card's memory is full: the numbers, and what to make smaller."""
+"""Explains the error when GPU memory is full."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ GIB = 1 << 30
 
 
 @contextmanager
-def memory_explained(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
-    """Turns torch's out-of-memory error into one line.
+def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
+    """Turn torch's out-of-memory error into one line.
 
     Args:
-        doing: what goes on, with its numbers; said after 'is full'.
-        advice: what to change.
+        doing: describes the work with its numbers, for the message.
+        advice: what to change, for the hint.
 
     Raises:
-        KernelError: the card's memory is full.
+        KernelError: the GPU memory is full.
     """
     try:
         yield
     except torch.OutOfMemoryError as error:
-        message = f"The graphics card's memory{_used()} is full: {doing()}."
+        message = f"The GPU memory is full{_used()}: {doing()}."
         raise KernelError(message, advice()) from error
 
 
-def smaller(width: int, height: int) -> int:
-    """A longest side, in pixels, to propose in place of that of (width, height)."""
+def smaller_side(width: int, height: int) -> int:
+    """A longest side, in pixels, to suggest instead of that of (width, height)."""
     return max(64, max(width, height) * 3 // 4)
 
 
 def _used() -> str:
-    """How full the card is, in brackets; empty where there is none."""
+    """The GPU memory in use, in parentheses; empty without a GPU."""
     if not torch.cuda.is_available():
         return ""
     free, total = torch.cuda.mem_get_info()
     ours = torch.cuda.max_memory_allocated()
-    return f" ({total / GIB:.1f} GiB, {free / GIB:.1f} free, {ours / GIB:.1f} at most used by this)"
+    return f" ({total / GIB:.1f} GiB, {free / GIB:.1f} free, at most {ours / GIB:.1f} used by this)"

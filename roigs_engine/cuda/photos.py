@@ -1,4 +1,4 @@
-"""Photos where training needs them: kept on the card as bytes, or sent there ahead of their use."""
+"""Photos on the training device: kept there as bytes, or uploaded before they are used."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-SHARE = 4  # of the card's free memory, one part in so many is for photos
+SHARE = 4  # photos may take 1/4 of the free GPU memory
 
 
 class Photos(Protocol):
-    """Decoded photos in main memory: what is needed of `images.PhotoCache`."""
+    """Decoded photos in main memory: the interface of `photos.cache.PhotoCache`."""
 
     def __getitem__(self, index: int) -> NDArray[np.uint8]: ...
 
@@ -23,7 +23,7 @@ class Photos(Protocol):
 
 
 class PhotoTensors(Protocol):
-    """Photos as the trainer takes them, (H, W, 3) uint8 on its device."""
+    """Photos for the trainer, (H, W, 3) uint8 on its device."""
 
     def __getitem__(self, index: int) -> Tensor: ...
 
@@ -45,7 +45,7 @@ class HostPhotos:
         self._photos = photos
 
     def __getitem__(self, index: int) -> Tensor:
-        """The photo; decoded now unless it was prefetched."""
+        """The photo, decoded now unless it was prefetched."""
         return torch.from_numpy(self._photos[index])
 
     def prefetch(self, indices: Sequence[int]) -> None:
@@ -54,10 +54,10 @@ class HostPhotos:
 
 
 class DevicePhotos:
-    """Photos on a device, sent there by a thread while the device computes.
+    """Photos on a device; a thread uploads them while the device computes.
 
-    Those that came first stay, as many as fit into the limit; the others come anew each time. In
-    any order that goes through all photos this hits as often as a cache of that size can.
+    The first photos stay on the device, as many as fit into the limit; the others are uploaded for
+    each use. In epochs over all photos, no cache of that size has a higher hit rate.
     """
 
     def __init__(
@@ -66,14 +66,14 @@ class DevicePhotos:
         upload: Callable[[NDArray[np.uint8]], Callable[[], Tensor]],
         limit: int,
     ) -> None:
-        """Args: `upload`: starts a copy, and returns what waits for it; `limit`: bytes kept."""
+        """Args: `upload`: starts a copy, returns a function that waits for it; `limit`: bytes."""
         self._photos, self._upload, self._room = photos, upload, limit
         self._kept: dict[int, Tensor] = {}
         self._coming: dict[int, Future[Callable[[], Tensor]]] = {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="upload")
 
     def __getitem__(self, index: int) -> Tensor:
-        """The photo; the host waits only where it has not been decoded yet."""
+        """The photo; the CPU waits only if it has not been decoded yet."""
         if index in self._kept:
             return self._kept[index]
         coming = self._coming.pop(index, None)
@@ -84,7 +84,7 @@ class DevicePhotos:
         return arrived
 
     def prefetch(self, indices: Sequence[int]) -> None:
-        """Decode and send these in the background; one that fails raises when asked for."""
+        """Decode and upload these in the background; errors are raised when a photo is used."""
         missing = [i for i in dict.fromkeys(indices) if i not in self._kept]
         self._photos.prefetch(missing)
         for index in missing:
@@ -96,7 +96,7 @@ class DevicePhotos:
 
 
 class _Uploads:
-    """Copies through pinned memory on a stream of their own, beside the computation."""
+    """Copies through pinned memory on a separate stream, in parallel to the computation."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
@@ -109,7 +109,7 @@ class _Uploads:
         arrived = self._stream.record_event()
 
         def wait() -> Tensor:
-            # The device waits, not the host.
+            # The GPU waits, not the CPU.
             now = torch.cuda.current_stream(self._device)
             now.wait_event(arrived)
             photo.record_stream(now)

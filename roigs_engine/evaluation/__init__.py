@@ -1,1 +1,1 @@
-"""Models measured on test photos: scores, tables, pictures."""
+"""Evaluates models on test photos: scores, tables, images."""

@@ -1,4 +1,4 @@
-"""A box's edges in the image, clipped to it."""
+"""The edges of a box in the image."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..model.scene import Camera, Float64
 def box_lines(
     roi: OrientedBox, camera: Camera, world_to_camera: Float64
 ) -> list[tuple[float, float, float, float]]:
-    """The box's edges in the picture, x0, y0, x1, y1 in pixels, cut to it; hidden ones too."""
+    """The box's edges, x0, y0, x1, y1 in pixels, clipped to the image; hidden edges too."""
     corners = roi.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     near = NEAR_SHARE * roi.diagonal
     lines = []
     for a, b in EDGES:
-        ends = _cut_line(corners[a], corners[b], np.array([0.0, 0.0, 1.0]), -near)
+        ends = _clipped_line(corners[a], corners[b], np.array([0.0, 0.0, 1.0]), -near)
         # The image's four sides as planes through the camera: n . p >= 0 is inside.
         for normal in (
             np.array([camera.fx, 0.0, camera.cx]),
@@ -24,7 +24,7 @@ def box_lines(
             np.array([0.0, camera.fy, camera.cy]),
             np.array([0.0, -camera.fy, camera.height - camera.cy]),
         ):
-            ends = None if ends is None else _cut_line(*ends, normal, 0.0)
+            ends = None if ends is None else _clipped_line(*ends, normal, 0.0)
         if ends is not None:
             pixels = [
                 (camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy)
@@ -34,7 +34,7 @@ def box_lines(
     return lines
 
 
-def _cut_line(
+def _clipped_line(
     a: Float64, b: Float64, normal: Float64, offset: float
 ) -> tuple[Float64, Float64] | None:
     """The part of the line from a to b where normal . p + offset >= 0, or None."""

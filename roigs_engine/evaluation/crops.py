@@ -1,8 +1,8 @@
-"""Side-by-side pictures of every box: photo, then models, on held-out photos.
+"""Side-by-side images of every box on test photos: the photo, then the models.
 
-Which photos: for each box the one where the result gains most over the baseline, the median one and
-the one where it gains least, so that the choice flatters nobody. Files: `crops/ROI/PHOTO.png` and
-`crops/ROI/overview.png`, the median photo's whole frame with the box drawn into it.
+For each box there are three photos: those with the largest, the median and the least gain of the
+result over the baseline, so that the choice is fair. Files: `crops/ROI/PHOTO.png`, and
+`crops/ROI/overview.png`, the whole median photo with the box drawn into it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .views import EvaluatedModel
 
 HEIGHT = 480  # pixels of a panel, about
 MARGIN = 0.1  # of the silhouette's bounding box, on each side
-STRIP = 26  # pixels of the label under a panel
+STRIP = 26  # height of the label under a panel, pixels
 GAP = 4  # pixels between panels
 INK, PAPER, OUTLINE = (235, 235, 235), (24, 24, 24), (255, 160, 0)
 
@@ -45,18 +45,18 @@ def write_crops(
     views: Sequence[str] | None = None,
     context: Context = QUIET,
 ) -> list[Path]:
-    """Write the pictures of all boxes; the files written, box by box.
+    """Write the images of all boxes; returns the files, box by box.
 
     Args:
-        evaluation: of these models on this scene; says which photos to show.
-        models: what was evaluated.
+        evaluation: of these models on this scene; decides which photos to show.
+        models: the evaluated models.
         scene: all photos.
-        rois: the boxes that were evaluated.
-        run_dir: the pictures go to its folder `crops`.
-        names: the rows to show after the photo; the last one is the result that is compared.
-            Default: the baseline and the box's last row.
-        views: the photos to show, instead of those with the largest, median and least gain.
-        context: asked before every picture whether to stop.
+        rois: the evaluated boxes.
+        run_dir: the images go to its folder `crops`.
+        names: rows to show after the photo; the last one is the result. Default: the baseline and
+            the box's last row.
+        views: photos to show instead of those with the largest, median and least gain.
+        context: checked for cancellation before every picture.
     """
     written: list[Path] = []
     for roi in rois:
@@ -82,9 +82,10 @@ def write_crops(
 
 
 def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
-    """Photo -> why it is shown: largest, median and least gain in ROI PSNR, in this order.
+    """Photo -> its label: largest, median and least gain in ROI PSNR, in this order.
 
-    With fewer than three photos, those there are. A result compared with itself goes by its PSNR.
+    With fewer than three photos, all are shown. If result and baseline are the same model, its PSNR
+    replaces the gain.
     """
     before = {view.view: view.roi_psnr for view in baseline.views}
     gain = {view.view: view.roi_psnr - before.get(view.view, 0.0) for view in result.views}
@@ -99,7 +100,7 @@ def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
 
 
 def _shown(scores: RoiScores, baseline: str, names: Sequence[str] | None) -> list[ModelScore]:
-    """The rows to show; the first is what the last is compared with."""
+    """The rows to show; the last one is compared with the first."""
     rows = {row.model: row for row in scores.rows}
     if names is not None:
         return [rows[name] for name in names if name in rows]
@@ -115,7 +116,7 @@ def _side_by_side(
     panels: Sequence[tuple[ModelScore, EvaluatedModel]],
     label: str,
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the photo's part around the box, then each model's, labelled."""
+    """(H, W, 3) uint8: the photo's crop window, then each model's, labelled."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
     pictures = [load_photo(image)[rows, columns]]
     captions = [f"photo ({label})" if label else "photo"]
@@ -128,7 +129,7 @@ def _side_by_side(
 
 
 def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> tuple[slice, slice]:
-    """Rows and columns of the silhouette's bounding box, widened by 10 %; all when unseen."""
+    """Rows and columns of the silhouette's bounding rectangle, widened by 10 %; all if unseen."""
     mask = torch.from_numpy(roi.silhouette(camera, world_to_camera))
     tight = bounding_box(mask)
     if tight is None:
@@ -140,9 +141,10 @@ def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> t
 
 
 def _panel(picture: NDArray[np.uint8], caption: str) -> Image.Image:
-    """The picture at about `HEIGHT` pixels height with its caption below.
+    """The image, about `HEIGHT` pixels high, with its caption below.
 
-    Small ones grow by a whole factor, pixel by pixel, so that no resampling is taken for sharpness.
+    Small images are enlarged by an integer factor without interpolation, which would look sharper
+    than the pixels are.
     """
     height, width = picture.shape[:2]
     shown = Image.fromarray(np.ascontiguousarray(picture))
@@ -161,7 +163,7 @@ def _panel(picture: NDArray[np.uint8], caption: str) -> Image.Image:
 
 
 def _joined(panels: Sequence[Image.Image]) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the panels beside one another."""
+    """(H, W, 3) uint8: the panels side by side."""
     width = sum(panel.width for panel in panels) + GAP * (len(panels) - 1)
     sheet = Image.new("RGB", (width, max(panel.height for panel in panels)), PAPER)
     left = 0
@@ -172,7 +174,7 @@ def _joined(panels: Sequence[Image.Image]) -> NDArray[np.uint8]:
 
 
 def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the whole photo and the whole render, the box's edges drawn into both."""
+    """(H, W, 3) uint8: the whole photo and the whole render, both with the box's edges."""
     view = render_view(model.gaussians, image.camera, image.world_to_camera)
     panels = []
     for picture, caption in ((load_photo(image), "photo"), (to_uint8(view.image), model.name)):

@@ -1,9 +1,9 @@
-"""Held-out photos against renders: the paper's table for every box, and what it leaves out.
+"""Compares renders with test photos: the paper's table for every box, and more columns.
 
-Masks (docs/method.md, evaluation): the silhouette of the box, which is the paper's mask, and the
-object's pixels, those of the silhouette whose expected depth lies inside the box in the model that
-scores best on the silhouette, or in a named one; the same pixels for every row of a box. PSNR is
-computed per view and then averaged. Renders are compared as they are, clamped to [0, 1] but not
+There are two masks (docs/method.md, evaluation), the same for every row of a box. The first is the
+silhouette of the box, which is the paper's mask. The second is the object: the silhouette's pixels
+whose expected depth lies inside the box, in the model with the best score on the silhouette or in
+a named model. PSNR is computed per view and then averaged. Renders are clamped to [0, 1] but not
 rounded to 8 bits.
 """
 
@@ -44,22 +44,26 @@ def evaluate(
     baseline: str = "Full Scene",
     object_mask_from: str | None = None,
 ) -> Evaluation:
-    """Measure every model on the held-out photos `test` of `scene` (which holds all photos).
+    """Evaluate every model on the test photos.
 
-    Each test view is rendered once per model and dropped again. The object's mask needs the best
-    model, which is known only at the end: so each view's errors are summed inside the mask of
-    every model's depth, a handful of numbers, and the best model's are picked afterwards.
+    Each test view is rendered once per model and not kept. The object's mask depends on the best
+    model, which is known only at the end. So each view's errors are summed in the mask of every
+    model's depth, which are a few numbers, and those of the best model are used at the end.
 
     Args:
-        models, scene, test, rois: see above.
-        context: takes events; asked between photos whether to stop.
-        baseline: name of the model that gains are counted from.
-        object_mask_from: name of the model whose depth makes the object's mask; None: the best one.
-            Evaluations that are to be compared need the same.
+        models: the models.
+        scene: all photos.
+        test: names of the test photos.
+        rois: the boxes.
+        context: receives events; checked for cancellation between photos.
+        baseline: name of the model that gains are relative to.
+        object_mask_from: name of the model whose depth defines the object's mask; None: the best
+            one. Use the same model in evaluations that are compared.
 
     Raises:
-        SceneError: no test view, or one that the scene does not have.
-        ConfigError: no model, two of one name for one box, or no `object_mask_from` for one.
+        SceneError: there is no test photo, or one is not in the scene.
+        ConfigError: there is no model, two models of a box share a name, or a box has no model
+            `object_mask_from`.
     """
     images = _checked(models, scene, test)
     plans = [plan_views(roi, images, models, object_mask_from, context) for roi in rois]
@@ -88,7 +92,7 @@ def evaluate(
 
 
 def ply_bytes(gaussians: Gaussians) -> int:
-    """Size of the model's PLY without its header: 14 + 3 K float32 numbers a Gaussian."""
+    """Size of the model's PLY without its header: 14 + 3 K float32 values per Gaussian."""
     return 4 * len(gaussians) * (14 + 3 * gaussians.sh.shape[1])
 
 
@@ -102,7 +106,7 @@ def _checked(
     if unknown:
         raise SceneError(f"Test photo '{min(unknown)}' is not in the scene.")
     if not test:
-        raise SceneError("No photo is held out for testing.", "Set test_every.")
+        raise SceneError("There is no test photo.", "Set test_every.")
     return list(scene.select(set(test)).images)
 
 
@@ -112,7 +116,7 @@ def _table(
     image_views: dict[EvaluatedModel, dict[str, float]],
     baseline: str,
 ) -> RoiScores:
-    """One box's rows, once all views are measured."""
+    """One box's table from the samples of all views."""
     names = [model.name for model in plan.models]
     means = [_mean([sample.psnr[k] for sample in samples.values()]) for k in range(len(names))]
     scored = [k for k, mean in enumerate(means) if mean is not None]
@@ -145,7 +149,7 @@ def _row(
     base: int | None,
     image_views: dict[str, float],
 ) -> ModelScore:
-    """The row of model `index`; `best` made the object's mask, gains are over model `base`."""
+    """The row of model `index`; model `best` defines the object's mask, `base` is the baseline."""
     model = plan.models[index]
     views = []
     for name, sample in samples.items():

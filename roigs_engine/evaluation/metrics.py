@@ -1,6 +1,6 @@
-"""How close a render is to its photo, over all pixels or those of a mask.
+"""PSNR and SSIM of a render against its photo, over all pixels or those of a mask.
 
-Images are (H, W, 3) sRGB values in [0, 1]; masks (H, W) bool. A higher number is better.
+Images are (H, W, 3) sRGB values in [0, 1]; masks are (H, W) bool. Higher is better.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from torch import Tensor
 
 from ..training.losses import photo_loss
 
-# What is reported for equal images: the PSNR of a mean squared error of 1e-10, in dB. It keeps
-# means and JSON finite, and lies far above what 8-bit photos can reach.
+# PSNR of equal images, in dB: that of a mean squared error of 1e-10. It keeps means and JSON
+# finite, and is far above what 8-bit photos can reach.
 MAX_PSNR = 100.0
 SSIM_RADIUS = 5  # half of the 11 x 11 window
 
@@ -50,9 +50,9 @@ def ssim(
 ) -> float:
     """Structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
 
-    The map is the one of the full images, averaged over the channels; the mean is over the mask.
-    Only the mask's bounding box and the window's reach around it are computed. NaN for an empty
-    mask.
+    The SSIM map is that of the full images, averaged over the channels; the result is its mean over
+    the mask. Only the mask's bounding rectangle, widened by the window's radius, is computed. NaN
+    for an empty mask.
     """
     if mask is None:
         return float(photo_loss(image, photo).ssim)
@@ -63,7 +63,10 @@ def ssim(
 
 
 def bounding_box(mask: Tensor, margin: int = 0) -> tuple[slice, slice] | None:
-    """Rows and columns of the mask's pixels, widened by `margin` in the image; None if empty."""
+    """Rows and columns of the mask's bounding rectangle, widened by `margin` pixels; None if empty.
+
+    The result is clipped to the image.
+    """
     rows, columns = torch.nonzero(mask.any(dim=1)), torch.nonzero(mask.any(dim=0))
     if len(rows) == 0:
         return None

@@ -1,4 +1,4 @@
-"""The evaluation as a Markdown page for people and as JSON for programs."""
+"""The evaluation as a Markdown report and as JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScore
 
 NONE = "–"  # a cell without a number
 Key = Callable[[ModelScore], float | None]
-# Heading, the row's number, its format, and which end is best: 1 high, -1 low, 0 neither.
+# Heading, the row's number, its format, and which value is best: 1 highest, -1 lowest, 0 none.
 COLUMNS: tuple[tuple[str, Key, str, int], ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
     ("object PSNR (dB)", lambda row: row.object_psnr, ".2f", 1),
@@ -25,9 +25,9 @@ COLUMNS: tuple[tuple[str, Key, str, int], ...] = (
 
 
 def format_markdown(evaluation: Evaluation) -> str:
-    """One table a box, the best value of a column bold, and under it how it was measured."""
+    """One table per box, with the best value of each column in bold, and notes on the numbers."""
     count = len(evaluation.test_views)
-    lines = [f"# Evaluation on {count} held-out photo{'' if count == 1 else 's'}", ""]
+    lines = [f"# Evaluation on {count} test photo{'' if count == 1 else 's'}", ""]
     for scores in evaluation.rois:
         lines += [f"## box '{_text(scores.roi)}'", "", *_table(scores.rows), ""]
         lines += [f"- {line}" for line in _notes(scores, evaluation)]
@@ -43,7 +43,7 @@ def format_markdown(evaluation: Evaluation) -> str:
 
 
 def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
-    """Write `report.md` and `report.json` (with the numbers of each photo); both paths."""
+    """Write `report.md` and `report.json` (with each photo's numbers); returns both paths."""
     markdown, record = Path(run_dir) / "report.md", Path(run_dir) / "report.json"
     write_json(record, evaluation.to_dict())
     write_text(markdown, format_markdown(evaluation))
@@ -51,12 +51,12 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
 
 
 def _text(text: str) -> str:
-    """Text that may stand in a table's cell."""
+    """The text, escaped for a table cell."""
     return " ".join(text.split()).replace("|", "\\|")
 
 
 def _table(rows: Sequence[ModelScore]) -> list[str]:
-    """Header, rule and rows, padded so that the text lines up as it is."""
+    """Header, rule and rows, padded so that the columns align in plain text."""
     columns = [["Method", *(_text(row.model) for row in rows)]]
     columns += [[heading, *_cells(rows, key, form, best)] for heading, key, form, best in COLUMNS]
     widths = [max(len(cell) for cell in column) for column in columns]
@@ -71,7 +71,7 @@ def _table(rows: Sequence[ModelScore]) -> list[str]:
 
 
 def _cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[str]:
-    """One column's cells; what is equal once written is equally bold, all of it not at all."""
+    """The cells of a column, the best in bold; none is bold if all cells are equal."""
     values = [key(row) for row in rows]
     cells = [NONE if value is None else format(value, form) for value in values]
     present = [best * value for value in values if value is not None]
@@ -82,30 +82,30 @@ def _cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[s
 
 
 def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
-    """What the numbers of this box stand on."""
+    """Notes on the pixels and photos behind the numbers of this box."""
     views = scores.views
     if not views:
-        return ["No held-out photo shows this box, so there are no numbers inside it."]
+        return ["No test photo shows this box, so it has no numbers."]
     notes = [
-        f"ROI: the silhouette of the box on {len(views)} of {len(evaluation.test_views)} held-out "
+        f"ROI: the silhouette of the box on {len(views)} of {len(evaluation.test_views)} test "
         f"photos ({_span([view.silhouette_pixels for view in views])} pixels)."
-        + (f" Left out, fewer than {MIN_SILHOUETTE} pixels: {len(scores.left_out)}."
+        + (f" Skipped photos, with fewer than {MIN_SILHOUETTE} pixels: {len(scores.left_out)}."
            if scores.left_out else "")
     ]  # fmt: skip
     large = [view.object_pixels for view in views if view.object_pixels >= MIN_OBJECT]
     mask = f"silhouette pixels whose expected depth in '{scores.object_mask_from}' is in the box"
     few = len(views) - len(large)
     if large:
-        left = f"; {few} with fewer than {MIN_OBJECT} left out of the column" if few else ""
+        skipped = f"; {few} with fewer than {MIN_OBJECT} skipped in this column" if few else ""
         notes.append(
             f"Object: {mask}, the same for every row, on {len(large)} photos "
-            f"({_span(large)} pixels{left})."
+            f"({_span(large)} pixels{skipped})."
         )
     else:
         notes.append(f"Object: no photo has {MIN_OBJECT} {mask}.")
     for flag, what in (
         ("small", f"Fewer than {MIN_SILHOUETTE} pixels, used because no photo shows more"),
-        ("camera_inside", "Camera inside the box, the whole image is its silhouette"),
+        ("camera_inside", "Camera inside the box, so the silhouette is the whole image"),
     ):
         flagged = [view.view for view in views if getattr(view, flag)]
         if flagged:

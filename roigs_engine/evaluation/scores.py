@@ -1,4 +1,4 @@
-"""The numbers of an evaluation as immutable values that go to JSON and back."""
+"""The numbers of an evaluation as immutable values, with conversion to and from JSON."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-MIN_SILHOUETTE = 1024  # pixels; a view that shows less of the box is left out for that box
-MIN_OBJECT = 256  # pixels; a view with fewer object pixels is left out of that column
+MIN_SILHOUETTE = 1024  # pixels; views with fewer silhouette pixels are skipped for the box
+MIN_OBJECT = 256  # pixels; views with fewer object pixels are skipped in the object column
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewScore:
-    """One model on one test view, inside one box's masks; dB and SSIM.
+    """One model on one test view, inside one box's masks; PSNR in dB.
 
-    `object_psnr` is None where the view has fewer than `MIN_OBJECT` object pixels.
+    `object_psnr` is None if the view has fewer than `MIN_OBJECT` object pixels.
     """
 
     view: str
@@ -25,10 +25,19 @@ class ViewScore:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelScore:
-    """One row: means over the box's views (image PSNR: over all test views). None: no number.
+    """One row of a table. None: there is no number.
 
-    `peak_gain` is the largest gain in ROI PSNR over the baseline on one view, `peak_view`; bytes
-    are those of the model's PLY; `image_views`: test view -> PSNR over the whole image, dB.
+    Attributes:
+        model: the row's name.
+        roi_psnr, object_psnr, roi_ssim: means over the box's views; PSNR in dB.
+        image_psnr: mean over all test views, dB.
+        peak_gain, peak_view: largest gain in ROI PSNR over the baseline, dB, and its view.
+        gaussians, gaussians_in_box: numbers of Gaussians.
+        seconds: training time.
+        stages: stage -> its training time, seconds.
+        ply_bytes: size of the model's PLY.
+        views: scores of each view of the box.
+        image_views: test view -> PSNR over the whole image, dB.
     """
 
     model: str
@@ -53,9 +62,9 @@ class MeasuredView:
 
     Attributes:
         view: the photo's name.
-        silhouette_pixels, object_pixels: sizes of the two masks (None: no model gave a depth).
-        camera_inside: the camera is inside the box and the whole image is its silhouette.
-        small: fewer than `MIN_SILHOUETTE` pixels, taken because no view has more.
+        silhouette_pixels, object_pixels: sizes of the two masks.
+        camera_inside: the camera is inside the box, so the silhouette is the whole image.
+        small: fewer than `MIN_SILHOUETTE` pixels, used because no view has more.
     """
 
     view: str
@@ -67,7 +76,15 @@ class MeasuredView:
 
 @dataclass(frozen=True, kw_only=True)
 class RoiScores:
-    """One box's table; `object_mask_from` names the model whose depth made the object's mask."""
+    """The table of one box.
+
+    Attributes:
+        roi: the box's name.
+        views: the test views that count.
+        left_out: names of the other test views.
+        object_mask_from: name of the model whose depth defines the object's mask; None: no scores.
+        rows: the models.
+    """
 
     roi: str
     views: tuple[MeasuredView, ...]
@@ -78,21 +95,21 @@ class RoiScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """All tables, and the row that gains are counted from."""
+    """All tables, and the name of the model that gains are relative to."""
 
     test_views: tuple[str, ...]
     baseline: str
     rois: tuple[RoiScores, ...]
 
     def roi(self, name: str) -> RoiScores:
-        """The table of that box; KeyError when there is none."""
+        """The table of that box; KeyError if there is none."""
         for scores in self.rois:
             if scores.roi == name:
                 return scores
         raise KeyError(name)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists, dicts, numbers and text, ready for JSON."""
+        """Plain lists, dicts, numbers and strings, ready for JSON."""
         record: dict[str, Any] = _plain(dataclasses.asdict(self))
         return record
 

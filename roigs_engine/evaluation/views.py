@@ -1,4 +1,4 @@
-"""What is measured on one test photo."""
+"""Measures the models on one test photo."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from ..rasterize.view import render_view
 from . import metrics
 from .scores import MIN_SILHOUETTE, MeasuredView
 
-PIXELS_AT_ONCE = 1 << 18  # whose points in the world are held
+PIXELS_AT_ONCE = 1 << 18  # pixels whose world positions are in memory at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EvaluatedModel:
-    """A model to be measured.
+    """A model to evaluate.
 
     Attributes:
         name: the row's name, unique among the rows of a box.
         gaussians: the model.
-        seconds: what its training took, in all.
-        rois: names of the boxes it gets a row for; None means all (an Object-GS has one).
-        stages: seconds by stage.
+        seconds: total training time.
+        rois: names of the boxes with a row for it; None: all boxes. An Object-GS has one box.
+        stages: stage -> seconds.
     """
 
     name: str
@@ -43,15 +43,20 @@ class EvaluatedModel:
     stages: dict[str, float] = field(default_factory=dict)
 
     def to(self, device: torch.device) -> EvaluatedModel:
-        """The same with its Gaussians on a device, where they are then drawn."""
+        """The same model with its Gaussians on a device, which then renders them."""
         return dataclasses.replace(self, gaussians=self.gaussians.to(device))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxPlan:
-    """What is measured for one box: its views by photo name, and the models that have a row.
+    """What to measure for one box.
 
-    `mask_from` is the model that makes the object's mask; None: the best one.
+    Attributes:
+        roi: the box.
+        views: the test views that count, by photo name.
+        left_out: names of the other test views.
+        models: the models with a row.
+        mask_from: position of the model that defines the object's mask; None: the best one.
     """
 
     roi: OrientedBox
@@ -63,12 +68,12 @@ class BoxPlan:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sample:
-    """One view of one box. Depth sources and models are indexed alike, as in `BoxPlan.models`.
+    """One view of one box, for the M models of `BoxPlan.models`.
 
     Attributes:
-        psnr, ssim: (M,) inside the silhouette.
-        pixels: (M,) size of the object's mask by the depth of each model.
-        object_mse: (M, M) [model, depth source] inside that mask; NaN where it is empty.
+        psnr, ssim: (M,) inside the silhouette; PSNR in dB.
+        pixels: (M,) size of the object's mask from each model's depth.
+        object_mse: (M, M) error of each model (row) in each model's mask (column); NaN if empty.
     """
 
     psnr: list[float]
@@ -84,9 +89,9 @@ def points_in_box(
     world_to_camera: Float64,  # (4, 4)
     mask: Tensor,  # (H, W) bool
 ) -> Tensor:
-    """(P,) for the mask's pixels, row by row: whether the point at that depth is in the box.
+    """(P,) bool for the mask's pixels, row by row: whether the point at that depth is in the box.
 
-    A pixel without depth (0: nothing rendered there) is not.
+    False for a pixel without depth (0: no Gaussian there).
     """
     rows, columns = (index.cpu().numpy() for index in torch.nonzero(mask, as_tuple=True))
     z = depth[mask].cpu().numpy()
@@ -107,7 +112,11 @@ def plan_views(
     mask_from: str | None,
     context: Context,
 ) -> BoxPlan:
-    """Which of the test views count for the box."""
+    """Decides which test views count for the box.
+
+    Raises:
+        ConfigError: two models of the box share a name, or none is named `mask_from`.
+    """
     sizes = {}
     for image in images:
         context.check_cancelled()
@@ -134,8 +143,8 @@ def plan_views(
         raise ConfigError(f"Two models of box '{roi.name}' share a name ({', '.join(names)}).")
     if mask_from is not None and mask_from not in names:
         raise ConfigError(
-            f"No model of box '{roi.name}' is named '{mask_from}', which the object's mask needs.",
-            f"There are: {', '.join(names)}.",
+            f"Box '{roi.name}' has no model '{mask_from}' for the object's mask.",
+            f"Its models are: {', '.join(names)}.",
         )
     return BoxPlan(
         roi=roi,
@@ -149,7 +158,10 @@ def plan_views(
 def measure_view(
     models: Sequence[EvaluatedModel], image: PosedImage, plans: Sequence[BoxPlan], context: Context
 ) -> tuple[dict[EvaluatedModel, float], list[Sample | None]]:
-    """Every model on one photo: whole-image PSNR by model, one sample for each box that counts."""
+    """Measure all models on one photo; returns the PSNR of the whole image by model, and samples.
+
+    There is one sample for each plan, None if the photo does not count for its box.
+    """
     device = models[0].gaussians.means.device
     photo = torch.as_tensor(load_photo(image), device=device)
     target = photo.float() / 255
@@ -186,7 +198,7 @@ def measure_view(
 
 
 def _sample(errors: list[Tensor], ssim: list[float], objects: list[Tensor]) -> Sample:
-    """Sums over the silhouette's P pixels: errors (P,) float and objects (P,) bool per model."""
+    """The sample of errors (P,) and object masks (P,) bool of each model, P silhouette pixels."""
     return Sample(
         psnr=[metrics.psnr_from_mse(metrics.mean_in(error)) for error in errors],
         ssim=ssim,

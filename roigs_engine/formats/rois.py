@@ -19,7 +19,7 @@ from ..errors import RoiError
 from .names import MAX_NAME, first_taken, is_file_name
 
 Float64 = NDArray[np.float64]
-FAR = 1e15  # world units; larger coordinates are damage, and their squares overflow float32
+FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 NAME_HINT = f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _."
 
 
@@ -68,8 +68,8 @@ def check_roi_name(name: str) -> str:
 def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
     """Raise RoiError where the numbers are not a box's."""
     numbers = np.concatenate([world_to_box.ravel(), half_extents])
-    if not (np.abs(numbers) < FAR).all():  # nor is it for NaN
-        raise RoiError(f"Box '{name}' holds a number that is not finite or far too large.")
+    if not (np.abs(numbers) < FAR).all():  # catches NaN too
+        raise RoiError(f"Box '{name}' has a number that is NaN, Inf or too large.")
     if not (half_extents > 0).all():
         sides = " x ".join(f"{2 * side:g}" for side in half_extents)
         raise RoiError(

@@ -1,1 +1,1 @@
-"""C++ kernels of the engine: their sources, how they are built, and how they are loaded."""
+"""The engine's C++ kernels: sources, build and loading."""

@@ -1,4 +1,4 @@
-"""The kernels' C interface (roigs.h) as ctypes has it: structures, signatures, failures."""
+"""The kernels' C interface (roigs.h) in ctypes: structures, signatures, error codes."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def bound(kernels: ctypes.CDLL) -> ctypes.CDLL:
-    """The library, its functions told their signatures."""
+    """The library, with the signatures of its functions set."""
     for name, (result, arguments) in SIGNATURES.items():
         function = getattr(kernels, name)
         function.restype, function.argtypes = result, arguments
@@ -118,14 +118,14 @@ def bound(kernels: ctypes.CDLL) -> ctypes.CDLL:
 
 @functools.cache
 def kernels() -> ctypes.CDLL:
-    """The compiled kernels for this processor; KernelError where there are none."""
+    """The compiled kernels for this processor; KernelError if there are none."""
     return bound(library.load())
 
 
 def pointer(tensor: Tensor | None) -> int | None:
     """The address of a CPU tensor's first element, for an argument of type c_void_p; None: null.
 
-    The caller answers for shape, type and strides, and keeps the tensor alive during the call.
+    The caller must check shape, type and strides, and keep the tensor alive during the call.
     """
     if tensor is None:
         return None

@@ -1,7 +1,7 @@
-"""Finds, if need be builds, and loads the compiled kernels that suit this processor.
+"""Finds, builds if necessary, and loads the compiled kernels for this processor.
 
-The libraries have a plain C interface and are loaded by ctypes, so that one file per platform and
-instruction set serves every version of Python. Neither numpy nor torch is imported here.
+The libraries have a plain C interface and are loaded with ctypes. So one file per platform and
+instruction set works with every Python version. This module imports neither numpy nor torch.
 """
 
 from __future__ import annotations
@@ -19,16 +19,19 @@ from . import build
 ISA_VARIABLE = "ROIGS_ISA"
 PACKAGE_FOLDER = build.SOURCE_FOLDER / "lib"
 _BUILD_COMMAND = f"{Path(sys.executable).name} -m roigs_engine.kernels.build"
-_RANKING = ("generic", "avx2", "avx512")  # each processor runs all that stand left of its best
+_RANKING = ("generic", "avx2", "avx512")  # a processor also runs those left of its best
 
 
 @functools.cache
 def load() -> ctypes.CDLL:
-    """The kernels' library for this processor, with the thread count set to all usable cores.
+    """The kernels' library for this processor, set to use all usable cores.
 
-    The environment variable ROIGS_ISA chooses another instruction set than the best one (to
-    measure it, or around a fault). Raises `KernelError`: no library and no compiler to make one,
-    or a ROIGS_ISA that is not there or cannot run here.
+    The environment variable ROIGS_ISA selects another instruction set than the best one, to measure
+    it or to work around a bug.
+
+    Raises:
+        KernelError: there is no library and no compiler to build it, or ROIGS_ISA names an
+            instruction set that is missing or cannot run here.
     """
     folder = _folder_with_libraries()
     library = ctypes.CDLL(str(build.library_path(folder, _platform(), _choose_isa(folder))))
@@ -37,30 +40,30 @@ def load() -> ctypes.CDLL:
 
 
 def isa() -> str:
-    """The instruction set of the library that `load` gives: avx512, avx2, generic or neon."""
+    """The instruction set of the library that `load` returns: avx512, avx2, generic or neon."""
     load()
     return _choose_isa(_folder_with_libraries())
 
 
 def set_threads(count: int | None) -> None:
-    """Sets how many threads the kernels use; None means all cores this process may use."""
+    """Set the kernels' number of threads; None: all cores that this process may use."""
     _set_threads(load(), count)
 
 
 def threads() -> int:
-    """How many threads the kernels use."""
+    """The kernels' number of threads."""
     return int(load().roigs_threads())
 
 
 def available(folder: Path) -> list[str]:
-    """Instruction sets whose library lies in an output folder of the build, slowest first."""
+    """Instruction sets with a library in a build's output folder, slowest first."""
     target = _platform()
     isas = build.PLATFORMS[target].isas
     return [name for name in isas if build.library_path(folder, target, name).is_file()]
 
 
 def usable_cores() -> int:
-    """Cores this process may run on; less than the machine has when it is pinned."""
+    """Number of cores this process may run on; fewer than the machine's if it is pinned."""
     if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -75,7 +78,7 @@ def _platform() -> str:
 
 @functools.cache
 def _folder_with_libraries() -> Path:
-    """The folder to load from; builds the libraries once where there are none."""
+    """The folder to load from; builds the libraries if there are none."""
     cache = _user_cache_folder()
     for folder in (PACKAGE_FOLDER, cache):
         if available(folder):
@@ -86,32 +89,32 @@ def _folder_with_libraries() -> Path:
         build.build(folder)
     except (build.BuildError, OSError) as error:
         raise KernelError(
-            f"The compiled kernels are not there and could not be built: {error}",
+            f"The compiled kernels are missing and could not be built: {error}",
             f"Run `pip install ziglang`, then `{_BUILD_COMMAND}`.",
         ) from error
     return folder
 
 
 def _choose_isa(folder: Path) -> str:
-    """The instruction set to load from `folder`: ROIGS_ISA, or the best that is there."""
-    there = available(folder)
-    if "generic" in there:
+    """The instruction set to load from `folder`: ROIGS_ISA, or the best one that can run."""
+    present = available(folder)
+    if "generic" in present:
         path = build.library_path(folder, _platform(), "generic")
         best = _best_isa(path)
         runnable = _RANKING[: _RANKING.index(best) + 1]
     else:
-        best, runnable = there[-1], tuple(there)
+        best, runnable = present[-1], tuple(present)
     wanted = os.environ.get(ISA_VARIABLE, "")
     if not wanted:
-        return [name for name in there if name in runnable][-1]
-    if wanted not in there:
+        return [name for name in present if name in runnable][-1]
+    if wanted not in present:
         raise KernelError(
-            f"{ISA_VARIABLE} is {wanted!r}, but there are only: {', '.join(there)}.",
+            f"{ISA_VARIABLE} is {wanted!r}, but the libraries are: {', '.join(present)}.",
             f"Choose one of these, or unset {ISA_VARIABLE}.",
         )
     if wanted not in runnable:
         raise KernelError(
-            f"{ISA_VARIABLE} is {wanted!r}, but this processor runs {best} at most.",
+            f"{ISA_VARIABLE} is {wanted!r}, but the best that this processor runs is {best}.",
             f"Unset {ISA_VARIABLE}.",
         )
     return wanted
@@ -128,7 +131,7 @@ def _set_threads(library: ctypes.CDLL, count: int | None) -> None:
 
 
 def _warn_if_old(folder: Path) -> None:
-    """Points a developer who has edited a kernel to the command that compiles it."""
+    """Warn a developer who has edited a kernel, and name the command that compiles it."""
     target = _platform()
     key = build.source_key()
     if any(build.read_key(folder, target, name) != key for name in available(folder)):
@@ -144,7 +147,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _user_cache_folder() -> Path:
-    """Where kernels go when the package's folder is read-only; one folder per source version."""
+    """The kernels' folder if the package's is read-only; one folder per source version."""
     if sys.platform == "win32":
         root = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":

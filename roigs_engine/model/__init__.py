@@ -1,1 +1,1 @@
-"""The model as data: scene, boxes, Gaussians, and who owns what."""
+"""Values: scene, boxes, Gaussians, and which box owns which Gaussian."""

@@ -16,10 +16,10 @@ from .roi import OrientedBox
 
 
 def crop(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) -> Gaussians:
-    """The Gaussians that `roi` owns among all boxes `rois` (found by its name).
+    """The Gaussians that `roi` owns among all boxes `rois`.
 
     Raises:
-        RoiError: `roi` is not one of `rois`.
+        RoiError: no box of `rois` has the name of `roi`.
     """
     names = [other.name for other in rois]
     if roi.name not in names:
@@ -28,16 +28,16 @@ def crop(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) ->
 
 
 def background(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Gaussians:
-    """The Gaussians that none of the boxes owns."""
+    """The Gaussians that no box owns."""
     return gaussians.rows(owners(gaussians, rois) == -1)
 
 
 def merge(scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]]) -> Gaussians:
-    """The scene model with each box's inside taken from that box's object model.
+    """The scene model with the content of each box taken from that box's object model.
 
-    The result holds the scene's Gaussians that no box owns, in their order, then for each box the
-    object model's Gaussians that this box owns. Inputs are not changed; models with fewer SH bands
-    get zeros, and everything is moved to the scene model's device.
+    The result has the scene's Gaussians that no box owns, in their order, then for each box the
+    object model's Gaussians that this box owns. Models with fewer SH bands are padded with zeros.
+    The result is on the scene model's device. The inputs do not change.
     """
     rois = [roi for roi, _ in objects]
     parts = [background(scene, rois)]

@@ -1,4 +1,4 @@
-"""The splat model as data: five tensors, one row a Gaussian."""
+"""A model of Gaussians: five tensors with one row per Gaussian."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..formats.splat_ply import read_ply, write_ply
 from .roi import OrientedBox
 from .scene import Float64
 
-SH_C0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
+SH_C0 = 0.28209479177387814  # the SH basis function of degree 0, 1 / (2 sqrt(pi))
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
 
@@ -25,10 +25,10 @@ class Gaussians:
 
     Attributes:
         means: (N, 3) world positions.
-        quats: (N, 4) rotations wxyz, perhaps not normalised.
+        quats: (N, 4) rotations wxyz, not necessarily normalised.
         log_scales: (N, 3) natural logarithms of the standard deviations, world units.
         logit_opacities: (N,).
-        sh: (N, K, 3) spherical-harmonics coefficients of colour minus 0.5, K = 1, 4, 9 or 16.
+        sh: (N, K, 3) SH coefficients of colour minus 0.5, K = 1, 4, 9 or 16.
     """
 
     means: Tensor
@@ -47,28 +47,28 @@ class Gaussians:
     def rows(self, index: Tensor) -> Gaussians:
         """The Gaussians of a boolean mask (N,) or of row numbers, copied."""
         rows = index.nonzero()[:, 0] if index.dtype == torch.bool else index
-        # index_select copies whole rows; t[rows] goes element by element, which takes 7 times as
-        # long for sh
+        # index_select copies whole rows; t[rows] copies single elements and takes 7 times as long
+        # for sh
         return Gaussians(
             **{name: t.detach().index_select(0, rows) for name, t in self.tensors().items()}
         )
 
     def detached(self) -> Gaussians:
-        """A copy that shares nothing and needs no gradient."""
+        """A copy that shares no memory and requires no gradient."""
         return Gaussians(**{name: t.detach().clone() for name, t in self.tensors().items()})
 
     def in_box(self, roi: OrientedBox) -> Tensor:
-        """(N,) bool: whose centre lies inside the box."""
+        """(N,) bool: whether the Gaussian's centre lies inside the box."""
         centres = self.means.detach().cpu().double().numpy()
         return torch.from_numpy(roi.contains(centres))
 
     def to(self, device: torch.device) -> Gaussians:
-        """The Gaussians on a device; shared where they are there already."""
+        """The Gaussians on a device; tensors that are already there are shared."""
         return Gaussians(**{name: t.to(device) for name, t in self.tensors().items()})
 
     @staticmethod
     def concatenate(parts: list[Gaussians]) -> Gaussians:
-        """All parts after one another."""
+        """The parts in one model, in their order."""
         return Gaussians(
             **{name: torch.cat([getattr(p, name).detach() for p in parts]) for name in NAMES}
         )
@@ -81,10 +81,10 @@ class Gaussians:
         *,
         sh_degree: int = 3,
     ) -> Gaussians:
-        """Start of training from sparse points (3DGS, Kerbl et al. 2023, sec. 5.1).
+        """The start of training: one Gaussian per sparse point (3DGS, Kerbl et al. 2023, sec. 5.1).
 
         Isotropic; standard deviation = root mean squared distance to the 3 nearest points; opacity
-        0.1; colour in the constant band.
+        0.1; the point's colour in SH degree 0.
         """
         count = len(points)
         neighbours = min(4, count)
@@ -109,14 +109,14 @@ class Gaussians:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[np.float32]]) -> Gaussians:
-        """From the arrays that `ply.read_ply` returns."""
+        """The model of the arrays that `formats.splat_ply.read_ply` returns."""
         return cls(**{name: torch.from_numpy(np.ascontiguousarray(arrays[name])) for name in NAMES})
 
     def save_ply(self, path: Path) -> None:
-        """Write the standard 3DGS PLY, whole or not at all."""
+        """Write a standard 3DGS PLY, atomically."""
         write_ply(path, {name: t.detach().cpu().numpy() for name, t in self.tensors().items()})
 
     @classmethod
     def load_ply(cls, path: Path) -> Gaussians:
-        """Read a 3DGS PLY; RunFolderError when it is none."""
+        """Read a 3DGS PLY; RunFolderError if the file is not one."""
         return cls.from_arrays(read_ply(path))

@@ -1,7 +1,7 @@
-"""Which box owns a position or a Gaussian: the one place that decides.
+"""Ownership: which box owns a position or a Gaussian.
 
-A box owns what lies in it. Where boxes overlap, the one whose centre is nearest, in units of its
-half extents, owns it.
+A box owns the positions inside it. Where boxes overlap, the box with the nearest centre is the
+owner, with distances in units of each box's half extents.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def nearest_owner(points: Float64, rois: Sequence[OrientedBox]) -> NDArray[np.in
 def owners(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
     """(N,) index of the box that owns each Gaussian's centre, -1 for none; on the model's device.
 
-    Worked out on the CPU whatever the device, so that all of them agree on every Gaussian.
+    Always computed on the CPU, so that all devices give the same owners.
     """
     import torch
 
@@ -46,7 +46,7 @@ def owners(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Tensor:
 
 
 def count_owned(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> list[int]:
-    """How many Gaussians each box owns."""
+    """The number of Gaussians that each box owns."""
     centres = gaussians.means.detach().cpu().double().numpy()
     owner = nearest_owner(centres, rois)
     return [int((owner == index).sum()) for index in range(len(rois))]

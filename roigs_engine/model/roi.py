@@ -1,4 +1,4 @@
-"""Regions of interest: oriented boxes in the COLMAP frame, their silhouettes, their files."""
+"""Boxes (ROI, region of interest): oriented, in the COLMAP frame; their silhouettes and files."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..formats.rois import RoiRecord, check_box, read_rois, roi_record
 from .scene import Camera, Float64
 from .silhouette import convex_hull, fill_convex
 
-# A vertex of the clipped box lies at least this share of the box's size in front of the camera.
+# Near plane for clipping a box, in units of the box's diagonal.
 NEAR_SHARE = 1e-3
 # The 12 edges of a box whose corner k has the sign bits of k (x = bit 0, y = bit 1, z = bit 2).
 EDGES = tuple((a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit)
-AREA_SIDE = 256  # pixels of the thumbnail that a silhouette's area is measured on
+AREA_SIDE = 256  # longer side of the thumbnail for measuring a silhouette's area, pixels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class OrientedBox:
 
     @classmethod
     def from_record(cls, record: RoiRecord) -> OrientedBox:
-        """The box that a file describes."""
+        """The box of a file's record."""
         return cls(
             name=record.name,
             world_to_box=record.world_to_box,
@@ -69,7 +69,7 @@ class OrientedBox:
 
     def to_box(self, points: Float64) -> Float64:
         """(N, 3) world positions -> (N, 3) in units of the half extents (inside: all |x| <= 1)."""
-        with np.errstate(all="ignore"):  # a damaged Gaussian may be anywhere, and is in no box
+        with np.errstate(all="ignore"):  # a Gaussian at NaN or Inf is in no box
             local = points @ self.world_to_box[:3, :3].T + self.world_to_box[:3, 3]
             scaled: Float64 = local / self.half_extents
         return scaled
@@ -88,11 +88,11 @@ class OrientedBox:
         return corners
 
     def silhouette_polygon(self, camera: Camera, world_to_camera: Float64) -> Float64 | None:
-        """The projected box as a convex polygon, (M, 2) pixels, or None when it is not seen.
+        """The projected box as a convex polygon, (M, 2) pixels; None if the camera does not see it.
 
-        The box's edges are clipped at a near plane first: projecting the corners of a box that is
-        partly behind the camera would turn it inside out. A camera inside the box (see
-        `camera_inside`) has no silhouette polygon; the whole image is its silhouette.
+        The box's edges are clipped at a near plane first: the projection of corners behind the
+        camera would be wrong. Not for a camera inside the box (`camera_inside`): its silhouette is
+        the whole image.
         """
         corners = self.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
         near = NEAR_SHARE * self.diagonal
@@ -108,7 +108,7 @@ class OrientedBox:
         focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
         pixels = visible[:, :2] / visible[:, 2:] * focal + centre
         hull = convex_hull(pixels)
-        return hull if len(hull) >= 3 else None  # fewer: seen edge-on, as a line or a point
+        return hull if len(hull) >= 3 else None  # fewer: the projection is a line or a point
 
     def camera_inside(self, world_to_camera: Float64) -> bool:
         """Whether the camera's centre lies inside the box."""
@@ -118,7 +118,7 @@ class OrientedBox:
     def silhouette(self, camera: Camera, world_to_camera: Float64) -> NDArray[np.bool_]:
         """(H, W) pixels whose centre lies in the projected box (the paper's mask, sec. III-B).
 
-        The whole image when the camera is inside the box; nothing when the box is out of view.
+        All pixels if the camera is inside the box; none if the box is out of view.
         """
         shape = (camera.height, camera.width)
         if self.camera_inside(world_to_camera):
@@ -129,15 +129,15 @@ class OrientedBox:
         return fill_convex(polygon, *shape)
 
     def projected_area(self, camera: Camera, world_to_camera: Float64) -> float:
-        """Share of the image that the silhouette covers, 0 to 1; measured on a thumbnail."""
+        """Share of the image in the silhouette, 0 to 1; measured on a thumbnail."""
         return float(self.silhouette(camera.thumbnail(AREA_SIDE), world_to_camera).mean())
 
     def projected_pixels(self, camera: Camera, world_to_camera: Float64) -> float:
-        """Pixels of the image that the silhouette covers, from `projected_area`."""
+        """Number of pixels in the silhouette, from `projected_area`."""
         return self.projected_area(camera, world_to_camera) * camera.width * camera.height
 
     def to_dict(self) -> dict[str, Any]:
-        """The form that `roi_from_dict` reads."""
+        """A record of `rois.json`, as `roi_from_dict` reads it."""
         return {
             "name": self.name,
             "world_to_box": self.world_to_box.tolist(),
@@ -146,12 +146,12 @@ class OrientedBox:
 
 
 def roi_from_dict(record: Any) -> OrientedBox:
-    """A box from a record of `rois.json`; RoiError where it is malformed."""
+    """A box from a record of `rois.json`; RoiError if it is malformed."""
     return OrientedBox.from_record(roi_record(record))
 
 
 def load_rois(path: Path) -> list[OrientedBox]:
-    """All boxes of a `rois.json`; RoiError where it cannot be used."""
+    """All boxes of a `rois.json`; RoiError if the file cannot be used."""
     return [OrientedBox.from_record(record) for record in read_rois(path)]
 
 

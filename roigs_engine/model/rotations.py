@@ -1,4 +1,4 @@
-"""Quaternions to rotation matrices: the one place that has the formula."""
+"""Quaternions to rotation matrices."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ T = TypeVar("T")
 
 
 def rotation_entries(w: T, x: T, y: T, z: T) -> list[T]:
-    """The nine entries, row by row, of the rotation of a unit quaternion wxyz.
+    """The nine entries of the rotation matrix of a unit quaternion wxyz, row by row.
 
-    Works for numbers, arrays and tensors alike.
+    Works for numbers, arrays and tensors.
     """
     a: Any
     b: Any

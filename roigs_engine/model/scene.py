@@ -1,7 +1,7 @@
 """A captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
 
 Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forward), pixel centres at
-+0.5, world = the COLMAP model's frame. Nothing here reads files; `colmap.py` builds these values.
++0.5, world = the COLMAP model's frame. `colmap/` builds these values from files.
 """
 
 from __future__ import annotations
@@ -62,13 +62,12 @@ class PosedImage:
 
     Attributes:
         name: the photo's name in the model, unique, with `/` between folders.
-        path: the undistorted photo on disk that `camera` describes (resampled while decoding when
-            its size differs from the camera's).
+        path: the undistorted photo on disk; decoding resamples it to the camera's size.
         camera: pinhole intrinsics at the resolution used for training.
         world_to_camera: (4, 4) rigid transform, COLMAP's `cam_from_world`.
         point_indices: (M,) rows of `SfmScene.points` that this photo observes, unique, ascending.
-        distorted: the photo at `path` still has the lens distortion that `camera` is without (only
-            where a scene was loaded without its pixels).
+        distorted: whether the photo at `path` still has lens distortion, which `camera` does not
+            describe (only in scenes loaded without pixels).
     """
 
     name: str
@@ -85,7 +84,7 @@ class PosedImage:
         return -rotation.T @ translation
 
     def scaled(self, factor: float) -> PosedImage:
-        """The same photo at that share of its size; the photo itself when it is 1."""
+        """The same photo with its size multiplied by `factor`; the photo itself for 1."""
         if factor == 1:
             return self
         width, height = self.camera.width, self.camera.height
@@ -106,8 +105,8 @@ class SfmScene:
         images: posed photos, sorted by name.
         points: (P, 3) world positions.
         colors: (P, 3) uint8 sRGB.
-        skipped: reason -> names of the photos left out ('missing on disk', 'without a pose').
-        has_tracks: False when the model stores no 2D-3D observations.
+        skipped: reason -> names of the skipped photos ('missing on disk', 'without a pose').
+        has_tracks: False if the model stores no 2D-3D observations.
     """
 
     images: tuple[PosedImage, ...]
@@ -122,12 +121,12 @@ class SfmScene:
         return replace(self, images=tuple(i for i in self.images if i.name in wanted))
 
     def without(self, names: list[str] | tuple[str, ...] | set[str]) -> SfmScene:
-        """The same scene with the named photos taken out (test photos, before anything else)."""
+        """The same scene without the named photos (used to remove test photos)."""
         unwanted = set(names)
         return replace(self, images=tuple(i for i in self.images if i.name not in unwanted))
 
     def image(self, name: str) -> PosedImage:
-        """The photo of that name; KeyError when there is none."""
+        """The photo of that name; KeyError if there is none."""
         for image in self.images:
             if image.name == name:
                 return image
@@ -138,9 +137,10 @@ class SfmScene:
         return np.array([image.centre for image in self.images]).reshape(-1, 3)
 
     def extent(self) -> float:
-        """1.1 x the largest distance of a camera from the cameras' mean (3DGS's scene extent).
+        """1.1 x the largest distance of a camera from the cameras' mean, world units (as in 3DGS).
 
-        Of a single place, which would let nothing move, it is the median distance of the points.
+        If all cameras are at one position, that would be 0, and positions could not be trained:
+        then it is the median distance of the points from the cameras.
         """
         centres = self.centres()
         if len(centres) == 0:
@@ -152,7 +152,7 @@ class SfmScene:
         return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
 
     def digest(self) -> str:
-        """Hash of all that COLMAP says: photos' names, cameras, poses, points, tracks."""
+        """Hash of all COLMAP data: photos' names, cameras, poses, points, tracks."""
         digest = hashlib.sha256()
         for image in self.images:
             digest.update(f"{image.name} {image.camera}".encode())

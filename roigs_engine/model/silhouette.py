@@ -1,4 +1,4 @@
-"""Convex polygons in the image: hull and filled pixels."""
+"""Convex polygons in the image: their hull and their pixels."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from .scene import Float64
 
-PIXELS_AT_ONCE = 1 << 20  # of a silhouette: its half planes are worked out in numbers of 8 bytes
+PIXELS_AT_ONCE = 1 << 20  # of a silhouette: limits the memory of float64 intermediates
 
 
 def convex_hull(points: Float64) -> Float64:
     """(N, 2) -> (M, 2) corners of the convex hull in order (Andrew's monotone chain).
 
-    Corners that stick out by rounding only are left out; points on a line give fewer than three.
+    Corners that exist only due to rounding are dropped; points on a line give fewer than three.
     """
     order = points[np.lexsort((points[:, 1], points[:, 0]))]
     slack = 1e-14 * float(np.ptp(points, axis=0).max()) ** 2
@@ -35,7 +35,7 @@ def _turn(a: Float64, b: Float64, c: Float64) -> float:
 
 
 def fill_convex(polygon: Float64, height: int, width: int) -> NDArray[np.bool_]:
-    """(H, W) pixels whose centre lies in a convex polygon (M, 2), counter-clockwise or not."""
+    """(H, W) pixels whose centre lies in a convex polygon (M, 2) of either orientation."""
     mask = np.zeros((height, width), dtype=bool)
     x0, y0 = np.clip(np.floor(polygon.min(axis=0)), 0, (width, height)).astype(int)
     x1, y1 = np.clip(np.ceil(polygon.max(axis=0)), 0, (width, height)).astype(int)

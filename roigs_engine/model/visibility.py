@@ -1,8 +1,8 @@
-"""Which photos see the box: the filter of the paper's sec. III-A.
+"""Which photos see a box: the filter of the paper's sec. III-A.
 
-A photo is a candidate when it observes at least one SfM point inside the box. Observations come
-from the model's tracks; a model without tracks falls back to projecting the points and testing
-their depth against the sparse points in front of them.
+A photo is a candidate if it observes at least one SfM point inside the box. Observations come from
+the model's tracks. For a model without tracks, the points are projected, and their depth is
+compared with that of the sparse points in front of them.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from .scene import Float64, Int64, PosedImage, SfmScene
 
 # Points named in the error about an empty box.
 NEAREST_NAMED = 3
-# The fallback's depth test: cells along the image's longer side, the points that may stand in a
-# cell before the one tested (one may be an outlier), and how far in front (share of the diagonal).
+# The depth test without tracks: cells along the image's longer side; the number of points in front
+# that hide a point (one could be an outlier); how far in front they must be, in box diagonals.
 DEPTH_CELLS = 64
 OCCLUDERS = 2
 DEPTH_SLACK = 0.1
-# No more scene points than this take part in the fallback's depth test.
+# Limit on the scene points in the depth test.
 MAX_OCCLUDERS = 100_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
-    """The photos that see the box, and which of the box's points each of them sees.
+    """The photos that see the box, and the points of the box that each photo sees.
 
-    The visibility matrix A (method: A[v, p] = 1 where photo v observes point p) is stored as its
-    non-zero entries, ordered by photo.
+    The visibility matrix A (A[v, p] = 1 if photo v observes point p) is stored as its non-zero
+    entries, ordered by photo.
 
     Attributes:
         roi: the box.
-        images: V photos in name order; a photo's index in here is its id in every method.
+        images: V photos in name order; all methods identify a photo by its position here.
         points: (P, 3) the scene's points inside the box, world units.
         obs_view: (N,) photo of each observation, ascending.
         obs_point: (N,) row of `points` of each observation, ascending within a photo.
-        flags: degenerate cases met while finding them.
+        flags: warnings about degenerate cases.
     """
 
     roi: OrientedBox
@@ -68,12 +68,12 @@ class Candidates:
         return np.array([image.forward for image in self.images]).reshape(-1, 3)
 
     def row_starts(self) -> Int64:
-        """(V + 1,) photo v owns the observations row_starts[v] to row_starts[v + 1]."""
+        """(V + 1,): photo v has the observations row_starts[v] to row_starts[v + 1]."""
         return np.searchsorted(self.obs_view, np.arange(len(self) + 1)).astype(np.int64)
 
 
 def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
-    """The photos that see the box, and the points in it that each of them observes; maybe none."""
+    """The photos that see the box, and the points in it that each observes; may be empty."""
     rows = np.flatnonzero(roi.contains(scene.points)) if len(scene.points) else np.zeros(0, int)
     images = sorted(scene.images, key=lambda image: image.name)
     flags: tuple[str, ...] = ()
@@ -82,8 +82,8 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
     else:
         seen = _from_projection(images, rows, scene.points, roi, context)
         flags = (
-            "The model stores no tracks: which photos see the box is guessed by projecting the"
-            " sparse points and testing their depth.",
+            "The model stores no tracks: the sparse points are projected to estimate which photos"
+            " see the box.",
         )
     kept = [index for index, points in enumerate(seen) if len(points)]
     return Candidates(
@@ -97,7 +97,7 @@ def observations(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) ->
 
 
 def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> Candidates:
-    """As `observations`, of which there must be some.
+    """As `observations`, but never empty.
 
     Raises:
         RoiError: no point lies in the box, or no photo observes one that does.
@@ -109,7 +109,7 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
         raise RoiError(
             f"No photo sees any of the {len(found.points)} points in box '{roi.name}'"
             f" ({len(scene.images)} photos searched).",
-            "Keep photos of the object out of the test set, or move or enlarge the box.",
+            "Use fewer test photos, or move or enlarge the box.",
         )
     return found
 
@@ -124,7 +124,7 @@ def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) 
 
 
 def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int64]:
-    """Per photo, the positions in `rows` (points in the box) that it observes, ascending."""
+    """For each photo, the positions in `rows` (points in the box) that it observes, ascending."""
     position = np.full(total, -1, dtype=np.int64)
     position[rows] = np.arange(len(rows))
     found = [position[image.point_indices] for image in images]
@@ -136,8 +136,8 @@ def _from_projection(
 ) -> list[Int64]:
     """As `_from_tracks`, for a model without tracks.
 
-    A point counts as seen when it projects into the image and fewer than `OCCLUDERS` other sparse
-    points of its cell (image cut into `DEPTH_CELLS` along the longer side) stand more than
+    A photo sees a point if the point projects into the image, and fewer than `OCCLUDERS` other
+    sparse points of its cell (`DEPTH_CELLS` cells along the longer side) are more than
     `DEPTH_SLACK` box diagonals in front of it.
     """
     step = -(-len(points) // MAX_OCCLUDERS)
@@ -153,7 +153,7 @@ def _from_projection(
 def _visible_by_depth(
     image: PosedImage, targets: Float64, occluders: Float64, slack: float
 ) -> Int64:
-    """(M,) indices of `targets` (T, 3) that the photo sees past `occluders` (Q, 3)."""
+    """(M,) indices of the `targets` (T, 3) that `occluders` (Q, 3) do not hide from the photo."""
     target_cell, target_depth = _cells(image, targets)
     cell, depth = _cells(image, occluders)
     cell, depth = cell[cell >= 0], depth[cell >= 0]
@@ -190,11 +190,11 @@ def _cells(image: PosedImage, points: Float64) -> tuple[Int64, Float64]:
 
 
 def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
-    """The error for a box without a point: its size and the points nearest to it."""
+    """The error for a box without points; names its size and the nearest points."""
     finite = scene.points[np.isfinite(scene.points).all(axis=1)] if len(scene.points) else None
     sides = " x ".join(f"{2 * side:.4g}" for side in roi.half_extents)
     centre = _position(roi.centre)
-    message = f"No sparse point lies in box '{roi.name}' (sides {sides}, centre {centre})."
+    message = f"Box '{roi.name}' contains no sparse point (sides {sides}, centre {centre})."
     if finite is None or len(finite) == 0:
         return RoiError(
             f"{message} The model has no points at all.",

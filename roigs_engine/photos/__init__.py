@@ -1,1 +1,1 @@
-"""Photos on disk: found, checked, decoded, cached."""
+"""Photos on disk: finds, checks, decodes and caches them."""

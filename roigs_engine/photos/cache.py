@@ -13,16 +13,16 @@ from .decode import Pixels, load_photo
 
 
 class PhotoCache:
-    """Decoded photos of a scene, least recently used ones dropped past a limit in bytes.
+    """Decoded photos of a scene; above a limit in bytes, drops the least recently used ones.
 
-    `cache[index]` returns the (H, W, 3) uint8 photo of `images[index]`; callers must not write into
-    it. `prefetch` decodes ahead on background threads. Safe to use from several threads.
+    `cache[index]` returns the (H, W, 3) uint8 photo of `images[index]`; callers must not modify it.
+    `prefetch` decodes ahead on background threads. Thread-safe.
     """
 
     def __init__(
         self, images: Sequence[PosedImage], limit_bytes: int | None = None, threads: int = 2
     ) -> None:
-        """Args: `limit_bytes`: for the photos kept; default a quarter of the machine's memory."""
+        """Args: `limit_bytes`: of the kept photos; default: a quarter of the machine's memory."""
         self._images = list(images)
         self._limit = machine_memory() // 4 if limit_bytes is None else limit_bytes
         self._kept: OrderedDict[int, Pixels] = OrderedDict()
@@ -37,11 +37,11 @@ class PhotoCache:
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes of the photos held now."""
+        """Bytes of the photos in the cache."""
         return self._kept_bytes
 
     def __getitem__(self, index: int) -> Pixels:
-        """The photo, decoded now unless it is held or under way. Raises PhotoError as it does."""
+        """The photo, decoded now unless it is cached or being decoded; raises PhotoError."""
         index = range(len(self._images))[index]
         with self._lock:
             if index in self._kept:
@@ -60,9 +60,9 @@ class PhotoCache:
         return future.result()
 
     def prefetch(self, indices: Iterable[int]) -> None:
-        """Decode these photos in the background, as far as they fit beside each other.
+        """Decode these photos in the background, as many as fit into half of the limit.
 
-        A photo that cannot be decoded raises only when it is asked for.
+        A photo that cannot be decoded raises its error only when it is requested.
         """
         planned = 0
         for given in indices:
@@ -82,7 +82,7 @@ class PhotoCache:
                 self._pool.submit(self._decode_queued, index, future)
 
     def close(self) -> None:
-        """Drop everything and end the threads; photos can still be read, one by one."""
+        """Drop all photos and end the threads; photos can still be read one at a time."""
         with self._lock:
             self._closed = True
             for future in self._pending.values():
@@ -98,15 +98,15 @@ class PhotoCache:
         self.close()
 
     def _decode_queued(self, index: int, future: Future[Pixels]) -> None:
-        """On a background thread: `_decode`, unless the photo was asked for or closed meanwhile."""
+        """On a background thread: `_decode`, unless another thread has taken the photo over."""
         if future.set_running_or_notify_cancel():
             self._decode(index, future)
 
     def _decode(self, index: int, future: Future[Pixels]) -> None:
-        """Fill the running `future` and keep the photo."""
+        """Decode the photo, set the result of the running `future`, and cache the photo."""
         try:
             pixels = load_photo(self._images[index])
-        except BaseException as error:  # handed to whoever waits for it
+        except BaseException as error:  # raised where the future is read
             with self._lock:
                 self._forget(index, future)
             future.set_exception(error)
@@ -122,7 +122,7 @@ class PhotoCache:
             del self._pending[index]
 
     def _keep(self, index: int, pixels: Pixels) -> None:
-        """Hold the photo as the most recent one; needs the lock."""
+        """Cache the photo as the most recent one; the caller must have the lock."""
         if pixels.nbytes > self._limit or index in self._kept:
             return
         self._kept[index] = pixels

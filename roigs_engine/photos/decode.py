@@ -1,6 +1,6 @@
-"""Decoding photos to uint8 arrays at their camera's size, and a bounded cache of them.
+"""Decodes photos to uint8 arrays at their camera's size.
 
-Orientation tags are ignored, as COLMAP ignores them: pixels are taken as the file stores them.
+Orientation tags are ignored, as in COLMAP: pixels keep the file's order.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from .headers import open_photo, unreadable
 
 Pixels = NDArray[np.uint8]
 
-# A JPEG is decoded at a fraction of its size only where this factor is left for the resampling.
+# A JPEG is decoded at a fraction of its size if that is at least this multiple of the target size.
 GAP = 2.0
 
 
 def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
-    """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) when given.
+    """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) if given.
 
     Grey, palette, CMYK and 16-bit files are converted; an alpha channel is dropped.
 
@@ -40,7 +40,7 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise unreadable(path, error) from error
     if size is not None and rgb.size != size:
-        # The last column and row of a draft may reach past the photo: leave that share out.
+        # The last column and row of a draft may extend past the photo: exclude that part.
         box = (0.0, 0.0, full[0] / shrink, full[1] / shrink)
         rgb = rgb.resize(size, Image.Resampling.LANCZOS, box=box)
     return np.array(rgb, dtype=np.uint8)
@@ -56,7 +56,7 @@ def load_photo(image: PosedImage) -> Pixels:
 
 
 def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
-    """By how much JPEG's draft mode has shrunk the photo: 1, 2, 4 or 8."""
+    """The factor by which JPEG's draft mode reduced the photo: 1, 2, 4 or 8."""
     return next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == drafted[0]), 1)
 
 

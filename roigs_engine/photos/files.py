@@ -1,4 +1,4 @@
-"""Finding a model's photos on disk: which folder, and which file carries which name."""
+"""Finds a model's photos on disk: their folder, and the file of each name."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2",
 
 
 class PhotoFolder:
-    """The photos under one folder, by the names a model gives them.
+    """The photos below a folder, by their names in a model.
 
     Attributes:
-        folder: where it looks; need not exist.
+        folder: need not exist.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -27,7 +27,7 @@ class PhotoFolder:
 
     @cached_property
     def _files(self) -> dict[str, Path]:
-        """Name on disk (with `/`) -> path, of every photo under the folder, hidden ones aside."""
+        """Name on disk (with `/`) -> path, of every photo below the folder, except hidden ones."""
         files = {}
         for parent, folders, names in os.walk(self.folder):
             folders[:] = sorted(name for name in folders if not name.startswith("."))
@@ -35,7 +35,7 @@ class PhotoFolder:
                 path = Path(parent, name)
                 if path.suffix.lower() not in EXTENSIONS or name.startswith("."):
                     continue
-                if path.is_file():  # not a pipe or a device, which could be read for ever
+                if path.is_file():  # not a pipe or a device, whose reading could block forever
                     files[path.relative_to(self.folder).as_posix()] = path
         return files
 
@@ -47,11 +47,10 @@ class PhotoFolder:
         return files
 
     def find(self, name: str) -> Path | None:
-        """The photo of that name in the model.
+        """The path of the photo with that name in the model; None: not found.
 
-        Where no file has exactly that name, one that differs in upper and lower case, in the
-        kind of slash or in the Unicode form of accents will do. Names that lead out of the
-        folder find nothing.
+        If no file has exactly that name, the name may differ in case, in the kind of slash and in
+        the Unicode form of accents. Names that lead out of the folder are not found.
         """
         for spelling in dict.fromkeys((name, name.replace("\\", "/"))):
             parts = PurePosixPath(spelling)
@@ -66,7 +65,7 @@ class PhotoFolder:
         return self._by_key.get(_key(name))
 
     def others(self, names: Iterable[str]) -> list[str]:
-        """Photos on disk, by their names there, that none of a model's `names` finds."""
+        """Names of the photos on disk that a model's `names` do not include."""
         found = {self.find(name) for name in names}
         return [name for name, path in self._files.items() if path not in found]
 
@@ -79,12 +78,12 @@ def find_photos(model: Path, images: Path | str | None, names: list[str]) -> Pho
     """The folder of a model's photos.
 
     Args:
-        model: the model's folder; photos are looked for beside it and up to its project's folder.
-        images: the folder when the caller knows it.
-        names: of the model's photos; the first folder that holds any of them is taken.
+        model: the model's folder; the search covers the folders from it up to its project's.
+        images: the folder, if the caller knows it.
+        names: of the model's photos; the first folder that has any of them is used.
 
     Raises:
-        SceneError: `images` is given and is no folder.
+        SceneError: `images` is not a folder.
     """
     if images is not None:
         if not Path(images).is_dir():

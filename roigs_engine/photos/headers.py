@@ -1,8 +1,8 @@
-"""The size of a photo from the first bytes of its file, and its wholeness, without decoding it.
+"""Reads the size of a photo from its file's header, and checks that the file is complete.
 
-JPEG and PNG, which nearly all photos are, are read here: looking at a scene needs no Pillow.
-Where Pillow opens a photo, it is told which kinds there may be: left to itself it looks at the
-content alone, and would start Ghostscript for an EPS file that is called 'photo.jpg'.
+JPEG and PNG headers are read here, so that inspecting a scene does not need Pillow. Pillow reads
+other formats, and only those in `FORMATS`: by default it would go by the content alone, and start
+Ghostscript for an EPS file named 'photo.jpg'.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
-# JPEG markers: those that hold the frame's size, and those that have no length.
+# JPEG markers: those with the frame's size, and those without a length.
 FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 BARE = {0x01, *range(0xD0, 0xD8)}
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "JPEG2000", "PPM")  # as Pillow calls them
 PNG_END, JPEG_END = b"IEND", b"\xff\xd9"
-TAIL = 1 << 16  # bytes in which they are looked for
-# A larger photo is a damaged header or a trap: the largest cameras of today have 150 megapixels,
-# and Pillow refuses what has more than 179.
+TAIL = 1 << 16  # bytes at the end of a file that are searched for them
+# A larger photo has a damaged or malicious header: the largest cameras today have 150 megapixels,
+# and Pillow rejects more than 179.
 MAX_PIXELS = 178_000_000
-# What Pillow thinks of a photo's metadata is nothing that a person could act on.
+# The user can do nothing about Pillow's warnings on a photo's metadata.
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
 
 class PhotoError(SceneError):
-    """One photo is missing, damaged or of a kind that cannot be decoded."""
+    """A photo is missing, damaged or in a format that cannot be decoded."""
 
 
 def photo_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) from the file's header, without its orientation tag.
+    """(width, height) from the file's header; ignores the orientation tag.
 
-    None: neither JPEG nor PNG, and Pillow, which reads the other kinds, is not installed.
+    None: the file is neither JPEG nor PNG, and Pillow, which reads other formats, is not installed.
 
     Raises:
         PhotoError: not a readable image file.
@@ -58,14 +58,14 @@ def photo_size(path: Path) -> tuple[int, int] | None:
     return _usable(path, (width, height))
 
 
-def check_whole(path: Path) -> None:
-    """Nothing, where the file ends as a JPEG or PNG does or is of another kind.
+def check_complete(path: Path) -> None:
+    """Check that the file is complete, by its JPEG or PNG end marker.
 
-    Where a JPEG's end mark is far from the file's end, as before a film that a telephone has put
-    there, Pillow decides, if it is installed.
+    If the marker is not near the end of the file, Pillow decides, if it is installed: a phone may
+    have appended a film. Other formats are not checked.
 
     Raises:
-        PhotoError: the file was cut off.
+        PhotoError: the file is incomplete.
     """
     try:
         with open(path, "rb") as file:
@@ -81,22 +81,22 @@ def check_whole(path: Path) -> None:
         with open_photo(path) as photo:
             photo.load()
     except (ImportError, MemoryError):
-        return  # nothing is known against it
+        return  # cannot be checked
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
         raise unreadable(path, error) from error
 
 
 def open_photo(path: Path) -> Image:
-    """The photo, opened by Pillow; whatever that raises on damaged files, its kinds are many."""
+    """The photo, opened by Pillow; on damaged files Pillow raises many kinds of errors."""
     from PIL import Image
 
     return Image.open(path, formats=FORMATS)
 
 
 def _usable(path: Path, size: tuple[int, int] | None) -> tuple[int, int] | None:
-    """The size; PhotoError when no photo has it."""
+    """The size; PhotoError if it is not a photo's."""
     if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
-        raise unreadable(path, ValueError(f"it claims to have {size[0]} x {size[1]} pixels"))
+        raise unreadable(path, ValueError(f"its header says {size[0]} x {size[1]} pixels"))
     return size
 
 
@@ -104,12 +104,12 @@ def unreadable(path: Path, error: Exception) -> PhotoError:
     """The error for a photo that cannot be opened or decoded."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return PhotoError(
-        f"Cannot read photo {path} ({reason}).", "Restore the file, or take it out of the model."
+        f"Cannot read photo {path} ({reason}).", "Restore the file, or remove it from the model."
     )
 
 
 def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
-    """Walk the segments to the frame header; ValueError or struct.error when there is none."""
+    """The size in the frame header; ValueError or struct.error if there is none."""
     file.seek(2)
     while True:
         (lead, marker) = struct.unpack(">BB", file.read(2))

@@ -1,10 +1,10 @@
-"""Rendering of 3D Gaussians, and the gradient of it (3D Gaussian Splatting, Kerbl et al. 2023).
+"""Rendering of 3D Gaussians and its gradient (3D Gaussian Splatting, Kerbl et al. 2023).
 
-`rasterize` is the one entry. Behind it stand backends that compute the same function:
+`rasterize` is the only entry point. Three backends compute the same function:
 
-    reference   plain torch, float32 or float64, any device: to read, and to test the others by
+    reference   plain torch, float32 or float64, any device: readable, and the tests' reference
     cpu         the compiled kernels: float32 tensors on the CPU
-    cuda        gsplat's kernels: float32 tensors on an NVIDIA card
+    cuda        gsplat's kernels: float32 tensors on an NVIDIA GPU
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ def rasterize(
     backward_step: BackwardStep | None = None,
     backend: str = "auto",
 ) -> RenderOutput:
-    """Renders N Gaussians for C cameras; `image` is differentiable in the first five arguments.
+    """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
     Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
-    coloured by its spherical harmonics max(SH(direction) + 0.5, 0), and blended front to back in
-    the order of its centre's camera depth (3DGS, eq. 3). Pixel centres lie at +0.5. The constants
-    of the model (near plane, blur, opacity bounds) are in `rasterize.common`.
+    coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back
+    by the camera depth of its centre (3DGS, eq. 3). Pixel centres lie at +0.5. The constants of the
+    model (near plane, blur, opacity bounds) are in `rasterize.inputs`.
 
-    A Gaussian with a value that is not finite is culled; its gradient is zero.
+    A Gaussian with NaN or Inf is culled; its gradient is zero.
 
     Args:
         sh_degree: bands above it are ignored and get no gradient; None: all bands in `sh`.
@@ -68,27 +68,27 @@ def rasterize(
         background: colour behind everything; None: black.
         with_depth: also return the mean depth.
         with_max_weight: also return each Gaussian's largest blending weight.
-        with_weight_sum: also return the sum over pixels of each Gaussian's blending weights.
-        pixel_weights: what each pixel counts in `weight_sum`, for example 1 inside a mask and 0
-            outside for the Gaussians' votes; None: 1.
-        mask: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16
-            tiles that touch it are worked on, forward and backward; other pixels hold the
-            background.
-        backward_step: an optimizer's step on the first five arguments, handed in: `backward()`,
-            once, takes it on the Gaussians that the camera sees, and gives no gradient. One
+        with_weight_sum: also return the sum over pixels of each Gaussian's blending weights. No
+            caller today; levels of detail and masks will use it.
+        pixel_weights: weight of each pixel in `weight_sum`, for example 1 inside a mask and 0
+            outside; None: 1. No caller today; levels of detail and masks will use it.
+        mask: x0, y0, x1, y1 in pixels, end exclusive, or a bool mask (H, W). Only the 16x16 tiles
+            that touch it are active, forward and backward; other pixels get the background.
+        backward_step: an optimizer step on the first five arguments. `backward()` takes the step
+            for the visible Gaussians instead of returning gradients, and can be called once. One
             camera, cpu backend.
-        backend: "reference", "cpu", "cuda", or "auto" (the compiled one of the tensors' device for
-            float32, else the reference).
+        backend: "reference", "cpu", "cuda", or "auto": for float32 the compiled backend of the
+            tensors' device, else the reference.
 
-    Gradients. When an input is a leaf whose `.grad` is already allocated, the cpu backend adds to
-    that buffer itself and touches the rows of visible Gaussians only, so that the cost of a
-    training step does not grow with the Gaussians that the camera does not see. Otherwise inputs
-    get dense gradients as from any torch function. Cameras and background get none.
+    Gradients: if an input is a leaf with an allocated `.grad`, the cpu backend adds to that buffer
+    and touches only the rows of visible Gaussians. So the cost of a training step does not depend
+    on the invisible Gaussians. Otherwise inputs get dense gradients, as in any torch function.
+    Cameras and background get none.
 
     Raises:
-        EngineError: arguments that do not fit together.
-        KernelError: more Gaussians and tiles meet than the kernels can count or memory holds, or
-            the backend cannot be used.
+        EngineError: the arguments do not fit together.
+        KernelError: there are too many pairs of Gaussians and tiles for the kernels or the memory,
+            or the backend cannot be used.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)

@@ -1,4 +1,12 @@
-"""Camera path files: the cameras of a film, as JSON."""
+"""Camera path files: the cameras of an animation.
+
+UTF-8 JSON, with OpenCV axes, pixels and world units (docs/conventions.md):
+
+    {"cameras": [{"name": "0001", "width": 960, "height": 540, "fx": 800.0, "fy": 800.0,
+                  "cx": 480.0, "cy": 270.0, "world_to_camera": [[...4], [...4], [...4], [...4]]}]}
+
+`world_to_camera` is a rotation and a translation. Names are unique and become file names.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +23,6 @@ from ..model.scene import Camera, Float64
 
 CameraPath = Sequence[tuple[str, Camera, Float64]]
 
-
 MAX_SIDE = 16384  # pixels; a larger width or height in a path file is a mistake
 
 
@@ -25,7 +32,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     Raises:
         ConfigError: the file is unreadable or malformed; the message names the camera.
     """
-    hint = "See 'camera path file' in the documentation of `render`."
+    hint = "docs/files.md describes camera path files."
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
@@ -34,7 +41,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
         raise ConfigError(f"{path} is not JSON ({error}).", hint) from error
     records = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(records, list) or not records:
-        raise ConfigError(f"{path} holds no list 'cameras'.", hint)
+        raise ConfigError(f"{path} has no list 'cameras'.", hint)
     cameras = []
     for index, record in enumerate(records):
         try:
@@ -56,10 +63,10 @@ def _camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
         raise TypeError("not an object")
     name = record["name"]
     if not isinstance(name, str) or not name.strip():
-        raise ValueError("its name must be text")
+        raise ValueError("its name must be a string")
     sides = [record["width"], record["height"]]
     if any(type(side) is not int or not 0 < side <= MAX_SIDE for side in sides):
-        raise ValueError(f"width and height must be whole numbers from 1 to {MAX_SIDE}")
+        raise ValueError(f"width and height must be integers from 1 to {MAX_SIDE}")
     fx, fy, cx, cy = (float(record[key]) for key in ("fx", "fy", "cx", "cy"))
     if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0 and fy > 0):
         raise ValueError("fx and fy must be positive, cx and cy finite")

@@ -1,8 +1,8 @@
 """The rasterizer on compiled kernels, as one differentiable torch function.
 
-Projection, colours, sorting and blending are one function to autograd: what the stages hand on to
-each other stays in a `KernelView` on the C++ side, whose memory is reused from step to step. See
-kernels/roigs.h for the interface and the order of calls.
+Projection, colours, sorting and blending are one function to autograd. Their intermediate results
+stay in a `KernelView` on the C++ side, whose memory is reused in each step. kernels/roigs.h has the
+interface and the order of calls.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 
 
 class KernelView:
-    """What a rendering leaves for its backward pass, on the C++ side.
+    """The results of a forward pass that its backward pass needs, on the C++ side.
 
-    Idle views are kept: memory that is used again costs no page faults, which would take longer
-    than some of the stages.
+    Idle views are kept: reused memory causes no page faults, which would take longer than some of
+    the kernels.
     """
 
     _idle: ClassVar[list[KernelView]] = []
@@ -44,29 +44,31 @@ class KernelView:
 
     @classmethod
     def take(cls) -> KernelView:
-        """The view given back last, whose memory the caches may still hold; or a new one."""
+        """The view given back last, which may still be in the caches, or a new one."""
         try:
             return cls._idle.pop()
         except IndexError:
             return cls()
 
     def give_back(self) -> None:
-        """Offers the view to the next `take`; its contents are lost."""
+        """Release the view for the next `take`; its contents are lost."""
         if len(self._idle) < self._MOST_IDLE:
             self._idle.append(self)
 
     def call(self, name: str, *arguments: Any) -> int:
-        """Calls a kernel on this view; raises KernelError for its failures."""
+        """Call a kernel on this view; raises KernelError if it fails."""
         result = getattr(self._kernels, name)(self._address, *arguments)
         if result == bindings.OUT_OF_MEMORY:
             raise KernelError("There is not enough memory to render this view.", _SMALLER)
         if result == bindings.TOO_MANY_INTERSECTIONS:
-            raise KernelError("More than 2^31 Gaussians and tiles meet in this view.", _SMALLER)
+            raise KernelError(
+                "This view has more than 2^31 pairs of Gaussians and tiles.", _SMALLER
+            )
         return int(result or 0)
 
 
 class _Lease:
-    """Views that wait for a backward pass; gives them back when the graph is dropped without."""
+    """The views that wait for a backward pass; gives them back if the graph is dropped first."""
 
     def __init__(self) -> None:
         self.views: list[KernelView] = []
@@ -76,19 +78,19 @@ class _Lease:
             view.give_back()
 
 
-_SMALLER = "Render a smaller image, or Gaussians that are fewer or smaller."
+_SMALLER = "Render a smaller image, or fewer or smaller Gaussians."
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Cameras:
-    """A inputs's cameras and options in the kernels' form."""
+    """The cameras and options of `RenderInputs` in the kernels' form."""
 
     structures: list[bindings.Camera]
     width: int
     height: int
     sh_degree: int
     raw: bool
-    tile_mask: Tensor | None  # kept for the structures that point to it
+    tile_mask: Tensor | None  # kept alive: the structures point to it
     with_depth: bool
     with_max_weight: bool
     with_weight_sum: bool
@@ -97,7 +99,7 @@ class _Cameras:
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
-    """Renders all cameras of a inputs; see `rasterize`. Raises KernelError."""
+    """Render all cameras; see `rasterize`. Raises KernelError."""
     for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
         if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
             raise KernelError(
@@ -107,7 +109,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
     if inputs.means.shape[0] > _MOST_GAUSSIANS:
         raise KernelError(
             f"rasterize: {inputs.means.shape[0]} Gaussians are too many.",
-            f"Render {_MOST_GAUSSIANS} at once at most.",
+            f"Render at most {_MOST_GAUSSIANS} at once.",
         )
     tile_mask = inputs.tile_mask
     tile_mask = None if tile_mask is None else tile_mask.to("cpu", torch.uint8).contiguous()
@@ -145,7 +147,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
     for view, K in zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True):
         camera = bindings.Camera()
         camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
-        # Python's floats are float64: this is a difference of numbers that may be large
+        # Python's floats are float64: needed here, as differences of large numbers lose digits
         camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
@@ -168,7 +170,7 @@ def _gaussians(cameras: _Cameras, parameters: list[Tensor]) -> bindings.Gaussian
 
 
 class _Rasterize(torch.autograd.Function):
-    """(cameras, five parameters) -> planar image (C, 3, H, W), and what has no gradient."""
+    """(cameras, five parameters) -> planar image (C, 3, H, W), and outputs without gradient."""
 
     @staticmethod
     def forward(ctx: Any, cameras: _Cameras, *parameters: Tensor) -> tuple[Tensor | None, ...]:
@@ -229,7 +231,7 @@ class _Rasterize(torch.autograd.Function):
         for c, image_gradient_c in enumerate(image_gradient):
             if views:
                 view = views[c]
-            else:  # a second backward through the same graph: the first has given the views back
+            else:  # a second backward through the same graph: the first one gave the views back
                 view, visible = KernelView.take(), torch.zeros(len(packed[0]), dtype=torch.bool)
                 _prepare(view, ctx.cameras, c, packed, visible)
             view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
@@ -250,7 +252,7 @@ def _step(
     image: Tensor,
     image_gradient: Tensor,
 ) -> None:
-    """The backward pass of one camera that ends in an optimizer's step."""
+    """The backward pass of one camera, with an optimizer step at its end."""
     if not views:
         raise EngineError("rasterize: with a backward step, backward() can be called only once.")
     view = views[0]
@@ -269,7 +271,7 @@ def _step(
 def _prepare(
     view: KernelView, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
 ) -> None:
-    """Projects and bins for camera `c`."""
+    """Project and bin for camera `c`."""
     gaussians = _gaussians(cameras, parameters)
     view.call(
         "roigs_project",
@@ -281,13 +283,12 @@ def _prepare(
 
 
 def _gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
-    """The buffer to add a parameter's gradient to, and whether it is new.
+    """The buffer for a parameter's gradient, and whether it is new.
 
-    A dense gradient costs as much for a Gaussian out of view as for one in view: filling it with
-    zeros, adding it to `.grad`, and all of that to be undone by the optimizer. With tens of
-    Gaussians stored for each one seen, this would be most of a training step. So where a leaf has
-    its `.grad` already, rows are added there and autograd is told that there is no gradient (so
-    that hooks on the leaf see none either).
+    A dense gradient costs as much for an invisible Gaussian as for a visible one: it is zeroed,
+    added to `.grad` and zeroed again by the optimizer. A view shows a small part of the Gaussians,
+    so this would be most of a training step. If a leaf already has a `.grad`, rows are added there
+    and autograd gets no gradient (so hooks on the leaf do not run).
     """
     if not needed:
         return None, False

@@ -1,14 +1,14 @@
-"""The rasterizer on gsplat's CUDA kernels, for float32 tensors on an NVIDIA card.
+"""The rasterizer on gsplat's CUDA kernels, for float32 tensors on an NVIDIA GPU.
 
-gsplat's model is the one of `rasterize`: pixel centres at +0.5, quaternions wxyz of any length, the
-same SH basis, 0.3 px^2 of blur, alpha between 1/255 and 0.999, Jacobian taken in the view widened
-by 0.3. Where it differs (docs/cuda.md):
+gsplat's model is that of `rasterize`: pixel centres at +0.5, quaternions wxyz of any length, the
+same SH basis, 0.3 px^2 of blur, alpha between 1/255 and 0.999, the Jacobian inside the view widened
+by 0.3. The differences (docs/cuda.md):
 
-* A Gaussian is in the list of every tile that the rectangle around it touches, not only of those
-  that it reaches: `visible` has a few more, whose gradient is zero.
-* A pixel ends before the Gaussian that would leave less than 1e-4 of the light.
-* It does not look for values that are not finite. Here such Gaussians are taken out after the
-  projection, and their gradients replaced by zeros.
+* A Gaussian is in the list of every tile that its bounding rectangle touches, also if its ellipse
+  does not reach the tile: `visible` has a few more Gaussians, with zero gradients.
+* A pixel stops before the Gaussian that would leave a transmittance below 1e-4.
+* gsplat does not check for NaN and Inf. Here such Gaussians are removed after the projection, and
+  their gradients set to zero.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from .inputs import BLUR, NEAR, TILE, RenderInputs, RenderOutput
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProjectedGaussians:
-    """All N Gaussians as one camera sees them; gsplat leaves rows of radius 0 unwritten."""
+    """All N Gaussians projected to one camera; gsplat does not write rows of radius 0."""
 
-    radii: Tensor  # (1, N, 2) int32 px, 0 for what is culled
+    radii: Tensor  # (1, N, 2) int32 px, 0 for culled Gaussians
     means2d: Tensor  # (1, N, 2) px in the whole image
     depths: Tensor  # (1, N)
     conics: Tensor  # (1, N, 3)
@@ -38,7 +38,7 @@ class ProjectedGaussians:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Statistics:
-    """What drawing adds up beside the picture."""
+    """Statistics that rendering adds up: fields of `RenderOutput`."""
 
     visible: Tensor  # (C, N) bool
     grad2d: Tensor  # (C, N)
@@ -47,7 +47,7 @@ class Statistics:
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
-    """Renders all cameras of a inputs; see `rasterize`.
+    """Render all cameras; see `rasterize`.
 
     Raises:
         KernelError: tensors of another type, or gsplat cannot be used.
@@ -67,7 +67,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
     if count and right > left and bottom > top:
         frames = [_draw(inputs, c, statistics) for c in range(cameras)]
     else:
-        frames = [_nothing(inputs)] * cameras
+        frames = [_empty_frame(inputs)] * cameras
     image, alpha, depth = (_stack(part) for part in zip(*frames, strict=True))
     return RenderOutput(
         image=image,
@@ -81,12 +81,12 @@ def render(inputs: RenderInputs) -> RenderOutput:
 
 
 def _stack(parts: tuple[Tensor, ...]) -> Tensor:
-    """As torch.stack, but a view of one part."""
+    """As torch.stack, but a single part is not copied."""
     return parts[0][None] if len(parts) == 1 else torch.stack(parts)
 
 
-def _nothing(inputs: RenderInputs) -> tuple[Tensor, Tensor, Tensor]:
-    """Background, alpha and depth without Gaussians; a function of them to autograd."""
+def _empty_frame(inputs: RenderInputs) -> tuple[Tensor, Tensor, Tensor]:
+    """Image, alpha and depth without Gaussians; to autograd the image is a function of them."""
     size = inputs.height, inputs.width
     image = inputs.background.expand(*size, 3) + sum(p[:0].sum() for p in inputs.parameters)
     blank = inputs.background.new_zeros(size)
@@ -99,8 +99,8 @@ def _draw(
     """Image (H, W, 3), alpha (H, W) and depth (H, W) of one camera; adds to the statistics."""
     gsplat = library.gsplat()
     splats = _project(gsplat, inputs, camera)
-    _watch(splats.means2d, statistics.grad2d[camera], inputs)
-    # The tiles are cut out after the projection, so that their Gaussians look as in the whole.
+    _record_grad2d(splats.means2d, statistics.grad2d[camera], inputs)
+    # The window is applied after the projection, which depends on the size of the whole image.
     left, top, right, bottom = inputs.tiles
     x0, y0 = left * TILE, top * TILE
     width, height = min(right * TILE, inputs.width) - x0, min(bottom * TILE, inputs.height) - y0
@@ -131,7 +131,7 @@ def _draw(
         masks=None if mask is None else mask[None],
     )
     image, alpha = image[0], alpha.detach()[0, ..., 0]
-    if mask is not None:  # gsplat leaves the alpha of other tiles unwritten
+    if mask is not None:  # gsplat does not write the alpha of other tiles
         drawn = mask.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:height, :width]
         alpha = torch.where(drawn, alpha, 0)
     depth = alpha
@@ -140,7 +140,7 @@ def _draw(
         image = image[..., :3]
     statistics.visible[camera] = touched[0] > 0
     if statistics.largest is not None or statistics.sums is not None:
-        _weigh(
+        _add_blending_weights(
             inputs, camera, splats, means2d, (offsets[0], ids), (x0, y0, width, height), statistics
         )
     place = slice(y0, y0 + height), slice(x0, x0 + width)
@@ -148,8 +148,8 @@ def _draw(
 
 
 def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussians:
-    """Projects and colours all Gaussians; takes out those with values that are not finite."""
-    # Through views, so that what is taken out can be taken out of the gradients as well.
+    """Project and colour all Gaussians; remove those with NaN or Inf."""
+    # Views have their own hooks, which zero the gradients of removed Gaussians.
     means, quats, scales, opacities, sh = (p.view_as(p) for p in inputs.parameters)
     small = (means, quats, scales, opacities)
     if inputs.raw:
@@ -171,7 +171,7 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
     with torch.no_grad():
         total = means2d.sum(-1) + conics.sum(-1) + depths + opacities
         drawn = (radii > 0).all(-1) & total.isfinite()  # (1, N)
-        pose = view.double()  # a difference of numbers that may be large
+        pose = view.double()  # differences of large numbers lose digits
         eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)
     colours = gsplat.spherical_harmonics(
         degrees_to_use=inputs.sh_degree, dirs=means - eye, coeffs=sh, masks=drawn[0]
@@ -180,9 +180,9 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
     with torch.no_grad():
         drawn = drawn & colours.sum(-1).isfinite()
         culled = ~drawn[0]
-    for parameter in small:  # that of sh is the basis times a colour's: zero already
+    for parameter in small:  # not sh: its gradient is already zero, as that of the colour is
         if parameter.requires_grad:
-            parameter.register_hook(_without(culled))  # type: ignore[no-untyped-call]
+            parameter.register_hook(_zero_rows(culled))  # type: ignore[no-untyped-call]
     return ProjectedGaussians(
         radii=radii * drawn[..., None],
         means2d=means2d,
@@ -193,17 +193,17 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
     )
 
 
-def _without(culled: Tensor) -> Any:
-    """A hook that makes the rows of a mask (N,) zero in a gradient (N, ...)."""
+def _zero_rows(mask: Tensor) -> Any:
+    """A hook that sets the rows of a mask (N,) to zero in a gradient (N, ...)."""
 
-    def clean(gradient: Tensor) -> Tensor:
-        return gradient.masked_fill(culled.view(-1, *(1,) * (gradient.dim() - 1)), 0)
+    def hook(gradient: Tensor) -> Tensor:
+        return gradient.masked_fill(mask.view(-1, *(1,) * (gradient.dim() - 1)), 0)
 
-    return clean
+    return hook
 
 
-def _watch(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
-    """Has `backward` write the scaled norm of dL / d(means2d) (1, N, 2) into `grad2d` (N,)."""
+def _record_grad2d(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
+    """Make `backward` write the scaled norm of dL / d(means2d) (1, N, 2) into `grad2d` (N,)."""
     if not means2d.requires_grad:
         return
     half_width, half_height = 0.5 * inputs.width, 0.5 * inputs.height
@@ -215,25 +215,25 @@ def _watch(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
     means2d.register_hook(write)  # type: ignore[no-untyped-call]
 
 
-def _weigh(
+def _add_blending_weights(
     inputs: RenderInputs,
     camera: int,
     projected: ProjectedGaussians,
-    means2d: Tensor,  # (1, N, 2) px from the cut's corner
-    lists: tuple[Tensor, Tensor],  # offsets of the tiles' lists, and these
-    cut: tuple[int, int, int, int],  # x0, y0, width, height in pixels
+    means2d: Tensor,  # (1, N, 2) px from the window's corner
+    lists: tuple[Tensor, Tensor],  # offsets of the tiles' lists, and the lists
+    window: tuple[int, int, int, int],  # x0, y0, width, height in pixels
     statistics: Statistics,
 ) -> None:
-    """Adds one camera's blending weights to the statistics."""
+    """Add one camera's blending weights to the statistics."""
     if not library.has_triton():
         raise KernelError(
             "Blending weights on the GPU need Triton, which is not installed.",
-            "pip install triton (on Windows triton-windows), or a strategy without"
+            "Run pip install triton (on Windows triton-windows), or use a strategy without"
             " contribution_every (joint), or --device cpu.",
         )
     from .cuda_weights import TileLists, blending_weights
 
-    x0, y0, width, height = cut
+    x0, y0, width, height = window
     counts = inputs.pixel_weights
     if counts is not None:
         counts = counts[camera, y0 : y0 + height, x0 : x0 + width]
@@ -251,7 +251,7 @@ def _weigh(
 
 
 def _placed(part: Tensor, place: tuple[slice, slice], inputs: RenderInputs) -> Tensor:
-    """What was drawn of a rectangle, in the whole picture; around it background or zeros."""
+    """A rendered rectangle in the whole image; around it is background (image) or zeros."""
     size = inputs.height, inputs.width
     if part.shape[:2] == size:
         return part

@@ -1,7 +1,7 @@
-"""Each Gaussian's largest blending weight and their sum, by a pass that gsplat does not offer.
+"""The largest blending weight of each Gaussian, and the sum of its weights; gsplat has neither.
 
-The pass goes through gsplat's own tile lists and blends as `rasterize_to_pixels` does, without
-colours: one warp a tile, every Gaussian of its list reduced over the tile's 256 pixels.
+A Triton kernel goes through gsplat's tile lists and blends as `rasterize_to_pixels` does, without
+colours: one warp per tile; each Gaussian of the list is reduced over the tile's 256 pixels.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from torch import Tensor
 from .inputs import ALPHA_MAX, ALPHA_MIN, TILE
 
 LAST_LIGHT = 1e-4
-"""gsplat: a pixel is done before the Gaussian that would leave less light than this."""
+"""gsplat: a pixel stops before the Gaussian that would leave a transmittance below this."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TileLists:
-    """gsplat's lists of a picture: which Gaussians meet which tile, front to back.
+    """gsplat's lists for an image: the Gaussians of each tile, front to back.
 
     Attributes:
-        offsets: (rows, columns) int32, where each tile's list begins.
+        offsets: (rows, columns) int32, start of each tile's list.
         ids: (pairs,) int32, the Gaussians, tile by tile.
-        mask: (rows, columns) bool, the tiles that are drawn; None: all.
-        width, height: of the picture, px.
+        mask: (rows, columns) bool, the active tiles; None: all.
+        width, height: of the image, px.
     """
 
     offsets: Tensor
@@ -68,7 +68,7 @@ def _weights(
     if FLAGS[3]:
         counts = tl.load(pixel_weights + row * width + column, mask=inside, other=0.0)
     light = tl.where(inside, 1.0, 0.0)
-    open_ = inside.to(tl.int32)  # pixels that are not done
+    open_ = inside.to(tl.int32)  # pixels that have not stopped
     at = begin
     left = tl.max(open_, axis=0)
     while (at < end) & (left > 0):
@@ -89,7 +89,7 @@ def _weights(
         light = tl.where(hit, after, light)
         if FLAGS[1]:
             most = tl.max(weight, axis=0)
-            if most > tl.load(largest + g):  # most tiles do not raise it: read before the atomic
+            if most > tl.load(largest + g):  # rarely true: a read is cheaper than an atomic
                 tl.atomic_max(largest + g, most)
         if FLAGS[2]:
             tl.atomic_add(sums + g, tl.sum(weight * counts, axis=0))
@@ -107,11 +107,11 @@ def blending_weights(
     largest: Tensor | None,  # (N,) raised to the largest weight
     sums: Tensor | None,  # (N,) added to
 ) -> None:
-    """Adds one picture's weights to `largest` and `sums`, in place."""
+    """Add one image's weights to `largest` and `sums`, in place."""
     if not len(lists.ids):
         return
     offsets, mask = lists.offsets, lists.mask
-    unused = means2d  # where a kernel argument is a pointer that is not read
+    unused = means2d  # a valid pointer for kernel arguments that are not read
     weights = unused if pixel_weights is None else pixel_weights.to(torch.float32).contiguous()
     _weights[(offsets.numel(),)](
         (means2d.contiguous(), conics.contiguous(), opacities.contiguous()),

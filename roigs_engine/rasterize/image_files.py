@@ -19,6 +19,6 @@ def to_uint8(image: Tensor) -> NDArray[np.uint8]:
 
 
 def save_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write (H, W, 3) uint8 as a PNG under `path`, whole or not at all."""
+    """Write (H, W, 3) uint8 as a PNG to `path`, atomically."""
     with atomic_write(path) as file:
         Image.fromarray(image).save(file, format="PNG")

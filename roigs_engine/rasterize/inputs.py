@@ -1,4 +1,4 @@
-"""What every rasterizer backend shares: the model's constants, the checked request, the result."""
+"""Shared by all rasterizer backends: the model's constants, the checked inputs, the output."""
 
 from __future__ import annotations
 
@@ -12,61 +12,61 @@ from torch import Tensor
 from ..errors import EngineError
 
 TILE = 16
-"""Side of a pixel tile; culling, binning and `region` work in whole tiles."""
+"""Side of a pixel tile; culling, binning and masks work in whole tiles."""
 
 LONGEST_SIDE = 1 << 16
-"""Largest image width and height, px: float32 then places a centre to 1/128 px at least."""
+"""Largest image width and height, px: up to it, float32 positions have steps of 1/128 px."""
 
 NEAR = 0.01
 """Gaussians whose centre is nearer to the camera plane than this (scene units) are culled."""
 
 BLUR = 0.3
-"""Added to the 2D covariance's diagonal, px^2: a Gaussian covers about a pixel at least."""
+"""Added to the 2D covariance's diagonal, px^2: each Gaussian covers at least about a pixel."""
 
 ALPHA_MIN = 1.0 / 255.0
 """Contributions below this are skipped: 8-bit output would not show them."""
 
 ALPHA_MAX = 0.999
-"""Opacity cap per pixel: keeps 1 / (1 - alpha) in the gradient finite."""
+"""Upper limit of alpha per pixel: keeps 1 / (1 - alpha) in the gradient finite."""
 
 FRUSTUM_MARGIN = 0.3
-"""The projection's Jacobian is taken inside the view widened by this share of its half angle."""
+"""The Jacobian is evaluated inside the view, widened by this share of its half width."""
 
 SH_SIZES = (1, 4, 9, 16)
 """Numbers of SH coefficients per colour for degrees 0 to 3."""
 
 
 class BackwardStep(Protocol):
-    """An optimizer's step that the backward pass takes in place of giving gradients.
+    """An optimizer step that the backward pass takes instead of returning gradients.
 
-    The rasterizer knows nothing of the optimizer but this.
+    This is all that the rasterizer knows about the optimizer.
     """
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:
-        """The tensors it updates, in the order of `rasterize`'s first five arguments."""
+        """The tensors that the step updates, in the order of `rasterize`'s first five arguments."""
         ...
 
     def take(self, kernel: Callable[[Any], int]) -> None:
-        """Take the step by a kernel, which gets the address of a `bindings.Adam`.
+        """Take the step with a kernel, which gets the address of a `bindings.Adam`.
 
-        The kernel returns how many rows it skipped because a gradient was not finite.
+        The kernel returns the number of rows that it skipped for a NaN or Inf gradient.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOutput:
-    """What `rasterize` returns; C cameras, N Gaussians. Gradients flow through `image` alone.
+    """The output of `rasterize` for C cameras, N Gaussians. Only `image` has a gradient.
 
     Attributes:
-        image: (C, H, W, 3) colours blended in sRGB values, background added.
-        alpha: (C, H, W) 1 - transmittance left behind the last Gaussian.
-        visible: (C, N) bool, True where the Gaussian reaches a tile that was worked on.
+        image: (C, H, W, 3) colours blended in sRGB values, background included.
+        alpha: (C, H, W) 1 - the transmittance behind the last Gaussian.
+        visible: (C, N) bool, True if the Gaussian reaches an active tile.
         grad2d: (C, N) float32, zeros until `backward()` has run; then |dL / d(projected centre)|
-            with x scaled by width / 2 and y by height / 2, the statistic that 3DGS densifies by.
-        depth: (C, H, W) mean camera depth sum(w z) / sum(w), 0 where nothing was drawn; or None.
-        max_weight: (N,) largest weight alpha * T a Gaussian has in any pixel; or None.
+            with x scaled by width / 2 and y by height / 2: 3DGS's criterion for densification.
+        depth: (C, H, W) mean camera depth sum(w z) / sum(w), 0 where no Gaussian is; or None.
+        max_weight: (N,) largest weight alpha * T of the Gaussian in any pixel; or None.
         weight_sum: (N,) sum of its weights over all cameras' pixels, each times the pixel's
             `pixel_weights` if these are given; or None.
     """
@@ -101,8 +101,8 @@ class RenderInputs:
     with_weight_sum: bool
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
-    tile_mask: Tensor | None  # (rows, columns) bool, which of them to work on; None: all
-    backward_step: BackwardStep | None  # taken by the backward pass; None: gradients
+    tile_mask: Tensor | None  # (rows, columns) bool, the active tiles in this rectangle; None: all
+    backward_step: BackwardStep | None  # None: the backward pass returns gradients
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -117,7 +117,7 @@ def check_inputs(
     width: int,
     height: int,
 ) -> None:
-    """Raises EngineError unless shapes, types and devices of the arguments fit together."""
+    """Raise EngineError unless shapes, types and devices of the arguments fit together."""
     means, quats, scales, opacities, sh = parameters
     n, cameras = means.shape[0] if means.ndim else -1, viewmats.shape[0] if viewmats.ndim else -1
     k = sh.shape[1] if sh.ndim == 3 else -1
@@ -147,21 +147,21 @@ def check_inputs(
     if max(width, height) > LONGEST_SIDE:
         raise EngineError(
             f"rasterize: the image size {width}x{height} is too large.",
-            f"Render {LONGEST_SIDE} pixels a side at most.",
+            f"Render at most {LONGEST_SIDE} pixels per side.",
         )
 
 
 def check_backward_step(
     step: BackwardStep, parameters: tuple[Tensor, ...], cameras: int, backend: str
 ) -> None:
-    """Raises EngineError unless a backward pass can take this step."""
+    """Raise EngineError unless a backward pass can take this step."""
     trained = step.tensors
     if len(trained) != len(parameters) or any(
         a is not b for a, b in zip(trained, parameters, strict=True)
     ):
         raise EngineError(
             "rasterize: the backward step's tensors are not the tensors to render.",
-            "Pass the tensors it was made with, in the order of rasterize's arguments.",
+            "Pass the optimizer's tensors, in the order of rasterize's arguments.",
         )
     if cameras != 1 or backend != "cpu":
         raise EngineError(
@@ -173,7 +173,7 @@ def check_backward_step(
 def check_pixel_weights(
     pixel_weights: Tensor, with_weight_sum: bool, shape: tuple[int, int, int]
 ) -> None:
-    """Raises EngineError unless the weights fit the images and are asked for."""
+    """Raise EngineError unless the weights fit the images and `with_weight_sum` is set."""
     if not with_weight_sum:
         raise EngineError("rasterize: pixel_weights without with_weight_sum have no effect.")
     if tuple(pixel_weights.shape) != shape:

@@ -1,8 +1,8 @@
 """The rasterizer in plain torch: slow, differentiable, written to be read.
 
-Every pixel meets every Gaussian, without tiles, without early stop, in the dtype of `means`. The
-compiled backends are tested against it in float64. Sections and equations: 3DGS (Kerbl et al.
-2023), EWA splatting (Zwicker et al. 2001).
+It blends every Gaussian into every pixel, without an early stop, in the dtype of `means`. The tests
+compare the compiled backends with it in float64. Sections and equations: 3DGS (Kerbl et al. 2023),
+EWA splatting (Zwicker et al. 2001).
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from .inputs import (
 )
 
 PIXELS_AT_ONCE = 1 << 14
-"""Pixels blended in one go; bounds the size of the (pixels, Gaussians) intermediates."""
+"""Pixels blended at once; limits the size of the (pixels, Gaussians) intermediates."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProjectedGaussians:
-    """The V Gaussians one camera can see, front to back."""
+    """The V Gaussians that are visible to one camera, front to back."""
 
     index: Tensor  # (V,) row of the input
     mean2d: Tensor  # (V, 2) px
@@ -41,7 +41,7 @@ class ProjectedGaussians:
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
-    """Renders all cameras of a inputs; see `rasterize`."""
+    """Render all cameras; see `rasterize`."""
     means = inputs.means
     cameras, n = inputs.viewmats.shape[0], means.shape[0]
     image, alpha, depth = [], [], []
@@ -51,14 +51,14 @@ def render(inputs: RenderInputs) -> RenderOutput:
     for c in range(cameras):
         splats = project(inputs, c)
         visible[c, splats.index] = True
-        watch_mean2d(splats, grad2d[c], inputs.width, inputs.height)
+        record_grad2d(splats, grad2d[c], inputs.width, inputs.height)
         colours, opacity, depths, largest, sums = blend(inputs, splats, c)
         image.append(colours)
         alpha.append(opacity)
         depth.append(depths)
         max_weight[splats.index] = torch.maximum(max_weight[splats.index], largest)
         weight_sum[splats.index] += sums
-    # zero, but a function of the parameters: `backward` works where nothing was drawn, too
+    # zero, but a function of the parameters: `backward` also works if no Gaussian is visible
     nothing = sum(p[:0].sum() for p in inputs.parameters)
     return RenderOutput(
         image=torch.stack(image) + nothing,
@@ -72,7 +72,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
 
 
 def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
-    """Projects all Gaussians and keeps those that reach a tile, ordered by depth."""
+    """Project all Gaussians and keep those that reach a tile, ordered by depth."""
     with torch.no_grad():
         everything = torch.arange(inputs.means.shape[0], device=inputs.means.device)
         fields = project_all(inputs, camera, everything)
@@ -82,11 +82,11 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
         index = usable.nonzero()[:, 0]
         mean2d, covariance, opacity = (f[index] for f in fields[:3])
         size = (inputs.width, inputs.height)
-        tiles = tiles_to_work_on(inputs)
+        tiles = active_tile_positions(inputs)
         index = index[reaches_a_tile(mean2d, covariance, opacity, tiles, size)]
         index = index[torch.sort(fields[4][index], stable=True).indices]
-    # Projected again from the kept rows alone: a culled row's NaN or overflow, multiplied by a
-    # zero gradient, would still poison the backward pass.
+    # Only the kept rows are projected again with gradients: a culled row's NaN or Inf times a zero
+    # gradient would be NaN in the backward pass.
     mean2d, covariance, opacity, colour, depth = project_all(inputs, camera, index)
     return ProjectedGaussians(
         index=index,
@@ -181,12 +181,12 @@ def reaches_a_tile(
     tiles: Tensor,  # (tiles, 2) column, row
     size: tuple[int, int],  # width, height
 ) -> Tensor:
-    """(V,) bool: alpha reaches ALPHA_MIN somewhere among the pixel centres' hull of a tile."""
+    """(V,) bool: alpha reaches ALPHA_MIN somewhere in the hull of a tile's pixel centres."""
     first = tiles[:, None].to(mean2d) * TILE + 0.5  # (tiles, 1, 2)
     last = torch.minimum(first + (TILE - 1), mean2d.new_tensor(size) - 0.5)
     low, high = first - mean2d, last - mean2d  # (tiles, V, 2)
-    # The form is convex: its minimum over the rectangle lies on an edge that faces the centre,
-    # at the unconstrained minimum along that edge, clamped to it.
+    # The quadratic form is convex: its minimum over the rectangle lies on an edge that faces the
+    # centre, at the unconstrained minimum along that edge, clamped to the edge.
     near = torch.zeros_like(low).clamp(low, high)
     xx, xy, yy = covariance.unbind(-1)
     on_x = torch.stack([near[..., 0], (near[..., 0] * xy / xx)], -1).clamp(low, high)
@@ -195,8 +195,8 @@ def reaches_a_tile(
     return (least < torch.log(opacity / ALPHA_MIN)).any(dim=0)
 
 
-def tiles_to_work_on(inputs: RenderInputs) -> Tensor:
-    """(tiles, 2) column and row of each."""
+def active_tile_positions(inputs: RenderInputs) -> Tensor:
+    """(tiles, 2): column and row of each active tile."""
     left, top, right, bottom = inputs.tiles
     wanted = torch.ones(bottom - top, right - left, dtype=torch.bool)
     if inputs.tile_mask is not None:
@@ -204,10 +204,10 @@ def tiles_to_work_on(inputs: RenderInputs) -> Tensor:
     return wanted.nonzero().flip(1) + torch.tensor([left, top])
 
 
-def pixels_to_work_on(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
-    """Rows and columns of the pixels in the tiles to work on, (P,) each, row by row."""
+def active_pixels(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
+    """Rows and columns of the pixels in active tiles, (P,) each, row by row."""
     wanted = torch.zeros(inputs.height, inputs.width, dtype=torch.bool)
-    for column, row in (TILE * tiles_to_work_on(inputs)).tolist():
+    for column, row in (TILE * active_tile_positions(inputs)).tolist():
         wanted[row : row + TILE, column : column + TILE] = True
     rows, columns = wanted.nonzero().to(inputs.means.device).unbind(1)
     return rows, columns
@@ -216,7 +216,7 @@ def pixels_to_work_on(inputs: RenderInputs) -> tuple[Tensor, Tensor]:
 def blend(
     inputs: RenderInputs, splats: ProjectedGaussians, camera: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Blends front to back (3DGS eq. 3).
+    """Blend front to back (3DGS eq. 3).
 
     Returns image (H, W, 3), alpha (H, W), depth (H, W), and each splat's largest weight and sum
     of weights, (V,) each.
@@ -224,7 +224,7 @@ def blend(
     image = inputs.background.expand(inputs.height, inputs.width, 3).clone()
     alpha, depth = image.new_zeros(image.shape[:2]), image.new_zeros(image.shape[:2])
     largest, weight_sum = (image.new_zeros(len(splats.index)) for _ in range(2))
-    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in pixels_to_work_on(inputs))
+    chunks = (torch.split(axis, PIXELS_AT_ONCE) for axis in active_pixels(inputs))
     for place in zip(*chunks, strict=True):
         weights, left = blending_weights(splats, torch.stack(place[::-1], -1).to(image) + 0.5)
         image[place] = weights @ splats.colour + left[:, None] * inputs.background
@@ -242,7 +242,7 @@ def blend(
 
 
 def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor, Tensor]:
-    """For pixel centres (P, 2): weights (P, V), and the transmittance that is left (P,).
+    """For pixel centres (P, 2): weights (P, V), and the remaining transmittance (P,).
 
     A weight is alpha_i prod_{j<i} (1 - alpha_j).
     """
@@ -254,8 +254,8 @@ def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor
     return a * before[:, :-1], before[:, -1]
 
 
-def watch_mean2d(splats: ProjectedGaussians, grad2d: Tensor, width: int, height: int) -> None:
-    """Has `backward` write the scaled norm of dL / d(mean2d) into a row of `grad2d` (N,)."""
+def record_grad2d(splats: ProjectedGaussians, grad2d: Tensor, width: int, height: int) -> None:
+    """Make `backward` write the scaled norm of dL / d(mean2d) into `grad2d` (N,)."""
     if not splats.mean2d.requires_grad:
         return
 

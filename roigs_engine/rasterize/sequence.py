@@ -1,4 +1,4 @@
-"""Every camera of a path, rendered to a PNG."""
+"""Renders every camera of a path to a PNG."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def render_sequence(
     out_dir: Path,
     context: Context = QUIET,
 ) -> list[Path]:
-    """Render every camera to `out_dir/<name>.png` (8-bit sRGB); the files in the cameras' order."""
+    """Render every camera to `out_dir/NAME.png` (8-bit sRGB); returns the files in this order."""
     context.emit(StageStarted(stage="render", total=len(cameras)))
     started = time.monotonic()
     written: list[Path] = []

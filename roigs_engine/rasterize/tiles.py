@@ -1,4 +1,4 @@
-"""The 16x16 tiles of an image that are drawn."""
+"""Active tiles: the 16x16 tiles of an image that are rendered."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from .inputs import TILE
 def active_tiles(
     width: int, height: int, mask: tuple[int, int, int, int] | Tensor | None
 ) -> tuple[tuple[int, int, int, int], Tensor | None]:
-    """The tiles to work on: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
+    """The active tiles: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
 
-    `mask` is as in `rasterize`. Raises EngineError: a mask that does not fit the image.
+    `mask` is that of `rasterize`.
+
+    Raises:
+        EngineError: the mask does not fit the image.
     """
     if not isinstance(mask, Tensor):
         return tile_rectangle(width, height, mask), None
@@ -37,7 +40,7 @@ def active_tiles(
 def tile_rectangle(
     width: int, height: int, mask: tuple[int, int, int, int] | None
 ) -> tuple[int, int, int, int]:
-    """The tiles (x0, y0, x1, y1; end exclusive) that touch a pixel mask, or all of them."""
+    """The tiles (x0, y0, x1, y1; end exclusive) that touch a rectangle of pixels; None: all."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     if mask is None:
         return 0, 0, columns, rows

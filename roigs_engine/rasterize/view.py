@@ -1,12 +1,4 @@
-"""Pictures of a model: one view, or every camera of a path file.
-
-Camera path file (UTF-8 JSON, OpenCV axes, pixels and world units, docs/conventions.md):
-
-    {"cameras": [{"name": "0001", "width": 960, "height": 540, "fx": 800.0, "fy": 800.0,
-                  "cx": 480.0, "cy": 270.0, "world_to_camera": [[...4], [...4], [...4], [...4]]}]}
-
-`world_to_camera` is a rotation and a translation; names are unique and become file names.
-"""
+"""Renders a model from one camera."""
 
 from __future__ import annotations
 
@@ -17,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cuda.memory import memory_explained, smaller
+from ..cuda.memory import explain_out_of_memory, smaller_side
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from . import RenderOutput, rasterize
@@ -25,12 +17,12 @@ from . import RenderOutput, rasterize
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderedView:
-    """One picture.
+    """A rendered image.
 
     Attributes:
         image: (H, W, 3) float32 sRGB values in [0, 1].
-        depth: (H, W) expected depth along the camera's z axis, world units, 0 where nothing is;
-            None unless asked for.
+        depth: (H, W) expected depth along the camera's z axis, world units, 0 where no Gaussian
+            is; None unless requested.
     """
 
     image: Tensor
@@ -50,12 +42,12 @@ def render_view(
     size = camera.width, camera.height
 
     def doing() -> str:
-        return f"drawing {len(gaussians):,} Gaussians at {size[0]}x{size[1]}"
+        return f"rendering {len(gaussians):,} Gaussians at {size[0]}x{size[1]}"
 
     def advice() -> str:
-        return f"Draw smaller pictures (--max-side {smaller(*size)}), or use --device cpu."
+        return f"Render smaller images (--max-side {smaller_side(*size)}), or use --device cpu."
 
-    with memory_explained(doing, advice):
+    with explain_out_of_memory(doing, advice):
         output = rasterize_view(
             gaussians, camera, world_to_camera, background=background, with_depth=with_depth
         )
@@ -66,9 +58,13 @@ def render_view(
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
-    """`rasterize` of a model from one camera, (4, 4) world_to_camera, on the model's device.
+    """`rasterize` a model from one camera, on the model's device.
 
-    Args: `options`: of `rasterize`.
+    Args:
+        gaussians: the model.
+        camera: the camera.
+        world_to_camera: (4, 4).
+        options: of `rasterize`.
     """
     device = gaussians.means.device
     viewmat = torch.as_tensor(np.asarray(world_to_camera), dtype=torch.float32, device=device)

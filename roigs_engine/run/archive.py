@@ -1,7 +1,7 @@
-"""What a run made for other settings: kept in `archive/` of its folder, and restored when asked.
+"""Results of a run made with other settings: moved to its folder `archive/`, restored on request.
 
-Names there end in the first eight digits of a fingerprint, so that a run can go to and fro between
-settings without anything being deleted or made twice.
+Names there end in the first eight digits of a fingerprint. So the user can switch between settings
+and nothing is deleted or trained twice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FOLDER, PARTS = "archive", "results"
 
 
 def archive(folder: Path, fingerprint: str) -> None:
-    """Move a folder or file to `archive` beside it, if it is there.
+    """Move a folder or file to `archive` beside it, if it exists.
 
     Raises:
         RunFolderError: it cannot be moved.
@@ -28,14 +28,14 @@ def archive(folder: Path, fingerprint: str) -> None:
 
 
 def restore(folder: Path, fingerprint: str) -> None:
-    """Move what was archived of `folder` under that fingerprint back, unless something is there."""
+    """Move the archived `folder` of that fingerprint back, unless `folder` exists."""
     place = _place(folder, fingerprint)
     if place.exists() and not folder.exists():
         _move(place, folder)
 
 
 def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
-    """Move those of `names` that are in `folder` to a folder of their own in `folder`/archive."""
+    """Move the files `names` of `folder`, as far as they exist, to one folder in its archive."""
     place = _free(_place(folder / PARTS, fingerprint))
     for name in names:
         if (folder / name).exists():
@@ -43,12 +43,12 @@ def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
 
 
 def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
-    """Move what `archive_parts` archived under that fingerprint back."""
+    """Move the files that `archive_parts` archived under that fingerprint back."""
     place = _place(folder / PARTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():
             _move(place / name, folder / name)
-    with suppress(OSError):  # not there, or not empty
+    with suppress(OSError):  # missing, or not empty
         place.rmdir()
 
 
@@ -57,7 +57,7 @@ def _place(folder: Path, fingerprint: str) -> Path:
 
 
 def _free(place: Path) -> Path:
-    """`place`, or that with a number when somebody has moved folders there by hand."""
+    """`place`, with a number appended if it exists: users may have moved folders by hand."""
     names = (place if k == 1 else place.with_name(f"{place.name}-{k}") for k in count(1))
     return next(path for path in names if not path.exists())
 

@@ -1,7 +1,7 @@
 """Settings of a run as a frozen value; torch-free.
 
-A value that differs from the paper or from 3DGS says so beside it; docs/results.md names the
-measurement behind it.
+Comments mark the values that differ from the paper or from 3DGS; docs/lab_notebook.md has the
+measurements.
 """
 
 from __future__ import annotations
@@ -17,31 +17,32 @@ from ..training.config import TrainConfig, with_steps
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
-MAX_FACTOR = 1000  # of the steps: a larger one is a slip of the finger
+MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
 COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """Everything that decides the result of a run, beside its scene and its boxes.
+    """Everything that decides the result of a run, except its scene and its boxes.
 
     Attributes:
-        preset: where the values came from.
-        strategy: `joint` (one stage for all boxes, nothing is cut) or `independent` (the paper's
-            Object-GS per box, then composition).
-        selection: how the ROI stage's photos are chosen.
-        kept_share: share of each ROI's selected photos that Scene-GS sees too (paper: 0.5); the
-            k-th photo stays when floor(k share) grows.
-        scene, roi: the two stages.
-        scene_scale: the Scene-GS learns from photos at this share of their size.
-        roi_init: what the ROI stage starts from: the whole Scene-GS, the sparse points, or the
+        preset: name of the preset that the values come from.
+        strategy: `joint` (one stage for all boxes, no composition) or `independent` (the paper's
+            Object-GS for each box, then composition).
+        selection: how the photos of each box are selected.
+        kept_share: share of each box's selected photos that the Scene-GS also trains on (paper:
+            0.5), spread evenly over the selection.
+        scene, roi: settings of the two stages, the Scene-GS and the box stage.
+        scene_scale: factor on the size of the photos that the Scene-GS trains on.
+        roi_init: what the box stage starts from: the whole Scene-GS, the sparse points, or the
             Scene-GS's Gaussians in the box (the paper's ablations).
-        roi_order: `ordered` follows the selection and cycles (paper); `shuffled` draws epochs.
-        selected_share: in the joint stage (and the seam stage) share of the steps that look at
-            boxes which draw a selected photo; the others draw any training photo that sees a box.
-        refine_share: independent only; share of the ROI stage's steps that the composed model gets
-            instead of the objects. 0: composition is the end (paper).
-        test_every: every n-th ROI-visible photo, by distance, is kept for the tests.
+        roi_order: `ordered` repeats the selection in its order (paper); `shuffled` draws epochs.
+        selected_share: of the steps of the joint stage (and the joint refinement) that train on a
+            mask, the share that draws a selected photo; the others draw any training photo that
+            sees a box.
+        refine_share: `independent` only: share of the box stage's steps that go to the joint
+            refinement instead of the Object-GS. 0: no joint refinement (paper).
+        test_every: every n-th photo that sees a box, by distance, becomes a test photo.
         seed: of everything random.
     """
 
@@ -76,24 +77,24 @@ class RunConfig:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
         if self.scene.min_views:
             raise ConfigError(
-                f"scene.min_views is {self.scene.min_views}; the Scene-GS knows no boxes.",
+                f"scene.min_views is {self.scene.min_views}, but the Scene-GS has no boxes.",
                 "Set roi.min_views instead.",
             )
         if not 0 < self.scene_scale <= 1:
             raise ConfigError(
-                f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, 1 at most."
+                f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, at most 1."
             )
         if not 0 <= self.seed < 1 << 32:
             raise ConfigError(f"The seed is {self.seed}.", "Use a number from 0 to 4294967295.")
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
-                "roi_init 'box' throws the surroundings away, which `joint` needs.",
+                "roi_init 'box' drops the background, which the strategy `joint` needs.",
                 "Use the strategy `independent` with it.",
             )
 
     @property
     def total_steps(self) -> int:
-        """Steps of both stages: what a baseline is given."""
+        """Steps of both stages: a baseline gets as many."""
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
@@ -101,15 +102,15 @@ class RunConfig:
         return dataclasses.asdict(self)
 
     def scaled(self, factor: float) -> RunConfig:
-        """Both stages with their steps multiplied, see `with_steps`."""
+        """The config with the steps of both stages multiplied, see `with_steps`."""
         if not 0 < factor <= MAX_FACTOR:
             raise ConfigError(
-                f"The step factor is {factor:g}.", f"Use a number above 0, {MAX_FACTOR} at most."
+                f"The step factor is {factor:g}.", f"Use a number above 0, at most {MAX_FACTOR}."
             )
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
         return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
 
     @property
     def refine_steps(self) -> int:
-        """Steps of the seam stage; 0: there is none."""
+        """Steps of the joint refinement; 0: there is none."""
         return round(self.refine_share * self.roi.steps) if self.strategy == "independent" else 0

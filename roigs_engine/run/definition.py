@@ -1,4 +1,4 @@
-"""A run as a value: where, of what, with which settings. Nothing here touches the disk."""
+"""A run as a value: its folder, scene, boxes and settings. Nothing here touches the disk."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Run:
     """Everything that decides a run's results, and its folder.
 
     Attributes:
-        folder: of the run.
+        folder: the run folder.
         scene: all photos, test photos included.
         rois: the boxes.
         config: settings.
-        test: names of the test photos, which only the evaluation sees.
-        manual: box -> its photos, best first, where the user chose them.
+        test: names of the test photos, which only the evaluation uses.
+        manual: box -> its photos, best first, for boxes with a manual selection.
     """
 
     folder: Path
@@ -44,11 +44,11 @@ class Run:
 
     @cached_property
     def extent(self) -> float:
-        """Of the training cameras, world units (`SfmScene.extent`)."""
+        """Extent of the training cameras, world units (`SfmScene.extent`)."""
         return self.train_scene.extent()
 
     def manifest(self) -> dict[str, Any]:
-        """What decides the results, besides the photos' pixels; ready for JSON."""
+        """Everything that decides the results, except the photos' pixels; ready for JSON."""
         images = self.scene.images
         record = {
             "config": self.config.to_dict(),
@@ -69,20 +69,21 @@ def define_run(
     manual: Mapping[str, Sequence[str]] | None = None,
     context: Context = QUIET,
 ) -> Run:
-    """The run of these inputs, its test photos chosen.
+    """The run of these inputs; chooses its test photos.
 
     Args:
-        folder, scene, rois, config: of the run.
-        manual: box -> photos, best first, for boxes whose photos the user chose.
+        folder, scene, rois, config: see `Run`.
+        manual: box -> photos, best first, for boxes with a manual selection.
         context: gets a warning for manual photos that cannot be used.
 
     Raises:
-        SceneError: the model has no points, no photo sees a box, or too few do to test on.
+        SceneError: the model has no points, or too few photos see a box to choose a test photo.
+        RoiError: no point lies in a box, or no photo sees one that does.
         ConfigError: `manual` names photos that cannot be used.
         Stopped: on request.
     """
     if len(scene.points) == 0:
-        raise SceneError("The model holds no 3D points.", "Triangulate it in COLMAP first.")
+        raise SceneError("The model has no 3D points.", "Triangulate it in COLMAP first.")
     test = choose_test_views(scene, rois, config.test_every, context)
     usable = {
         roi: usable_manual(names, scene, test, roi, context)

@@ -1,4 +1,4 @@
-"""What a run would do, as text: its stages, photos, steps, memory and minutes."""
+"""The plan of a run as text: its stages, photos, steps, memory and minutes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ LEFT = (0, 4, 7)  # columns of text
 def describe_plan(
     run: Run, compare: Sequence[str] = (), context: Context = QUIET, *, update: bool = False
 ) -> str:
-    """The plan of a run as text; nothing is trained for it but a few steps, to take their time.
+    """The plan of a run as text; trains a few steps to measure their time, and writes nothing.
 
     Args:
         run, compare: see `strategies.plan_run`.
-        context: gives the device; asked whether to stop.
-        update: whether the run would take its folder over.
+        context: gives the device; checked for cancellation.
+        update: whether the run would archive other results in its folder.
 
     Raises:
         As `plan_run`; SceneError: the scene does not fit into the machine's memory;
@@ -40,7 +40,7 @@ def describe_plan(
     lines = [*_head(run, plan), "", *_table(rows), ""]
     lines += [message.text for message in memory.messages()]
     threads = f"{library.threads()} threads" if context.device == "cpu" else context.device
-    done = f"; {_minutes(saved)} more are done already" if saved else ""
+    done = f"; {_minutes(saved)} are already done" if saved else ""
     lines.append(f"Time: about {_minutes(seconds)} on this machine ({threads}){done}.")
     return "\n".join([*lines, *_folder_note(run, update=update)])
 
@@ -49,7 +49,7 @@ def _head(run: Run, plan: Plan) -> list[str]:
     config, count = run.config, len(run.scene.images)
     lines = [
         f"Plan of {run.folder}: preset {config.preset}, {config.strategy}, seed {config.seed}",
-        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} for tests",
+        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} test photos",
     ]
     for folder, selections in plan.selections.items():
         where = f" ({folder})" if folder else ""
@@ -64,7 +64,7 @@ def _head(run: Run, plan: Plan) -> list[str]:
 def _stage_rows(
     run: Run, plan: Plan, context: Context
 ) -> tuple[list[tuple[str, ...]], float, float]:
-    """A row for each stage; seconds of what is missing, and of what is done."""
+    """A row for each stage; seconds of the missing stages, and of the finished ones."""
     executor = Executor(run, context)
     estimator = Estimator(run.train_scene, context)
     ends: dict[str, int] = {}
@@ -89,7 +89,7 @@ def _stage_rows(
 
 
 def _start(stage: Stage, ends: dict[str, int], points: int) -> int:
-    """Number of Gaussians that the stage starts with, as far as it is known."""
+    """The expected number of Gaussians at the start of the stage."""
     if stage.start.kind == POINTS:
         return points
     return max(ends[needed.name] for needed in stage.start.inputs)
@@ -123,15 +123,16 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
 
 
 def _folder_note(run: Run, *, update: bool) -> list[str]:
-    """What stands in the folder already."""
+    """A note if the folder already has another run."""
     path = run.folder / NAME
     if not path.exists():
         return []
     difference = manifest_difference(read_json(path), from_json(run.manifest()))
     if not difference:
         return []
-    what = "would be archived" if update else "is there: add --update to archive it"
-    return [f"Folder: another run ({difference}) {what}."]
+    if update:
+        return [f"Folder: another run ({difference}) would be archived."]
+    return [f"Folder: it has another run ({difference}). Add --update to archive that run."]
 
 
 def _minutes(seconds: float) -> str:

@@ -1,8 +1,8 @@
-"""How long the stages of a plan will take on this machine, from a few steps trained for it.
+"""Estimates the time of a plan's stages on this machine by training a few steps.
 
-A step's time is measured at the number of Gaussians that a stage starts with and at the number it
-is expected to end with, on its own cameras and masks, and taken to be linear in between. How many
-Gaussians densification adds is a rule of thumb: it cannot be known before training.
+The time of a step is measured twice, on the stage's cameras and masks: with the number of Gaussians
+at the start of the stage, and with the number expected at its end. In between it is interpolated.
+A rule of thumb gives the number of Gaussians that densification adds.
 """
 
 from __future__ import annotations
@@ -23,21 +23,22 @@ from ..training.masks import RoiMasks
 from ..training.trainer import StageData, Trainer, one_torch_thread
 from .plan import Stage
 
-# One densification adds this share of few Gaussians, and ever less of many: half of it where there
-# are so many. Seen in two scenes, 640 px, which differed by a factor of 2 (docs/lab_notebook.md).
+# One densification adds the share GROWTH to a small model, and less to a larger one: half of it to
+# a model of HALF Gaussians. Seen in two scenes whose growth differs by a factor of 2
+# (docs/lab_notebook.md).
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
 WARM_UP, MEASURED = 4, 12  # steps
-RENDER_SHARE = 0.5  # of a training step's time, to draw and compare a test photo
+RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test photo
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageEstimate:
-    """What is expected of a stage.
+    """The estimate of one stage.
 
     Attributes:
         start, end: numbers of Gaussians.
-        seconds: of training.
-        step_seconds: of a step at the end.
+        seconds: training time.
+        step_seconds: time of a step at the end.
     """
 
     start: int
@@ -47,11 +48,11 @@ class StageEstimate:
 
 
 class Estimator:
-    """Estimates the stages of one run; stages of the same settings are measured once.
+    """Estimates the stages of one run; measures stages with the same settings once.
 
     Args:
-        scene: whose points models are made of.
-        context: gives the device; asked between measurements whether to stop.
+        scene: its points become the models that are timed.
+        context: gives the device; checked for cancellation between measurements.
     """
 
     def __init__(self, scene: SfmScene, context: Context = QUIET) -> None:
@@ -59,7 +60,7 @@ class Estimator:
         self._times: dict[tuple[object, ...], tuple[float, float]] = {}
 
     def estimate(self, stage: Stage, start: int) -> StageEstimate:
-        """The stage, beginning with `start` Gaussians."""
+        """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end = counts[-1]
         low, high = self._step_seconds(stage, start, end)
@@ -68,14 +69,14 @@ class Estimator:
         return StageEstimate(start=start, end=end, seconds=seconds, step_seconds=high)
 
     def _share_in_boxes(self, stage: Stage) -> float:
-        """Of the scene's points."""
+        """Share of the scene's points that lie in the stage's boxes."""
         inside = np.zeros(len(self._scene.points), dtype=bool)
         for roi in stage.rois:
             inside |= roi.contains(self._scene.points)
         return float(inside.mean()) if len(inside) else 0.0
 
     def _step_seconds(self, stage: Stage, start: int, end: int) -> tuple[float, float]:
-        """A step's time with so many Gaussians, at the stage's beginning and end."""
+        """Seconds of a step with `start` and with `end` Gaussians."""
         largest = max(image.camera.width * image.camera.height for image in stage.images)
         settings = replace(stage.config, steps=0)
         key = (settings, largest, _rounded(start), _rounded(end))
@@ -86,7 +87,7 @@ class Estimator:
         return self._times[key]
 
     def _measured(self, stage: Stage, count: int) -> float:
-        """Seconds of a training step with `count` Gaussians, the median of a few."""
+        """Seconds of a training step with `count` Gaussians, the mean of a few."""
         self._context.check_cancelled()
         images = stage.images[:: max(1, len(stage.images) // 8)]
         data = StageData(
@@ -135,12 +136,12 @@ def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int
 
 
 def evaluation_seconds(ends: Sequence[StageEstimate], tests: int) -> float:
-    """To draw and compare the test photos with a model of each of the stages."""
+    """Seconds to render the test photos with each stage's model and to compare them."""
     return sum(RENDER_SHARE * stage.step_seconds * tests for stage in ends)
 
 
 def model_of_size(scene: SfmScene, count: int) -> Gaussians:
-    """The scene's points as `count` Gaussians: some of them, or all and finer copies."""
+    """The scene's points as `count` Gaussians: some of the points, or all with smaller copies."""
     rng = np.random.default_rng(0)
     rows = rng.permutation(len(scene.points))[:count]
     copies = -(-count // max(len(rows), 1))
@@ -153,12 +154,12 @@ def model_of_size(scene: SfmScene, count: int) -> Gaussians:
     spread = values["log_scales"].exp()
     generator = torch.Generator().manual_seed(0)
     values["means"] = values["means"] + spread * torch.randn(count, 3, generator=generator)
-    values["log_scales"] = values["log_scales"] - float(np.log(copies)) / 2  # as large an area
+    values["log_scales"] = values["log_scales"] - float(np.log(copies)) / 2  # same total area
     return Gaussians(**values)
 
 
 class _GreyPhotos:
-    """Photos of one grey: what they show does not change a step's time much."""
+    """Grey photos: the content of a photo hardly changes the time of a step."""
 
     def __init__(self, images: Sequence[PosedImage]) -> None:
         self._images = images
@@ -177,5 +178,5 @@ def _finish(device: torch.device) -> None:
 
 
 def _rounded(count: int) -> int:
-    """Two counts within some percent are one measurement."""
+    """The same number for counts within 5 %: they share one measurement."""
     return round(20 * float(np.log(max(count, 1))))

@@ -1,4 +1,4 @@
-"""Carries out a plan: every stage is made or read once, whatever asks for it."""
+"""Executes a plan: each stage is trained or loaded once, however many models need it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from .stage_folder import StageFolder, StageResult
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainedModel:
-    """A row of the tables and the stages behind it.
+    """A trained model, one row of the tables, and the stages behind it.
 
     Attributes:
         name: of its row, unique among the rows of a box.
         gaussians: the model.
-        stages: that serve all boxes alike.
-        by_roi: box -> the stage that serves it alone.
+        stages: stages shared by all boxes.
+        by_roi: box -> its own stage.
     """
 
     name: str
@@ -42,20 +42,20 @@ class TrainedModel:
 
     @property
     def rois(self) -> tuple[str, ...] | None:
-        """The boxes that get a row for it; None: all, as some stage serves all."""
+        """The boxes that get a row for it; None: all boxes (it has shared stages)."""
         return None if self.stages else tuple(self.by_roi)
 
     @property
     def all_stages(self) -> list[StageResult]:
-        """Every stage behind it."""
+        """All stages behind it."""
         return [*self.stages, *self.by_roi.values()]
 
     def stages_for(self, roi: str) -> list[StageResult]:
-        """The stages that this model needs if the box is the only one."""
+        """The stages that this model would need if `roi` were the only box."""
         return [*self.stages, *([self.by_roi[roi]] if roi in self.by_roi else [])]
 
     def evaluated(self) -> EvaluatedModel:
-        """Its row, which took the time of all its stages."""
+        """The model for the evaluation, with the time of all its stages."""
         return EvaluatedModel(
             name=self.name,
             gaussians=self.gaussians,
@@ -69,10 +69,10 @@ class Executor:
     """Trains the stages of plans in a run's folder, each at most once.
 
     Args:
-        run: what the plans were made for.
-        context: of the run; its device is where stages are trained.
-        update: archive stages of other settings instead of refusing to overwrite them.
-        preview_seconds: of training between two writings of `preview.ply`; 0: never.
+        run: the run of the plans.
+        context: of the run; gives the device.
+        update: archive stages of other settings instead of raising an error.
+        preview_seconds: seconds of training between two updates of `preview.ply`; 0: none.
     """
 
     def __init__(
@@ -91,11 +91,11 @@ class Executor:
         self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
 
     def execute(self, plan: Plan) -> list[TrainedModel]:
-        """Train what is missing, write the outputs; the plan's models, the result last.
+        """Train the missing stages and write the outputs; returns the models, the result last.
 
         Raises:
-            Stopped: on request; the same call continues later.
-            RunFolderError: a stage's folder belongs to other settings, or is damaged.
+            Stopped: on request; the same call resumes later.
+            RunFolderError: a stage's folder has other settings, or is damaged.
             TrainingError: a stage diverged twice.
         """
         for folder, selections in plan.selections.items():
@@ -112,21 +112,21 @@ class Executor:
         return models
 
     def result(self, stage: Stage) -> StageResult:
-        """The stage's result: as it was made before, or trained now."""
+        """The stage's result: loaded if finished, else trained now."""
         if stage.name not in self._results:
             folder = self._folder(stage)
             self._results[stage.name] = folder.finished(self.context) or self._train(stage, folder)
         return self._results[stage.name]
 
     def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
-        for needed in stage.inputs:  # before the stage's own photos are held
+        for needed in stage.inputs:  # before the stage's own photos take memory
             self.result(needed)
         return folder.train(
             lambda: self.gaussians(stage.start), self._data(stage), stage.config, self.context
         )
 
     def gaussians(self, source: Source) -> Gaussians:
-        """The Gaussians of a source; what they are made of is trained if need be."""
+        """The Gaussians of a source; trains its input stages if necessary."""
         if source.kind == POINTS:
             return self._points()
         if source.kind == MERGE:
@@ -135,7 +135,7 @@ class Executor:
         return crop(model, source.rois[0], source.rois) if source.kind == CROP else model
 
     def model(self, planned: PlannedModel) -> TrainedModel:
-        """The row, trained."""
+        """The planned model, trained."""
         stages = [self.result(stage) for stage in planned.stages]
         by_roi = {roi: self.result(stage) for roi, stage in planned.by_roi.items()}
         return TrainedModel(
@@ -146,7 +146,7 @@ class Executor:
         )
 
     def finished(self, stage: Stage) -> StageResult | None:
-        """The stage as it was finished before, or None. Looks only: nothing is trained or moved."""
+        """The stage's result if it is finished, or None; nothing is trained or moved."""
         return self._folder(stage).peek()
 
     def close(self) -> None:
@@ -167,7 +167,7 @@ class Executor:
         )
 
     def _data(self, stage: Stage) -> StageData:
-        """What the stage trains on."""
+        """The stage's training data."""
         device = torch.device(self.context.device)
         masks = None
         if stage.config.full_every > 1:
@@ -207,7 +207,7 @@ class Executor:
         return self._models[POINTS]
 
     def _merged(self, source: Source) -> Gaussians:
-        """The scene's model with every box's inside taken from its object's."""
+        """The scene's model with the content of each box taken from that box's Object-GS."""
         if source.fingerprint not in self._models:
             scene, *objects = (self.result(stage) for stage in source.inputs)
             pairs = zip(source.rois, (stage.gaussians for stage in objects), strict=True)
@@ -215,7 +215,7 @@ class Executor:
         return self._models[source.fingerprint]
 
     def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
-        """One cache for each list of photos, the last only: stages do not run side by side."""
+        """The cache of these photos; drops an earlier one, as only one stage runs at a time."""
         key = tuple((image.name, image.camera.width) for image in images)
         if key not in self._photos:
             self.close()
@@ -223,12 +223,12 @@ class Executor:
         return self._photos[key]
 
     def _write(self, output: Output) -> None:
-        """The result whole, in parts, and the Scene-GS's Gaussians in each box beside them."""
+        """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box."""
         folder, rois = self.run.folder / output.folder, self.run.rois
         result = self.gaussians(output.model.source)
         coarse = self.result(output.coarse).gaussians
         result.save_ply(folder / "result.ply")
         background(result, rois).save_ply(folder / "background.ply")
         for roi in rois:
-            for model, home in ((result, "rois"), (coarse, "coarse")):
-                crop(model, roi, rois).save_ply(folder / home / f"{roi.name}.ply")
+            for model, name in ((result, "rois"), (coarse, "coarse")):
+                crop(model, roi, rois).save_ply(folder / name / f"{roi.name}.ply")

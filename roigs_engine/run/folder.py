@@ -1,4 +1,4 @@
-"""Opening a run's folder: the step between the run as a value and its training."""
+"""Opens a run folder and trains the run in it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .strategies import plan_run
 
 
 def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
-    """Claim the run's folder, write which photos are test photos, say what may train badly.
+    """Write the manifest and the test photos' names to the folder; warn about scene problems.
 
     Args:
         run: the run; its folder must not be in use (`formats.lock`).
-        context: takes the warnings.
-        update: take over a folder made for other settings: what still fits is kept, the rest is
-            archived.
+        context: receives the warnings.
+        update: accept a folder made for other settings: results that still fit are kept, the
+            others are archived.
 
     Raises:
-        RunFolderError: the folder holds a run of other settings, or of an earlier version.
+        RunFolderError: the folder has a run of other settings, or of an earlier version.
         SceneError: the scene does not fit into the machine's memory.
     """
     run_memory(run, context)
@@ -42,12 +42,12 @@ def train_opened(
     update: bool = False,
     preview_seconds: float = 0.0,
 ) -> list[TrainedModel]:
-    """Plan and train a run whose folder is open; the models, the run's result last.
+    """Plan and train a run whose folder is open; returns the models, the run's result last.
 
     Args:
         run, context, update: see `open_folder`.
-        compare: what else is trained, of `config.COMPARISONS`.
-        preview_seconds: of training between two writings of `preview.ply`; 0: never.
+        compare: models to compare with, from `config.COMPARISONS`.
+        preview_seconds: seconds of training between two updates of `preview.ply`; 0: none.
 
     Raises:
         As `plan_run` and `Executor.execute`.

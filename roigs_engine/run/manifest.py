@@ -1,4 +1,4 @@
-"""What a run folder was made for, so that nothing of another run is mixed in or overwritten."""
+"""The manifest of a run folder: it keeps results of different runs from being mixed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .archive import archive_parts, restore_parts
 
 NAME = "manifest.json"
 FORMER_NAME = "request.json"  # until 0.1.0
-# What follows from a manifest as a whole, and not from one stage.
+# Results of the run as a whole, not of one stage.
 RESULTS = (
     *("result.ply", "background.ply", "rois", "coarse"),
     *("report.md", "report.json", "crops", "selection"),
@@ -24,9 +24,10 @@ RESULTS = (
 def claim(
     folder: Path, manifest: dict[str, Any], *, update: bool, context: Context = QUIET
 ) -> None:
-    """Write the manifest to `folder`, or check that it is the one the folder was made for.
+    """Write the manifest to `folder`, or check that it equals the folder's manifest.
 
-    With `update`, the results of another manifest are archived, and those of this one restored.
+    With `update`, the results of another manifest are archived, and archived results of this one
+    are restored.
 
     Raises:
         RunFolderError: the folder was made for other settings, or by an earlier version.
@@ -42,36 +43,36 @@ def claim(
         return
     if not update:
         raise RunFolderError(
-            f"{folder} holds another run ({difference}).",
-            "Add --update to bring it up to date, or choose another --run-dir.",
+            f"{folder} has another run ({difference}).",
+            "Add --update to archive that run, or choose another --run-dir.",
         )
     archive_parts(folder, RESULTS, manifest_digest(before))
     restore_parts(folder, RESULTS, manifest_digest(now))
     write_json(path, now)
-    context.info(f"{folder} is brought up to date ({difference}).")
+    context.info(f"Updated {folder} to the new settings ({difference}).")
 
 
 def check_version(folder: Path) -> None:
     """Raise RunFolderError if an earlier version of the engine made the folder."""
     if (folder / FORMER_NAME).exists() and not (folder / NAME).exists():
         raise RunFolderError(
-            f"{folder} was made by an earlier version, whose runs cannot be resumed.",
+            f"{folder} was made by an earlier version; this version cannot resume it.",
             "Choose another --run-dir; the results in this one stay as they are.",
         )
 
 
 def from_json(value: Any) -> Any:
-    """The value as it comes back from JSON, which has no tuples."""
+    """The value after a round trip through JSON, which turns tuples into lists."""
     return json.loads(json.dumps(value))
 
 
 def manifest_digest(manifest: Any) -> str:
-    """Hash of a manifest as it comes back from JSON."""
+    """Hash of a manifest, given as `from_json` returns it."""
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def manifest_difference(before: Any, now: Any, path: str = "") -> str:
-    """The first place where two JSON values differ, in words; empty when they agree."""
+    """The first difference of two JSON values as text; empty if they are equal."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(k for k in now if k not in before)]:
             found = manifest_difference(

@@ -1,4 +1,4 @@
-"""What a run will need of the machine's memory, said before it begins.
+"""Estimates the memory of a run before it starts.
 
 The constants were measured with `python -m benchmarks.memory` (docs/reliability.md).
 """
@@ -19,23 +19,23 @@ from .definition import Run
 
 ENGINE = 260 << 20  # bytes of Python, torch and the kernels
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
-PER_PIXEL = 80  # bytes: the picture, its gradient and the loss's images, of the largest photo
-PER_DENSIFICATION = 30_000  # the most Gaussians that one added, on average, on four scenes
-AHEAD = 3  # photos held at least: the one in use, and two that are decoded ahead
-DEFAULT_SHARE = 4  # the cache takes at most one part in so many of the machine's memory
+PER_PIXEL = 80  # bytes: the render, its gradient and the loss's images, of the largest photo
+PER_DENSIFICATION = 30_000  # Gaussians that one adds, on average; the largest of four scenes
+AHEAD = 3  # photos in memory at least: the one in use, and two that are decoded ahead
+DEFAULT_SHARE = 4  # the cache takes at most 1/4 of the machine's memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryPlan:
-    """Bytes.
+    """The expected memory of a run, in bytes.
 
     Attributes:
-        machine: what there is.
+        machine: memory of the machine.
         photos: all photos of the run, decoded.
-        cache: what is kept of them at a time, at most.
-        picture: what drawing the largest photo takes.
-        start, end: the Gaussians at first, and as many as they may become.
-        count: how many those are.
+        cache: most bytes of decoded photos that are kept at a time.
+        picture: training on the largest photo.
+        start, end: the Gaussians at the start, and the most that are expected.
+        count: number of Gaussians (not bytes) behind `end`.
     """
 
     machine: int
@@ -48,11 +48,11 @@ class MemoryPlan:
 
     @property
     def total(self) -> int:
-        """The most that is expected."""
+        """The most memory that is expected."""
         return ENGINE + min(self.photos, self.cache) + self.picture + self.end
 
     def messages(self) -> list[Message]:
-        """What people should know before the run begins."""
+        """Messages for the user before the run starts."""
         kept = min(self.photos, self.cache)
         text = (
             f"Memory: up to about {_gb(self.total)} of {_gb(self.machine)}: photos {_gb(kept)},"
@@ -61,14 +61,14 @@ class MemoryPlan:
         found = [Message(text=text)]
         if kept < self.photos:
             text = (
-                f"The photos take {_gb(self.photos)} decoded; {_gb(kept)} are kept, the others"
-                " decoded whenever they are needed (--image-cache, --max-side)."
+                f"The decoded photos take {_gb(self.photos)}; {_gb(kept)} are kept in memory and"
+                " the others are decoded again for each use (--image-cache, --max-side)."
             )
             found.append(Message(text=text))
         if self.total > self.machine:
             text = (
-                "Should the Gaussians become so many, memory will not do. Use a smaller"
-                " --max-side or --steps-factor if training ends for want of it."
+                f"Memory will run out if the model grows to {self.count:,} Gaussians. Use a smaller"
+                " --max-side or --steps-factor if that happens."
             )
             found.append(Message(text=text, level="warning"))
         return found
@@ -82,16 +82,17 @@ def run_memory(run: Run, context: Context = QUIET) -> MemoryPlan:
 def plan_memory(
     images: Sequence[PosedImage], points: int, config: RunConfig, cache: int | None = None
 ) -> MemoryPlan:
-    """What training on these photos will need.
+    """The memory that training on these photos needs.
 
     Args:
         images: all photos of the run.
-        points: sparse points, which become the first Gaussians.
+        points: number of sparse points, which become the first Gaussians.
         config: of the run.
-        cache: bytes of photos to keep; None: a quarter of the memory, or what is left of it.
+        cache: bytes of decoded photos to keep; None: a quarter of the memory, or less if less is
+            free.
 
     Raises:
-        SceneError: it cannot fit, whatever becomes of the Gaussians; says what size of photos does.
+        SceneError: the start of training does not fit; the hint gives a size of photos that does.
     """
     machine = machine_memory()
     largest = max(i.camera.width * i.camera.height for i in images)
@@ -104,9 +105,9 @@ def plan_memory(
     left = machine - ENGINE - start
     if least + PER_PIXEL * largest > left:
         raise SceneError(
-            f"Training needs {_gb(machine - left + least + PER_PIXEL * largest)} of memory at least"
-            f" ({points:,} points, photos of up to {largest / 1e6:.1f} megapixels); there are"
-            f" {_gb(machine)}.",
+            f"Training needs at least {_gb(machine - left + least + PER_PIXEL * largest)} of memory"
+            f" ({points:,} points, photos of up to {largest / 1e6:.1f} megapixels); this machine"
+            f" has {_gb(machine)}.",
             _advice(images, left),
         )
     if cache is None:
@@ -128,7 +129,7 @@ def _densifications(config: TrainConfig) -> int:
 
 
 def _advice(images: Sequence[PosedImage], left: int) -> str:
-    """The size of photos that fits."""
+    """A hint with the size of photos that fits."""
     pixels = left / (3 * AHEAD + PER_PIXEL)
     if pixels < 1:
         return "Use a machine with more memory, or a model with fewer points."

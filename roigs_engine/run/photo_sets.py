@@ -1,4 +1,4 @@
-"""Which photos a run trains on and which of them show which box; each looked for once."""
+"""The training photos of a run, and which of them see which box; each is computed once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class PhotoSets:
         self._seen: dict[str, tuple[str, ...]] = {}
 
     def selection(self, roi: OrientedBox) -> CameraSelection:
-        """The box's photos, best first: the user's, or those the method chooses."""
+        """The box's photos, best first: the manual selection, or the method's."""
         if roi.name not in self._selections:
             self._selections[roi.name] = self._select(roi, self.run.config.selection)
         return self._selections[roi.name]
@@ -42,15 +42,15 @@ class PhotoSets:
         return select_cameras(scene, roi, config, self.context)
 
     def selections(self) -> tuple[CameraSelection, ...]:
-        """Those of all boxes, in the boxes' order."""
+        """The selections of all boxes, in the boxes' order."""
         return tuple(self.selection(roi) for roi in self.run.rois)
 
     def selected(self) -> set[str]:
-        """Names of the photos that any box selects."""
+        """Names of the photos selected for any box."""
         return set(interleaved([chosen.names for chosen in self.selections()]))
 
     def reserved(self) -> set[str]:
-        """Names of the selected photos that the Scene-GS must not see (paper, sec. II-B)."""
+        """Names of the selected photos that the Scene-GS must not use (paper, sec. II-B)."""
         orders = [chosen.names for chosen in self.selections()]
         return reserved(orders, self.run.config.kept_share)
 
@@ -62,6 +62,6 @@ class PhotoSets:
         return tuple(image for image in self.images if image.name in names)
 
     def rows_seeing(self, images: Sequence[PosedImage]) -> tuple[int, ...]:
-        """Rows of those of `images` that see a box of the run."""
+        """Row numbers of the `images` that see any box of the run."""
         names = {image.name for roi in self.run.rois for image in self.seen(roi)}
         return tuple(row for row, image in enumerate(images) if image.name in names)

@@ -1,8 +1,8 @@
-"""What a run trains, as data: a graph of stages and the models made of their results.
+"""The plan of a run as data: a graph of stages, and the models made from their results.
 
-A plan is made by pure functions of scene, boxes and settings (`strategies.py`) before anything is
-trained; `executor.py` carries it out. A stage's fingerprint follows from the plan alone: it hashes
-the stage's own settings and photos, and the fingerprints of the stages that it starts from.
+Pure functions of scene, boxes and settings make the plan (`strategies.py`) before anything is
+trained; `executor.py` executes it. A stage's fingerprint depends on the plan alone: it hashes the
+stage's settings and photos, and the fingerprints of the stages that it starts from.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Source:
 
     Attributes:
         kind: `points` (the sparse points), `result` (of the one input), `crop` (the one input's
-            Gaussians in the one box) or `merge` (the first input, each box's inside taken from
-            the input that follows it in order).
+            Gaussians in the one box) or `merge` (the first input, with the content of the k-th
+            box taken from input k + 1).
         inputs: stages.
         rois: boxes, for `crop` and `merge`.
-        digest: of the sparse points, for `points`.
+        digest: hash of the sparse points, for `points`.
     """
 
     kind: str
@@ -42,7 +42,7 @@ class Source:
 
     @property
     def fingerprint(self) -> str:
-        """Names the Gaussians."""
+        """Identifies the Gaussians."""
         parts = [stage.fingerprint for stage in self.inputs]
         return ":".join([self.kind, self.digest, *parts]) if self.kind != RESULT else parts[0]
 
@@ -52,17 +52,17 @@ class Stage:
     """One training stage.
 
     Attributes:
-        name: of its folder below the run's, `independent/scene` for the other strategy's.
-        images: the photos, at the size they are used.
+        name: its folder below the run folder, for example `independent/scene`.
+        images: the photos, with cameras of the size used for training.
         config: settings.
         start: the Gaussians to start from.
-        order: which photo each step sees.
-        rois: boxes that confine densification and masks, with their margins.
+        order: which photo each step uses.
+        rois: boxes that limit densification and masks, with their margins.
         budgets: most Gaussians in each box at the end of densification; None: no limit.
-        matched: the model whose Gaussians in each box are the budgets instead.
-        seeing: rows of the photos that see a box.
+        matched: a model; its numbers of Gaussians in the boxes replace `budgets`.
+        seeing: row numbers of the photos that see a box.
         extent: of the scene, world units.
-        seed: of the split positions.
+        seed: for the positions of split Gaussians.
     """
 
     name: str
@@ -96,19 +96,19 @@ class Stage:
 
     @property
     def inputs(self) -> tuple[Stage, ...]:
-        """The stages whose results it needs."""
+        """The stages that this stage needs the results of."""
         return (*self.start.inputs, *(self.matched.inputs if self.matched else ()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedModel:
-    """A row of the report's tables, before it is trained.
+    """A model to train, one row of the report's tables.
 
     Attributes:
         name: unique among the rows of a box.
         source: where its Gaussians come from.
-        stages: behind it, that serve all boxes alike.
-        by_roi: box -> the stage behind it that serves this box alone.
+        stages: its stages that all boxes share.
+        by_roi: box -> its own stage.
     """
 
     name: str
@@ -118,7 +118,7 @@ class PlannedModel:
 
     @classmethod
     def of_stage(cls, name: str, stage: Stage, roi: str = "") -> PlannedModel:
-        """What a stage ends with, for one box or for all."""
+        """The result of a stage, for one box or for all."""
         source = result_of(stage)
         if roi:
             return cls(name=name, source=source, by_roi={roi: stage})
@@ -130,9 +130,9 @@ class Output:
     """PLY files to write once a model is trained.
 
     Attributes:
-        folder: below the run's; empty: the run's own.
+        folder: below the run folder; empty: the run folder itself.
         model: the result.
-        coarse: the Scene-GS, whose Gaussians in each box are written beside it.
+        coarse: the Scene-GS; its Gaussians in each box are written for comparison.
     """
 
     folder: str
@@ -142,12 +142,12 @@ class Output:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """Stages, models and files. Plans add up.
+    """Stages, models and files. Plans can be added.
 
     Attributes:
         models: in the order of the tables, the result last.
-        outputs: what is written of them.
-        selections: folder below the run's -> the boxes' photos that are used there.
+        outputs: the files to write.
+        selections: folder below the run folder -> the selected photos of each box there.
     """
 
     models: tuple[PlannedModel, ...] = ()
@@ -163,7 +163,7 @@ class Plan:
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
-        """Every stage once, after the stages that it needs."""
+        """Each stage once, after the stages that it needs."""
         found: dict[str, Stage] = {}
 
         def visit(stage: Stage) -> None:
@@ -171,15 +171,15 @@ class Plan:
                 visit(needed)
             found.setdefault(stage.name, stage)
 
-        for stage in self._asked():
+        for stage in self._model_stages():
             visit(stage)
         return tuple(found.values())
 
-    def _asked(self) -> Iterator[Stage]:
+    def _model_stages(self) -> Iterator[Stage]:
         for model in self.models:
             yield from (*model.stages, *model.by_roi.values(), *model.source.inputs)
 
 
 def result_of(stage: Stage) -> Source:
-    """The Gaussians that a stage ends with."""
+    """The Gaussians at the end of a stage."""
     return Source(kind=RESULT, inputs=(stage,))

@@ -1,4 +1,4 @@
-"""The presets that people start from."""
+"""The presets: complete settings of a run by name."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ..selection.config import SelectionConfig
 from ..training.config import TrainConfig, with_steps
 from .config import RunConfig
 
-REFINE_SHARE = 0.2  # of the ROI stage, where a composition is refined (docs/results.md)
+REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (docs/lab_notebook.md)
 
 
 def paper_recipe() -> RunConfig:
-    """Section II-B and III-A of the paper, gaps filled as docs/method.md says."""
+    """Sections II-B and III-A of the paper; docs/method.md lists what the paper leaves open."""
     return RunConfig(
         preset="paper",
         strategy="independent",
@@ -41,10 +41,11 @@ def joint_recipe(
 ) -> RunConfig:
     """The joint recipe: a short Scene-GS, then one stage that densifies in the boxes only.
 
-    What differs from 3DGS and the paper is measured in docs/results.md.
+    docs/lab_notebook.md has the measurements behind the values that differ from 3DGS and the paper.
     """
-    # The scene's position rates decay as the baseline's do over its first steps: it is not done
-    # at its end. The ROI stage begins at the full rate again, for its new Gaussians must travel.
+    # The Scene-GS's position learning rate decays as the baseline's does over its first steps,
+    # since training is not over at its end. The box stage starts at the full learning rate again:
+    # its new Gaussians must move far.
     middle = 1.6e-4 * (1.6e-6 / 1.6e-4) ** (scene_steps / (scene_steps + roi_steps))
     return RunConfig(
         preset=name,
@@ -57,12 +58,12 @@ def joint_recipe(
             densify_until=scene_steps * 5 // 8,
             grad_threshold=scene_threshold,
             lr_means_final=middle,
-            reset_every=0,  # so short a stage does not recover: a haze would stay
+            reset_every=0,  # a short stage does not recover from a reset: haze would stay
         ),
         roi=TrainConfig(
             steps=roi_steps,
             sh_start=3,
-            # 3DGS's rates suit six times as many steps; view dependence is last to come.
+            # 3DGS's learning rates suit six times as many steps; SH is learned last.
             lr_shN=1.5e-3,
             lr_shN_spacing=25.0,
             lr_scales=0.01,
@@ -84,7 +85,7 @@ def joint_recipe(
 
 PRESETS: dict[str, Callable[[], RunConfig]] = {
     "paper": paper_recipe,
-    # Densified for so long, the Scene-GS would come to more Gaussians than the boxes need around.
+    # Higher threshold: in 6,000 steps, the Scene-GS would get more Gaussians than it needs.
     "standard": lambda: joint_recipe("standard", 6000, 9000, scene_threshold=3e-4),
     "draft": lambda: joint_recipe("draft", 2000, 3000),
 }
@@ -94,7 +95,7 @@ def preset(name: str) -> RunConfig:
     """The preset of that name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the name is unknown.
     """
     if name not in PRESETS:
         raise ConfigError(f"There is no preset '{name}'.", f"Use one of {', '.join(PRESETS)}.")
@@ -102,9 +103,9 @@ def preset(name: str) -> RunConfig:
 
 
 def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
-    """The same steps, SH degree, test photos, seed and number of photos in another strategy.
+    """The config for another strategy: the paper's recipe, or the preset's joint recipe.
 
-    That is the paper's own, or the preset's recipe for all boxes together.
+    Steps, SH degree, test photos, seed and number of selected photos stay the same.
     """
     label = f"{config.preset}, {strategy}"
     if strategy == "joint":

@@ -1,7 +1,7 @@
-"""`provenance.json`: which versions, machine and time the results of a run folder come from.
+"""`provenance.json`: the versions, machine and times behind the results of a run folder.
 
-One entry for each time the engine worked there, so that a result can be traced after the program or
-the machine has changed. It holds no environment variables, user or machine names, or paths.
+It has one entry for each time the engine worked there. So a result can be traced after the program
+or the machine has changed. It has no environment variables, user names, machine names or paths.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .. import __version__
 from ..errors import EngineError, RunFolderError, Stopped
 from ..formats.files import read_json, write_json
 from ..kernels import library
-from ..machine import chip, machine_memory
+from ..machine import machine_memory, processor_name
 
 NAME = "provenance.json"
 PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
@@ -36,13 +36,13 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
     entries = _earlier(path)
     now: dict[str, Any] = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "ended": "killed",  # unless something better is written in its place
+        "ended": "killed",  # replaced unless the process is killed
         "seconds": None,
         "versions": {"roigs_engine": __version__, "python": platform.python_version()}
         | {name: found for name in PACKAGES if (found := _version(name))},
         "machine": {
             "system": platform.platform(),
-            "chip": chip(),
+            "chip": processor_name(),
             "cores": library.usable_cores(),
             "memory": machine_memory(),
         },
@@ -68,8 +68,8 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
     finally:
         now["seconds"] = round(time.monotonic() - began, 1)
         now["stages"] = _stages(folder)
-        with suppress(RunFolderError):  # what ended the block is more important
-            # Forcing it to the disk would force a checkpoint just written there too: a stop waits.
+        with suppress(RunFolderError):  # the error that ended the block is more important
+            # Not durable: a sync would also flush the checkpoint just written, and delay a stop.
             write_json(path, {"entries": [*entries, now]}, durable=False)
 
 
@@ -78,7 +78,9 @@ def _earlier(path: Path) -> list[Any]:
         return []
     record = read_json(path)
     if not isinstance(record, dict) or not isinstance(record.get("entries"), list):
-        raise RunFolderError(f"{path} is not the engine's.", "Delete it, or choose another folder.")
+        raise RunFolderError(
+            f"{path} is not a provenance file.", "Delete it, or choose another folder."
+        )
     return list(record["entries"])
 
 
@@ -89,7 +91,7 @@ def _version(name: str) -> str:
 
 
 def _stages(folder: Path) -> dict[str, float]:
-    """Seconds of training of the stages that are finished."""
+    """Finished stage -> its seconds of training."""
     found = {}
     for path in sorted(folder.glob("*/stage.json")):
         with suppress(RunFolderError, KeyError, TypeError, ValueError):

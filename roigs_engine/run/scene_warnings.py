@@ -1,4 +1,4 @@
-"""Warnings before training: what can be trained, but will train badly."""
+"""Warnings before training: scenes and boxes that will give poor results."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ..model.ownership import nearest_owner
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 
-MAX_REACH = 1e4  # sizes of the scene from its origin; farther off float32 blurs what is in it
+MAX_REACH = 1e4  # distance from the origin in scene sizes; farther away float32 is too coarse
 
 
 def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
-    """Sentences about a scene to be trained and its boxes; none when all is well."""
+    """Warnings about a scene and its boxes, one sentence each; empty if there are none."""
     return [*_far_from_its_origin(scene), *_without_points_of_their_own(scene, list(rois))]
 
 
@@ -24,8 +24,8 @@ def _far_from_its_origin(scene: SfmScene) -> list[str]:
         return []
     times = reach / max(extent, 1e-9)
     return [
-        f"The model lies {reach:.3g} units from its origin, {times:.3g} times its size: 32-bit"
-        " positions are too coarse there. Move it to its origin first (COLMAP's model_transformer)."
+        f"The model lies {reach:.3g} units from the origin, {times:.3g} times its size: 32-bit"
+        " positions are too coarse there. Move it to the origin first (COLMAP's model_transformer)."
     ]
 
 
@@ -35,7 +35,7 @@ def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> li
         inside = int(roi.contains(scene.points).sum())
         if inside and not (owner == index).any():
             found.append(
-                f"Box '{roi.name}' owns none of the {inside:,} points in it: they are nearer to the"
-                f" centre of another box. Move them apart, or train it alone (--only {roi.name})."
+                f"Box '{roi.name}' owns none of its {inside:,} points: all are nearer to the centre"
+                f" of another box. Move the boxes apart, or train it alone (--only {roi.name})."
             )
     return found

@@ -1,4 +1,4 @@
-"""The settings of each stage, from those of the run."""
+"""The settings of each stage, derived from the run's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .presets import joint_recipe
 def baseline(config: RunConfig) -> TrainConfig:
     """Full Scene and Full Object: 3DGS over the steps of both stages.
 
-    It densifies for the first half, as 3DGS does (15K of 30K).
+    Densification lasts for the first half, as in 3DGS (15,000 of 30,000).
     """
     return replace(
         config.scene,
@@ -25,20 +25,20 @@ def baseline(config: RunConfig) -> TrainConfig:
 
 
 def matched_baseline(config: RunConfig) -> TrainConfig:
-    """The baseline, densified in the boxes more readily than the ROI stage is.
+    """The baseline with a quarter of the box stage's gradient threshold in the boxes.
 
-    Only the number of Gaussians allowed there should limit it, so the threshold is a quarter.
+    So only the Gaussian budget limits the number of Gaussians there.
     """
     return replace(baseline(config), box_grad_threshold=config.roi.grad_threshold / 4)
 
 
 def object_stage(config: RunConfig) -> TrainConfig:
-    """An Object-GS: the ROI stage's steps without those of the joint refinement."""
+    """An Object-GS: the box stage without the steps of the joint refinement."""
     return with_steps(config.roi, config.roi.steps - config.refine_steps)
 
 
 def refine_stage(config: RunConfig) -> TrainConfig:
-    """The joint refinement of a composed model: the joint stage's settings, no new Gaussians."""
+    """The joint refinement of a merged model: the joint stage's settings, no new Gaussians."""
     return replace(
         joint_recipe("", config.scene.steps, config.roi.steps).roi,
         steps=config.refine_steps,

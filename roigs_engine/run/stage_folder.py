@@ -1,7 +1,7 @@
-"""A stage's own folder: trained there, resumed, or taken as it was finished before.
+"""The folder of a stage: trains the stage there, resumes it, or loads its finished result.
 
-The folder holds `checkpoint.bin` while the stage trains, and `model.ply` with `stage.json` once it
-is done. The fingerprint in both names everything that decides the stage's result.
+The folder has `checkpoint.bin` while the stage trains, and `model.ply` and `stage.json` when it is
+finished. Both states carry a fingerprint: a hash of everything that decides the stage's result.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ class StageResult:
     """A finished stage.
 
     Attributes:
-        name: the stage's.
+        name: the stage's name.
         model_path: the trained model's PLY.
         count: number of its Gaussians.
-        seconds: of training, checkpoints and evaluation left out.
-        cpu_seconds: the same by the process's clock, which counts every thread's time and only
-            what this process was given: where other programs run, it is what to compare.
-        fingerprint: of everything that decided the result.
+        seconds: training time without checkpoints and evaluation.
+        cpu_seconds: the same as CPU time of all threads of this process. Compare this one on a
+            machine that is busy with other programs.
+        fingerprint: of the stage.
+        trained: the model, if this process trained it.
     """
 
     name: str
@@ -57,21 +58,21 @@ class StageResult:
 
     @cached_property
     def gaussians(self) -> Gaussians:
-        """The trained model; read from its file when first asked for, and then kept."""
+        """The trained model; loaded from its file on first use."""
         return self.trained or Gaussians.load_ply(self.model_path)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageFolder:
-    """Where a stage is trained.
+    """The folder that a stage is trained in.
 
     Attributes:
-        name: shown to people.
-        folder: the stage's own.
+        name: the stage's name, shown to the user.
+        folder: the stage's folder.
         fingerprint: of the stage.
-        update: archive a stage of another fingerprint instead of refusing to overwrite it.
-        preview: file to write the present Gaussians to; None: none.
-        preview_seconds: of training between two previews.
+        update: archive a stage with another fingerprint instead of raising an error.
+        preview: file for the preview of the current Gaussians; None: no preview.
+        preview_seconds: seconds of training between two previews.
     """
 
     name: str
@@ -90,23 +91,23 @@ class StageFolder:
         return self.folder / "stage.json"
 
     def peek(self) -> StageResult | None:
-        """The stage as it was finished here before, or None. Looks only."""
+        """The stage's result if it is finished, or None; changes nothing."""
         with suppress(RunFolderError, KeyError, TypeError, ValueError):
             return self._finished()
         return None
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
-        """The stage as it was finished before, or None; with `update`, room is made for it.
+        """The stage's result if it is finished, or None; `update` archives another stage first.
 
         Raises:
-            RunFolderError: the folder belongs to other settings, or is damaged.
+            RunFolderError: the folder has other settings, or is damaged.
         """
         if self.update:
             self._make_room(context)
         result = self._finished()
         if result is not None:
-            remove_checkpoint(self._checkpoint)  # left where the engine was killed at the very end
-            context.info(f"{self.name}: done before, {result.count} Gaussians.")
+            remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
+            context.info(f"{self.name}: already finished, {result.count} Gaussians.")
         return result
 
     def _finished(self) -> StageResult | None:
@@ -137,20 +138,20 @@ class StageFolder:
         """Train the stage to its end, from its last checkpoint if there is one.
 
         Args:
-            start: gives the Gaussians to start from.
+            start: returns the Gaussians to start from.
             data, config: see `Trainer`.
             context: of the run.
 
         Raises:
             Stopped: on request; a checkpoint was written.
-            RunFolderError: the checkpoint belongs to other settings, or is damaged.
+            RunFolderError: the checkpoint has other settings, or is damaged.
             TrainingError: training diverged twice.
         """
         context.emit(StageStarted(stage=self.name, total=config.steps))
         try:
             trainer = self._trained(start, data, config, context)
         except TrainingError as error:
-            context.warn(f"{self.name}: {error.message} Trying once more from the last checkpoint.")
+            context.warn(f"{self.name}: {error.message} Trying again from the last checkpoint.")
             trainer = self._trained(start, data, config, context)
         for text in trainer.health.outliers():
             context.warn(f"{self.name}: {text}")
@@ -163,12 +164,15 @@ class StageFolder:
         config: TrainConfig,
         context: Context,
     ) -> Trainer:
-        """A trainer at its last step; the checkpoint it begins at is always a good one."""
+        """A trainer at its last step; `_save` never writes a checkpoint with NaN or Inf."""
         trainer = self._resumed(start, data, config, context)
         callbacks = [PeriodicCallback(CHECKPOINT_SECONDS, lambda: self._save(trainer))]
         if self.preview is not None:
-            show = PeriodicCallback(self.preview_seconds, lambda: self._show(trainer, context))
-            callbacks.append(show)
+            callbacks.append(
+                PeriodicCallback(
+                    self.preview_seconds, lambda: self._write_preview(trainer, context)
+                )
+            )
         if not trainer.run(context, stage=self.name, callbacks=callbacks):
             self._save(trainer)
             raise Stopped(self.name)
@@ -182,7 +186,7 @@ class StageFolder:
         config: TrainConfig,
         context: Context,
     ) -> Trainer:
-        """At step 0, or where the checkpoint says."""
+        """A trainer at step 0, or at the step of the checkpoint."""
         if not checkpoint_exists(self._checkpoint):
             return Trainer(start(), data, config)
         state = load_checkpoint(self._checkpoint, self.fingerprint, context)
@@ -195,25 +199,25 @@ class StageFolder:
         trainer.check()
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
 
-    def _show(self, trainer: Trainer, context: Context) -> None:
-        """Write the preview; skipped when it cannot be written (a reader on Windows)."""
+    def _write_preview(self, trainer: Trainer, context: Context) -> None:
+        """Write the preview; skip it if the file is in use (on Windows, while it is read)."""
         assert self.preview is not None
         with suppress(RunFolderError):
             trainer.gaussians.save_ply(self.preview)
             context.emit(Preview(path=str(self.preview)))
 
     def _make_room(self, context: Context) -> None:
-        """Archive what was trained otherwise, and restore what was archived of this stage."""
-        present = self._present()
+        """Archive a stage with another fingerprint; restore this one from the archive."""
+        present = self._present_fingerprint()
         if present == self.fingerprint:
             return
         if present is not None:
             archive(self.folder, present)
-            context.info(f"{self.name}: other settings or photos; the earlier one is in archive/.")
+            context.info(f"{self.name}: archived the stage of other settings or photos.")
         restore(self.folder, self.fingerprint)
 
-    def _present(self) -> str | None:
-        """The fingerprint of what is in the folder, finished or not; None: nothing."""
+    def _present_fingerprint(self) -> str | None:
+        """The fingerprint of the stage in the folder, finished or not; None: no stage."""
         if self._record.exists():
             record = read_json(self._record)
             return str(record.get("fingerprint")) if isinstance(record, dict) else "damaged"

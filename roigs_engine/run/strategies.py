@@ -1,4 +1,4 @@
-"""Strategies and baselines: functions of a run's photos that return plans."""
+"""Strategies and baselines: functions that turn a run's photos into plans."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..model.scene import PosedImage
 from ..training.budget import box_budgets
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
-from ..training.view_spacing import detail_spacing, rates_for_spacing, view_spacing
+from ..training.view_spacing import detail_spacing, learning_rates_for_spacing, view_spacing
 from . import stage_configs
 from .config import STRATEGIES
 from .definition import Run
@@ -26,12 +26,12 @@ BASELINE = "Full Scene"
 
 
 def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) -> Plan:
-    """The plan of a run: its strategy, its result last, and what it is compared with.
+    """The plan of a run: the models to compare with, then its own strategy, its result last.
 
     Args:
-        run: what to train.
-        compare: of `config.COMPARISONS`: baselines, and the other strategy.
-        context: selecting photos takes time, emits warnings and can be stopped.
+        run: the run.
+        compare: models to compare with, from `config.COMPARISONS`: baselines, other strategies.
+        context: receives the selection's warnings; checked for cancellation.
 
     Raises:
         SceneError: no photo is left to train a stage on.
@@ -51,14 +51,14 @@ def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) ->
 
 
 def full_scene(photos: PhotoSets) -> Plan:
-    """Baseline: standard 3DGS on all training photos, as many steps as both stages."""
+    """Baseline: standard 3DGS on all training photos, for the steps of both stages."""
     config = stage_configs.baseline(photos.run.config)
     stage = _stage("full-scene", photos, photos.images, config)
     return Plan(models=(PlannedModel.of_stage(BASELINE, stage),))
 
 
 def full_objects(photos: PhotoSets) -> Plan:
-    """Baseline of each box: standard 3DGS on every photo that sees it."""
+    """Baseline of each box: standard 3DGS on all photos that see the box."""
     config = stage_configs.baseline(photos.run.config)
     models = []
     for roi in photos.run.rois:
@@ -70,8 +70,8 @@ def full_objects(photos: PhotoSets) -> Plan:
 def matched(photos: PhotoSets, ours: PlannedModel) -> Plan:
     """Baseline: Full Scene with as many Gaussians in each box as our model has there.
 
-    It densifies in the boxes more readily than the ROI stage, so what it loses to our model is
-    not for want of Gaussians.
+    Its gradient threshold in the boxes is lower than the box stage's, so that it reaches that
+    number: a difference to our model is not due to the number of Gaussians.
     """
     run = photos.run
     config = stage_configs.matched_baseline(run.config)
@@ -81,12 +81,12 @@ def matched(photos: PhotoSets, ours: PlannedModel) -> Plan:
 
 
 def strategy(photos: PhotoSets, *, folder: str = "", coarse: Stage | None = None) -> Plan:
-    """The plan of the run's own strategy.
+    """The plan of the run's strategy.
 
     Args:
         photos: of the run.
-        folder: where its stages and files lie, below the run's folder.
-        coarse: a Scene-GS to start from instead of the run's own.
+        folder: folder of its stages and files, below the run folder.
+        coarse: a Scene-GS to start from; None: the run's own.
     """
     scene = coarse or scene_stage(photos, folder)
     make = _joint if photos.run.config.strategy == "joint" else _independent
@@ -99,12 +99,12 @@ def strategy(photos: PhotoSets, *, folder: str = "", coarse: Stage | None = None
 
 
 def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:
-    """Scene-GS (paper, sec. II-B): all photos but those reserved for the boxes."""
-    config, held = photos.run.config, photos.reserved()
-    kept = tuple(image for image in photos.images if image.name not in held)
+    """Scene-GS (paper, sec. II-B): all photos except those reserved for the boxes."""
+    config, reserved = photos.run.config, photos.reserved()
+    kept = tuple(image for image in photos.images if image.name not in reserved)
     if not kept:
         raise SceneError(
-            "Every photo is reserved for a box: none is left to train the scene on.",
+            "All photos are reserved for boxes: none is left to train the scene on.",
             "Raise --kept-share (1 keeps all), or select fewer photos (--count).",
         )
     images = tuple(image.scaled(config.scene_scale) for image in kept)
@@ -112,7 +112,7 @@ def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:
 
 
 def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:
-    """One stage for all boxes: all photos and the selected ones, densified in the boxes (ours)."""
+    """One stage for all boxes and all photos, densified in the boxes (ours)."""
     run = photos.run
     joint = _stage(
         _path(folder, "joint"),
@@ -130,7 +130,10 @@ def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, 
 
 
 def _independent(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:
-    """The paper's way: an Object-GS for each box, then composition; refined if it says so."""
+    """The paper's strategy: an Object-GS for each box, then composition.
+
+    With `refine_share`, a joint refinement follows (ours).
+    """
     run = photos.run
     objects = {roi.name: _object_stage(photos, scene, roi, folder) for roi in run.rois}
     composed = Source(kind=MERGE, inputs=(scene, *objects.values()), rois=run.rois)
@@ -168,7 +171,7 @@ def _object_stage(photos: PhotoSets, scene: Stage, roi: OrientedBox, folder: str
 
 
 def _refine_stage(photos: PhotoSets, composed: Source, folder: str) -> Stage:
-    """The composition trained on as a whole (ours): inside and outside come to meet."""
+    """Joint refinement (ours): trains the merged model on, so that its parts fit together."""
     return _stage(
         _path(folder, "refine"),
         photos,
@@ -186,12 +189,12 @@ Order = Callable[[PhotoSets, Sequence[PosedImage], TrainConfig], PhotoOrder]
 def _shuffled_order(
     photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig
 ) -> PhotoOrder:
-    """Every photo as often."""
+    """All photos equally often, in random order."""
     return PhotoOrder(kind="shuffled", count=len(images), seed=photos.run.config.seed)
 
 
 def _in_order(photos: PhotoSets, images: Sequence[PosedImage], config: TrainConfig) -> PhotoOrder:
-    """One after another, as they stand (paper, sec. III-A)."""
+    """The photos in the order given (paper, sec. III-A)."""
     return PhotoOrder(kind="ordered", count=len(images))
 
 
@@ -200,13 +203,13 @@ def _mixed_order(
 ) -> PhotoOrder:
     """Selected photos more often than others."""
     selected = photos.selected()
-    every = tuple(range(len(images)))
+    all_rows = tuple(range(len(images)))
     return PhotoOrder(
         kind="mixed",
         count=len(images),
         seed=photos.run.config.seed,
         selected=tuple(row for row, image in enumerate(images) if image.name in selected),
-        drawn=every if config.full_every == 1 else photos.rows_seeing(images),
+        drawn=all_rows if config.full_every == 1 else photos.rows_seeing(images),
         share=photos.run.config.selected_share,
         full_every=config.full_every,
     )
@@ -222,12 +225,12 @@ def _stage(
     start: Source | None = None,
     order: Order = _shuffled_order,
 ) -> Stage:
-    """A stage; what follows from its photos and boxes is worked out here."""
+    """A stage; its budgets, masks and SH learning rate follow from its photos and boxes."""
     run = photos.run
     if config.lr_shN_spacing:
-        around = [(photos.seen(roi), roi) for roi in rois]
-        spacing, detail = (max(starmap(f, around)) for f in (view_spacing, detail_spacing))
-        config = rates_for_spacing(config, spacing, detail)
+        seen = [(photos.seen(roi), roi) for roi in rois]
+        spacing, detail = (max(starmap(f, seen)) for f in (view_spacing, detail_spacing))
+        config = learning_rates_for_spacing(config, spacing, detail)
     margins = tuple(roi.scaled(config.box_margin) for roi in rois)
     return Stage(
         name=name,
@@ -250,7 +253,7 @@ def _points(run: Run) -> Source:
 
 
 def _roi_start(run: Run, scene: Stage, rois: Sequence[OrientedBox]) -> Source:
-    """What a ROI stage starts from: the Scene-GS, or an ablation's choice."""
+    """What the box stage starts from: the Scene-GS, or an ablation's choice."""
     match run.config.roi_init:
         case "points":
             return _points(run)

@@ -1,11 +1,12 @@
-"""Choosing the photos that an object is trained on (the paper's sec. III-A).
+"""Selects the photos that an object is trained on (the paper's sec. III-A).
 
-`select_cameras` is the one entry. Methods, each in its file: `static` (ranks of static features),
-`gp6` and `gp9` (Gaussian process, the paper's), `greedy` (the same score without a surrogate),
-`coverage` (facility location over points and directions), `fvs` and `random` (baselines).
+`select_cameras` is the only entry point. Each method has its own file: `static` (ranks of static
+features), `gp6` and `gp9` (Gaussian process, the paper's methods), `greedy` (the same score without
+a surrogate), `coverage` (facility location over points and directions), `fvs` and `random`
+(baselines).
 
-The same scene, box and settings always give the same photos in the same order: photos are taken in
-name order, ties go by name, and everything random has a seed. Nothing here needs torch.
+The same scene, box and settings always give the same photos in the same order: photos are processed
+in name order, names break ties, and everything random has a seed. Nothing here needs torch.
 """
 
 from __future__ import annotations
@@ -40,13 +41,13 @@ def select_cameras(
     config: SelectionConfig,
     context: Context = QUIET,
 ) -> CameraSelection:
-    """Choose the photos of a box, best first.
+    """Select the photos of a box, best first.
 
     Args:
-        scene: the model, test photos already taken out (`SfmScene.without`).
+        scene: the model without its test photos (`SfmScene.without`).
         roi: the box.
         config: method and settings.
-        context: gets one warning for each degenerate case met; asked whether to stop.
+        context: receives a warning for each degenerate case; checked for cancellation.
 
     Raises:
         RoiError: no point lies in the box, or no photo sees one that does.
@@ -112,23 +113,23 @@ def _order(
 
 
 def _count_flags(roi: OrientedBox, config: SelectionConfig, candidates: int) -> tuple[str, ...]:
-    """Sentences about too few candidates."""
+    """Warnings about too few candidates."""
     if candidates == 1:
-        return (f"Only one photo sees box '{roi.name}': an object cannot be rebuilt from it.",)
+        return (f"Only one photo sees box '{roi.name}': that is too few to reconstruct an object.",)
     if config.count is not None and candidates < config.count:
         return (
-            f"Only {candidates} photos see box '{roi.name}', {config.count} were asked for:"
-            " all of them are used.",
+            f"Only {candidates} photos see box '{roi.name}', fewer than the {config.count}"
+            " requested: all are used.",
         )
     return ()
 
 
 def _picks_flags(picks: Picks) -> tuple[str, ...]:
-    """The method's own flags, and one where its score saturated."""
+    """The method's own warnings, and one if its score saturated."""
     if picks.filled_from is None:
         return picks.flags
     return (
         *picks.flags,
-        f"After {picks.filled_from} photos no other one improved the score: the remaining"
-        f" {len(picks.order) - picks.filled_from} are the views farthest from those chosen.",
+        f"No photo after the first {picks.filled_from} improved the score: the remaining"
+        f" {len(picks.order) - picks.filled_from} are the views farthest from those selected.",
     )

@@ -1,4 +1,4 @@
-"""`fvs` and `random`: baselines for tables; farthest views also fill up saturated methods."""
+"""`fvs` and `random`: baselines; farthest view sampling also completes saturated selections."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ..model.scene import Float64
 from ..model.visibility import Candidates
 from .records import Picks
 
-# Weight of log distance beside the unit direction: two photos in one direction, one twice as far,
-# stand as far apart as two photos at one distance and about 10 degrees between them.
+# Weight of log distance against the unit direction: a factor of 2 in distance counts as much as an
+# angle of about 10 degrees.
 LOG_DISTANCE_WEIGHT = 0.25
-# Distances below this share of the box's diagonal count as this share.
+# Lower limit of the distance, in box diagonals.
 MIN_DISTANCE_SHARE = 1e-3
 
 
 def view_positions(candidates: Candidates) -> Float64:
-    """(V, 4) where a photo stands as seen from the box: unit direction, weighted log distance."""
+    """(V, 4) position of each photo relative to the box: unit direction, weighted log distance."""
     offset = candidates.centres() - candidates.roi.centre
     distance = np.linalg.norm(offset, axis=1)
     distance = np.maximum(distance, MIN_DISTANCE_SHARE * candidates.roi.diagonal)
@@ -26,17 +26,19 @@ def view_positions(candidates: Candidates) -> Float64:
 
 
 def most_keypoints(candidates: Candidates) -> int:
-    """The photo that sees most points of the box; ties by name."""
+    """The photo that sees most points of the box; the name breaks ties."""
     return int(np.argmax(np.bincount(candidates.obs_view, minlength=len(candidates))))
 
 
 def farthest_first(positions: Float64, start: Sequence[int], count: int) -> list[int]:
-    """`start` continued to `count` photos, each the farthest from all before it; ties by name.
+    """`start` extended to `count` photos; each next one is farthest from all before it.
+
+    The name breaks ties.
 
     Args:
         positions: (V, D) one row per candidate.
         start: at least one candidate, unique.
-        count: how many to return, at most V.
+        count: number of photos to return, at most V.
     """
     order = list(start[:count])
     nearest = np.full(len(positions), np.inf)
@@ -67,9 +69,9 @@ def order_random(candidates: Candidates, count: int, seed: int) -> Picks:
 def fill_up(
     candidates: Candidates, order: Sequence[int], count: int, flags: tuple[str, ...] = ()
 ) -> Picks:
-    """`order` as it is when it holds `count` photos, else continued with farthest views.
+    """The first `count` photos of `order`, extended with farthest views if it is shorter.
 
-    Methods that maximise a score call this where no photo adds anything any more.
+    For methods that maximise a score, when no photo improves the score any more.
     """
     if len(order) >= count:
         return Picks(order=tuple(order[:count]), flags=flags)

@@ -1,4 +1,4 @@
-"""How photos are chosen: methods and settings."""
+"""Settings of the photo selection."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from ..errors import ConfigError
 
 METHODS = ("static", "gp6", "gp9", "greedy", "coverage", "fvs", "random")
-# The paper selects 150 of 314 candidates (sec. III-A); small scenes keep that share.
+# The paper selects 150 of 314 candidates (sec. III-A); small scenes use the same share.
 PAPER_COUNT = 150
 PAPER_SHARE = 0.48
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionConfig:
-    """How photos are chosen.
+    """Settings of the photo selection.
 
     Attributes:
         method: one of `METHODS`.
-        count: photos to choose; None for min(150, ceil(share x candidates)).
-        share: see `count`; the paper's is 0.48.
+        count: number of photos to select; None: min(150, ceil(share x candidates)).
+        share: see `count`; paper: 0.48.
         seed: of `random`, and of the Gaussian process's optimizer restarts.
     """
 
@@ -44,8 +44,8 @@ class SelectionConfig:
             )
 
     def resolved_count(self, candidates: int) -> int:
-        """How many of that many candidates are chosen (never more than there are)."""
+        """The number of photos to select from this number of candidates, at most all."""
         if self.count is not None:
             return min(self.count, candidates)
-        # The small subtraction keeps e.g. 0.48 x 25 = 12.000000000000002 from becoming 13.
+        # Without 1e-9, rounding errors such as 0.48 x 25 = 12.000000000000002 would give 13.
         return min(PAPER_COUNT, math.ceil(self.share * candidates - 1e-9), candidates)

@@ -1,17 +1,17 @@
-"""`coverage`: every point from every direction, as sharp as can be (beyond the paper).
+"""`coverage`: show each point from many directions and at high resolution (ours).
 
 Facility location over points x viewing-direction bins, for the photos S:
 
     F(S) = sum_p w_p sum_b max_{v in S, bin(v, p) = b} vis(v, p) min(1, rho(v, p) / rho*)
 
-with rho = f / z * cos(theta) the pixels that photo v spends on a world unit of the surface at p,
-rho* its 90th percentile over all observations, b one of the bins of directions from p to the
-camera, and w_p such that every voxel (see score.py) weighs the same. F is monotone and submodular:
-lazy greedy equals greedy, is within 1 - 1/e of the best set of its size, and each prefix is the
-greedy answer for that many photos.
+rho = f / z * cos(theta) is the number of pixels of photo v per world unit of the surface at p. rho*
+is its 90th percentile over all observations. b is one of the bins of directions from p to the
+camera. The weights w_p give each voxel (see score.py) the same total weight. F is monotone and
+submodular: lazy greedy equals greedy, it reaches at least 1 - 1/e of the best set of its size, and
+each prefix is the greedy result for that number of photos.
 
-theta is the angle between the ray and the surface normal. SfM points have none; it is estimated
-from the neighbouring points where these lie on a surface, and cos(theta) = 1 elsewhere.
+theta is the angle between the ray and the surface normal. SfM points have no normals. A normal is
+estimated from the neighbouring points if these lie on a surface; otherwise cos(theta) = 1.
 """
 
 from __future__ import annotations
@@ -29,19 +29,20 @@ from .records import Picks
 from .score import voxel_indices
 
 RESOLUTION_PERCENTILE = 90.0
-DIRECTIONS = 32  # bins of viewing directions in which each point should be seen
-# Neighbours of a point (itself among them) that its normal is fitted to.
+DIRECTIONS = 32  # bins of viewing directions
+# Number of points, the point included, that a normal is fitted to.
 NORMAL_NEIGHBOURS = 16
-# Neighbours lie on a surface when the spread across it is below this share of the smaller spread
-# along it (standard deviations); points along a line have no normal either.
+# Neighbours lie on a surface if the spread across it is below this share of the smaller spread
+# along it (standard deviations); points along a line do not.
 FLATNESS = 0.5
-# A photo observes the point, whatever the estimated normal says: cos(theta) is at least this.
+# Lower limit of cos(theta): the photo does observe the point, so a lower value is an estimation
+# error.
 MIN_COSINE = 0.2
-ROWS = 1 << 16  # observations compared with all directions at once
+ROWS = 1 << 16  # observations that are compared with all directions at once
 
 
 class Coverage:
-    """F(S) of a growing set S of photos, as a share of what all candidates give together."""
+    """F(S) of a growing set S of photos, as a share of F(all candidates)."""
 
     def __init__(self, candidates: Candidates, context: Context = QUIET) -> None:
         self._starts = candidates.row_starts()
@@ -69,19 +70,19 @@ class Coverage:
         return float(self._held.sum()) / self._full if self._full > 0 else 0.0
 
     def gain(self, view: int) -> float:
-        """F(S + v) - F(S), in the unit of `value`; exactly non-increasing as S grows."""
+        """F(S + v) - F(S), in the unit of `value`; never increases as S grows."""
         part = slice(self._starts[view], self._starts[view + 1])
         added = np.maximum(self._worth[part] - self._held[self._slot[part]], 0.0)
         return float(added.sum()) / self._full if self._full > 0 else 0.0
 
     def add(self, view: int) -> None:
-        """Put a photo into S."""
+        """Add a photo to S."""
         part = slice(self._starts[view], self._starts[view + 1])
         np.maximum.at(self._held, self._slot[part], self._worth[part])
 
 
 def order_coverage(candidates: Candidates, count: int, context: Context = QUIET) -> Picks:
-    """The photos that raise F most, one at a time; then farthest views."""
+    """Greedy order: each photo increases F most; then farthest views."""
     coverage = Coverage(candidates, context)
     order = lazy_greedy(list(range(len(candidates))), coverage.gain, coverage.add, count, context)
     return fill_up(candidates, order, count)
@@ -109,7 +110,7 @@ def fibonacci_directions(count: int) -> Float64:
 
 
 def nearest_direction(rays: Float64, directions: Float64) -> Int64:
-    """(N, 3) unit rays, (B, 3) unit directions -> (N,) index of the direction nearest to each."""
+    """(N, 3) unit rays, (B, 3) unit directions -> (N,) index of each ray's nearest direction."""
     parts = [rays[start : start + ROWS] for start in range(0, len(rays), ROWS)]
     return np.concatenate([np.argmax(part @ directions.T, axis=1) for part in parts])
 
@@ -129,7 +130,7 @@ def _pixel_density(candidates: Candidates) -> Float64:
 
 
 def _cosines(candidates: Candidates, rays: Float64, context: Context) -> Float64:
-    """(N,) cos(theta) of each observation: 1 where the normal is unknown, >= `MIN_COSINE`."""
+    """(N,) cos(theta) of each observation, at least `MIN_COSINE`; 1 if the normal is unknown."""
     normals, known = _normals(candidates, rays, context)
     point = candidates.obs_point
     cosine = np.einsum("ni,ni->n", rays, normals[point])
@@ -139,7 +140,7 @@ def _cosines(candidates: Candidates, rays: Float64, context: Context) -> Float64
 def _normals(
     candidates: Candidates, rays: Float64, context: Context
 ) -> tuple[Float64, NDArray[np.bool_]]:
-    """(P, 3) unit normals by principal components, facing the observers; (P,) which are known."""
+    """(P, 3) unit normals by PCA, towards the observers; (P,) whether each is known."""
     points = candidates.points
     total = len(points)
     if total < NORMAL_NEIGHBOURS:

@@ -11,19 +11,19 @@ from ..context import QUIET, Context
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 
-# Photos named in the flag about cameras inside the box.
+# Photos named in the warning about cameras inside the box.
 INSIDE_NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StaticFeatures:
-    """Per candidate photo, in the candidates' order.
+    """The features of the candidates, in their order.
 
     Attributes:
         distance: (V,) from the camera's centre to the box's centre, world units.
-        area: (V,) share of the image that the box's silhouette covers, 0 to 1; 1 for a camera
-            inside the box.
-        keypoints: (V,) points in the box that the photo observes.
+        area: (V,) share of the image in the box's silhouette, 0 to 1; 1 for a camera inside the
+            box.
+        keypoints: (V,) number of points in the box that the photo observes.
         inside: (V,) whether the camera's centre lies in the box.
     """
 
@@ -33,14 +33,14 @@ class StaticFeatures:
     inside: NDArray[np.bool_]
 
     def flags(self, candidates: Candidates) -> tuple[str, ...]:
-        """A sentence when cameras stand inside the box."""
+        """A warning if cameras are inside the box."""
         names = [n for n, inside in zip(candidates.names, self.inside, strict=True) if inside]
         if not names:
             return ()
         more = f" and {len(names) - INSIDE_NAMED} more" if len(names) > INSIDE_NAMED else ""
         return (
-            f"{len(names)} cameras stand inside box '{candidates.roi.name}'"
-            f" ({', '.join(names[:INSIDE_NAMED])}{more}): the box counts as filling their image.",
+            f"{len(names)} cameras are inside box '{candidates.roi.name}'"
+            f" ({', '.join(names[:INSIDE_NAMED])}{more}): the box is taken to fill their images.",
         )
 
     def to_dict(self, candidates: Candidates) -> dict[str, dict[str, float]]:

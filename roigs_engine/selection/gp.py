@@ -1,12 +1,12 @@
-"""`gp6`, `gp9`: pick photos by a Gaussian process over viewpoints (the paper's sec. III-A).
+"""`gp6`, `gp9`: select photos with a Gaussian process over viewpoints (the paper's sec. III-A).
 
-After ActiveInitSplat (arXiv 2503.06859): a GP predicts from a photo's viewpoint how much it would
-add to the score f (score.py); the photo with the best upper confidence bound is taken, its true
-gain measured, the GP fitted again. `gp6` sees position and viewing direction, `gp9` also the three
-static features.
+After ActiveInitSplat (arXiv 2503.06859): from a photo's viewpoint, a GP predicts its gain in the
+score f (score.py). The photo with the best upper confidence bound is picked, its true gain is
+measured, and the GP is fitted again. The inputs of `gp6` are position and viewing direction; `gp9`
+adds the three static features.
 
-The cost stays bounded: hyper-parameters are optimised at the start and every `REFIT_EVERY` picks;
-in between the GP only takes in the new gain. 150 picks of 314 photos take seconds on one core.
+The cost is limited: hyper-parameters are optimised at the start and every `REFIT_EVERY` picks; in
+between, only the new gain is added. 150 picks of 314 photos take seconds on one core.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ BETA = 2.0
 # Picks between two optimisations of the hyper-parameters.
 REFIT_EVERY = 10
 RESTARTS = 1
-# A feature whose standard deviation is below this share of its size (or below this) is constant.
+# A feature is constant if its standard deviation is below this share of max(1, its largest value).
 CONSTANT = 1e-9
 
 FEATURE_NAMES = (
@@ -47,10 +47,10 @@ FEATURE_NAMES = (
 def gp_inputs(
     candidates: Candidates, features: StaticFeatures, extended: bool
 ) -> tuple[Float64, tuple[str, ...]]:
-    """(V, D) z-scored inputs and the names of the D <= 6 (9 when `extended`) that vary.
+    """(V, D) z-scored inputs, and the names of the D <= 6 (9 if `extended`) features that vary.
 
-    Position is in the box's frame, in half extents; direction is the unit forward vector in the
-    box's frame (no angle that could wrap).
+    Position is in the box's frame, in half extents. Direction is the unit forward vector in the
+    box's frame, since an angle could wrap.
     """
     roi = candidates.roi
     rotation = roi.world_to_box[:3, :3]
@@ -70,7 +70,7 @@ def gp_inputs(
 
 
 class Surrogate:
-    """A GP from viewpoints to gains that keeps its hyper-parameters between refits."""
+    """A GP from viewpoints to gains; keeps its hyper-parameters between optimisations."""
 
     def __init__(self, inputs: Float64, seed: int) -> None:
         self._inputs = inputs
@@ -81,7 +81,7 @@ class Surrogate:
         self._model: Any = None
 
     def fit(self, views: list[int], gains: Float64, optimise: bool) -> None:
-        """Take in the (n,) gains of those photos; `optimise` the hyper-parameters or keep them."""
+        """Fit the (n,) gains of these photos; `optimise` the hyper-parameters or keep them."""
         self._model = GaussianProcessRegressor(
             kernel=self._kernel,
             optimizer="fmin_l_bfgs_b" if optimise else None,
@@ -95,9 +95,9 @@ class Surrogate:
         self._kernel = self._model.kernel_
 
     def predict(self, views: list[int]) -> tuple[Float64, Float64]:
-        """(n,) means and (n,) standard deviations of the gains of those photos."""
+        """(n,) means and (n,) standard deviations of the gains of these photos."""
         with warnings.catch_warnings():
-            # A variance that rounds to just below zero is set to zero, with a warning.
+            # scikit-learn warns when it sets a slightly negative variance to zero.
             warnings.simplefilter("ignore", UserWarning)
             mean, deviation = self._model.predict(self._inputs[views], return_std=True)
         return np.nan_to_num(mean), np.nan_to_num(deviation)
@@ -114,15 +114,15 @@ def order_gp(
 ) -> Picks:
     """The photos with the best upper confidence bound, one at a time.
 
-    Starts with the photo that sees most points and the farthest ones from it in viewing direction.
-    Goes on with farthest views where no remaining photo adds anything to the score.
+    Starts with the photo that sees most points, and those with the most different viewing
+    directions. Continues with farthest views once no remaining photo improves the score.
     """
     inputs, names = gp_inputs(candidates, features, extended)
     possible = FEATURE_NAMES[: 9 if extended else 6]
     dropped = [name for name in possible if name not in names]
     flags: tuple[str, ...] = ()
     if dropped and len(candidates) > 1:
-        flags = (f"The same for all photos, and so left out of the gp: {', '.join(dropped)}.",)
+        flags = (f"The GP ignores features that are equal for all photos: {', '.join(dropped)}.",)
     score = DensityOccupancy(candidates)
     seeds = farthest_first(
         candidates.forwards(), [most_keypoints(candidates)], min(SEEDS, count, len(candidates))
@@ -145,7 +145,7 @@ def _loop(
     count: int,
     context: Context,
 ) -> list[int]:
-    """`seeds` continued to `count` photos, or to the last one before all gains are zero."""
+    """`seeds` extended to `count` photos, or until all remaining gains are zero."""
     order = list(seeds)
     while len(order) < count:
         context.check_cancelled()
@@ -158,7 +158,7 @@ def _loop(
         surrogate.fit(order, np.array(gains), optimise)
         mean, deviation = surrogate.predict(rest)
         bound = mean + BETA * deviation
-        # Largest upper confidence bound; of equal ones the least certain; then the first name.
+        # Largest upper confidence bound; ties: larger deviation first, then the name.
         view = rest[int(np.lexsort((-deviation, -bound))[0])]
         gains.append(float(present[view]))
         score.add(view)

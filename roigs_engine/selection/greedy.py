@@ -1,9 +1,8 @@
 """`greedy`: exact greedy maximisation of density x occupancy, without a surrogate.
 
-Also the lazy greedy loop (Minoux 1978) that `coverage` shares: a gain measured earlier is an upper
-bound of the present one when the function is submodular, so only the photo on top of the heap is
-measured again. f = D O is not submodular; log f is, and has the same argmax, so its gains drive
-the heap.
+Also the lazy greedy loop (Minoux 1978), which `coverage` shares. For a submodular function, an
+earlier gain is an upper bound of the current one, so only the photo on top of the heap is measured
+again. f = D O is not submodular; log f is, and has the same argmax, so the heap uses its gains.
 """
 
 from __future__ import annotations
@@ -28,13 +27,14 @@ def lazy_greedy(
     count: int,
     context: Context = QUIET,
 ) -> list[int]:
-    """Up to `count` views, each with the largest gain given those before it; ties by view id.
+    """Up to `count` views, each with the largest gain given those before it; view ids break ties.
 
     Args:
         views: the views to choose from.
-        gain: what a view adds to the present set; must not grow as the set grows.
-        add: puts a view into the set.
-        count: how many at most; fewer come back when no remaining view adds anything.
+        gain: returns the gain of a view for the current set; must not grow as the set grows.
+        add: adds a view to the set.
+        count: most views to return; fewer are returned if no remaining view has a gain.
+        context: checked for cancellation.
     """
     heap = [(-gain(view), view, 0) for view in views]
     heapq.heapify(heap)
@@ -53,9 +53,9 @@ def lazy_greedy(
 
 
 def order_greedy(candidates: Candidates, count: int, context: Context = QUIET) -> Picks:
-    """The photos that raise density x occupancy most, one at a time; then farthest views."""
+    """Greedy order: each photo increases density x occupancy most; then farthest views."""
     score = DensityOccupancy(candidates)
-    # log f of the empty set is -inf: the first pick is made outside the lazy loop.
+    # log f of the empty set is -Inf: the first photo is picked outside the lazy loop.
     first = int(np.argmax(score.gains()))
     score.add(first)
     others = [view for view in range(len(candidates)) if view != first]

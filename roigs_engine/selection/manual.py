@@ -1,4 +1,4 @@
-"""Photos that the user has chosen, in the place of a method's."""
+"""Manual selections: the user chooses the photos of a box, not a method."""
 
 from __future__ import annotations
 
@@ -22,67 +22,69 @@ NAMED = 3  # photos named in a warning
 def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[str, ...]]:
     """Box -> the photos listed in `folder`/ROI.json, for the boxes that have such a file.
 
-    Of a file only `names` is looked at; a photo that is named twice counts once.
+    Reads only the list `names` of a file; a photo that is named twice counts once.
 
     Raises:
-        ConfigError: no folder, or no file of these boxes in it.
+        ConfigError: the folder has no file for any of these boxes, or a file has no names.
         RunFolderError: a file cannot be read.
     """
     files = {roi.name: folder / f"{roi.name}.json" for roi in rois}
     found = {name: path for name, path in files.items() if path.is_file()}
     if not found:
         raise ConfigError(
-            f"{folder} holds no selection of these ROIs.",
-            f"It needs {', '.join(path.name for path in files.values())}, or some of them.",
+            f"{folder} has no selection for these boxes.",
+            f"Add one or more of: {', '.join(path.name for path in files.values())}.",
         )
-    given = {}
+    selections = {}
     for roi, path in found.items():
         record = read_json(path)
         names = record.get("names") if isinstance(record, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError(f"{path} holds no list 'names' of photo names.")
-        given[roi] = tuple(dict.fromkeys(names))
-    return given
+            raise ConfigError(
+                f"{path} has no list 'names' of photo names.", "Write it with `select --out`."
+            )
+        selections[roi] = tuple(dict.fromkeys(names))
+    return selections
 
 
 def usable_manual(
     names: Sequence[str], scene: SfmScene, test: Sequence[str], roi: str, context: Context = QUIET
 ) -> tuple[str, ...]:
-    """The given photos of a box that can be trained on.
+    """The manually selected photos of a box that can be trained on.
 
-    Those kept for the tests, and those of the model that cannot be used, are left out with a
-    warning.
+    Test photos, and photos of the model that cannot be used, are skipped with a warning.
 
     Args:
-        names: as given.
+        names: the user's photos.
         scene: the whole scene, test photos included.
-        test: the photos kept for the tests.
+        test: the test photos.
         roi: the box's name.
-        context: gets the warnings.
+        context: receives the warnings.
 
     Raises:
-        ConfigError: the model does not know a photo, or none is left.
+        ConfigError: the model does not have a photo, or no photo is left.
     """
-    held, there = set(test), {image.name for image in scene.images}
-    unusable = {name for skipped in scene.skipped.values() for name in skipped}
+    test_names, usable_names = set(test), {image.name for image in scene.images}
+    skipped_names = {name for skipped in scene.skipped.values() for name in skipped}
     for name in names:
-        if name not in there and name not in unusable:
+        if name not in usable_names and name not in skipped_names:
             raise ConfigError(
-                f"The selection of box '{roi}' names '{name}', which the scene does not have."
+                f"The selection of box '{roi}' names '{name}', which is not in the scene.",
+                "Remove this name.",
             )
-    for reason, left_out in (
-        ("kept for the tests", [name for name in names if name in held]),
-        ("not usable", [name for name in names if name not in there]),
+    for reason, skipped in (
+        ("are test photos", [name for name in names if name in test_names]),
+        ("cannot be used", [name for name in names if name not in usable_names]),
     ):
-        if left_out:
-            first = ", ".join(left_out[:NAMED]) + (", …" if len(left_out) > NAMED else "")
-            text = f"Of the photos given for box '{roi}', {len(left_out)} are {reason} ({first})."
+        if skipped:
+            first = ", ".join(skipped[:NAMED]) + (", …" if len(skipped) > NAMED else "")
+            text = f"{len(skipped)} photos selected for box '{roi}' {reason}; skipped: {first}."
             context.warn(text)
-    usable = tuple(name for name in names if name in there and name not in held)
+    usable = tuple(name for name in names if name in usable_names and name not in test_names)
     if not usable:
         raise ConfigError(
-            f"None of the {len(names)} photos given for box '{roi}' can be trained on.",
-            "Give others, or none to have them selected.",
+            f"None of the {len(names)} photos selected for box '{roi}' can be trained on.",
+            "Select other photos, or remove the selection to use a method.",
         )
     return usable
 
@@ -90,9 +92,9 @@ def usable_manual(
 def manual_selection(
     scene: SfmScene, roi: OrientedBox, names: Sequence[str], context: Context = QUIET
 ) -> CameraSelection:
-    """The given photos as a selection, scored as the methods but `coverage` are.
+    """The manually selected photos as a `CameraSelection`, scored by density x occupancy.
 
-    A photo that does not see the box is kept, and adds nothing to the score.
+    A photo that does not see the box is kept; it does not change the score.
     """
     candidates = find_candidates(scene, roi, context)
     view = {name: index for index, name in enumerate(candidates.names)}

@@ -1,8 +1,9 @@
-"""The nearest neighbours of every point of a set, exactly, with numpy alone.
+"""The exact nearest neighbours of every point of a set, with numpy alone.
 
-The points are cut at medians into leaves of a few dozen. A leaf's own points bound how far the
-neighbours of each can be, and only leaves within the largest bound are looked at; where these are
-many, as around stray points, those with small bounds are looked for apart.
+The points are split at medians into leaves of a few dozen points. The points of a leaf give an
+upper bound for the distance to each other's neighbours, and only leaves within the largest bound
+are searched. If these are many leaves, as around outliers, points with small bounds are searched
+separately.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ import numpy as np
 from ..context import QUIET, Context
 from ..model.scene import Float64, Int64
 
-LEAF = 64  # points; a leaf holds more than half of it, which is how many neighbours there can be
-MANY = 100  # leaves to look at
+LEAF = 64  # most points of a leaf; a leaf has at least half of it, the largest number of neighbours
+MANY = 100  # leaves to search
 
 
 def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) -> Int64:
-    """(P, 3) points -> (P, count) rows of the nearest ones, in no order, the point itself included.
+    """(P, 3) points -> (P, count) rows of the nearest points, unordered, the point included.
 
     `count` is at most P and `LEAF` / 2.
     """
@@ -28,7 +29,7 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
     found = np.empty((len(points), count), dtype=np.int64)
     for leaf in leaves:
         context.check_cancelled()
-        centre = points[leaf].mean(axis=0)  # distances by scalar products are exact near zero
+        centre = points[leaf].mean(axis=0)  # scalar products give exact distances near zero
         own = points[leaf] - centre
         bounds = np.maximum(_kth(_squared(own, own), count), 0.0)
         groups = [np.argsort(bounds)]
@@ -36,7 +37,7 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
             group = groups.pop()
             rows = points[leaf[group]]
             gap = np.maximum(np.maximum(low - rows.max(axis=0), rows.min(axis=0) - high), 0.0)
-            # Rounding may not lose a neighbour that is as far as the bound.
+            # Rounding must not lose a neighbour exactly at the bound.
             near = np.flatnonzero((gap**2).sum(axis=1) <= bounds[group[-1]] * (1 + 1e-9))
             if len(near) > MANY and len(group) > 1:
                 groups += [group[: len(group) // 2], group[len(group) // 2 :]]
@@ -50,7 +51,7 @@ def nearest_neighbours(points: Float64, count: int, context: Context = QUIET) ->
 
 
 def _leaves(points: Float64) -> list[Int64]:
-    """Rows of the points, in groups of at most `LEAF` that lie together."""
+    """Rows of the points, in groups of at most `LEAF` neighbouring points."""
     todo, leaves = [np.arange(len(points))], []
     while todo:
         rows = todo.pop()

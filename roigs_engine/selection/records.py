@@ -1,4 +1,4 @@
-"""The selection's values: its settings, the candidates it works on, and its result."""
+"""The result of a selection method, and of a selection."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 @dataclass(frozen=True, kw_only=True)
 class Picks:
-    """What a method returns: candidate ids, best first.
+    """The result of a method: candidate ids, best first.
 
     Attributes:
         order: ids, unique.
-        filled_from: position in `order` from which on no photo improved the method's score and
-            farthest views were taken; None when that did not happen.
-        flags: degenerate cases met.
+        filled_from: position in `order` from which photos are farthest views, since no photo
+            improved the method's score; None: there are none.
+        flags: warnings about degenerate cases.
     """
 
     order: tuple[int, ...]
@@ -24,16 +24,16 @@ class Picks:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSelection:
-    """The chosen photos of one box.
+    """The selected photos of one box.
 
     Attributes:
         roi: the box's name.
-        method: one of `METHODS`.
-        names: chosen photos, best first.
-        scores: the score after each pick: for `coverage` the share of what all candidates together
-            would give, else density x occupancy of the points in the box (both 0 to 1).
+        method: one of `METHODS`, or `manual`.
+        names: selected photos, best first.
+        scores: the score after each photo, 0 to 1: for `coverage`, F as a share of F of all
+            candidates; else density x occupancy of the points in the box.
         candidates: every photo that sees the box, in name order.
-        flags: sentences about degenerate cases met.
+        flags: warnings about degenerate cases.
         features: candidate -> 'distance' (world units, to the box's centre), 'area' (share of the
             image that the box covers), 'keypoints' (points in the box that the photo sees).
     """

@@ -1,4 +1,4 @@
-"""A camera selection as text for people."""
+"""A camera selection as text."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from .records import CameraSelection
 
 
 def format_selection(selection: CameraSelection) -> str:
-    """A table of the chosen photos, best first, under a line of summary and above the flags."""
+    """A summary line, a table of the selected photos, best first, and the warnings."""
     head = ("rank", "photo", "score", "distance", "area", "keypoints")
     rows = [head]
     for rank, (name, score) in enumerate(
@@ -26,7 +26,7 @@ def format_selection(selection: CameraSelection) -> str:
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = [
         f"Box '{selection.roi}': {len(selection.names)} of {len(selection.candidates)} photos that"
-        f" see it, chosen by {selection.method}"
+        f" see it, selected by {selection.method}"
     ]
     for row in rows:
         cells = [

@@ -6,8 +6,8 @@ After ActiveInitSplat (arXiv 2503.06859), whose exact formula is unpublished. Fo
     O(S) = voxels holding a point seen by S / voxels holding a point of the box
     f(S) = D(S) O(S)
 
-Voxels are cubes, 16 along the box's longest side. (Points per *occupied* voxel for D would make
-D O a mere point count.) D and O are coverage functions; f is not submodular, log f is.
+Voxels are cubes, 16 along the box's longest side. (If D were points per *occupied* voxel, D O would
+only count points.) D and O are coverage functions; f is not submodular, log f is.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ VOXELS_ALONG_LONGEST_SIDE = 16
 
 
 def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
-    """(P, 3) points in the box -> (P,) voxel of each, numbered 0..n-1 over the voxels in use."""
+    """(P, 3) points in the box -> (P,) voxel of each, 0..n-1 over the n occupied voxels."""
     edge = 2 * roi.half_extents.max() / VOXELS_ALONG_LONGEST_SIDE
     offset = (roi.to_box(points) + 1) * roi.half_extents  # 0 .. side, per axis
     cells = np.ceil(2 * roi.half_extents / edge - 1e-9).clip(1).astype(np.int64)
@@ -33,9 +33,9 @@ def voxel_indices(points: Float64, roi: OrientedBox) -> Int64:
 
 
 class DensityOccupancy:
-    """f(S) of a growing set S of photos, and what each photo would add to it.
+    """f(S) of a growing set S of photos, and the gain of each photo.
 
-    Counts are kept as integers, so photos that add the same tie exactly.
+    Counts are integers, so equal gains are exactly equal.
     """
 
     def __init__(self, candidates: Candidates) -> None:
@@ -81,7 +81,7 @@ class DensityOccupancy:
         return (products - self.product) / (len(self._new_point) * len(self._new_voxel))
 
     def add(self, view: int) -> None:
-        """Put a photo into S."""
+        """Add a photo to S."""
         points = self._point[self._starts[view] : self._starts[view + 1]]
         self._points += int(np.count_nonzero(self._new_point[points]))
         self._new_point[points] = False

@@ -1,4 +1,4 @@
-"""Which selected photos go to which stage."""
+"""Distributes the selected photos over the stages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
-    """Several ordered selections merged by rank, each name once, best first."""
+    """Several selections merged by rank, each name once, best first."""
     merged: dict[str, None] = {}
     for rank in range(max(map(len, orders), default=0)):
         for order in orders:
@@ -16,10 +16,10 @@ def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
 
 
 def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
-    """Selected photos that Scene-GS must not see (paper, sec. II-B: half of them).
+    """Selected photos that the Scene-GS must not use (paper, sec. II-B: half of them).
 
-    Of each selection, in its order, `kept_share` stays with the scene, evenly spread; a photo that
-    any ROI reserves is reserved.
+    The Scene-GS may use the share `kept_share` of each selection, evenly spread over its order. A
+    photo that any box reserves is reserved.
     """
     return {
         name
@@ -30,5 +30,5 @@ def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
 
 
 def evenly_spread(step: int, share: float) -> bool:
-    """Whether step (from 0) is one of the `share` of all steps, evenly spread, that are chosen."""
+    """Whether `step` (from 0) belongs to the share `share` of all steps, evenly spread."""
     return int((step + 1) * share + 1e-9) > int(step * share + 1e-9)

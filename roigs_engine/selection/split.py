@@ -1,4 +1,4 @@
-"""Which photos are held out for testing, chosen before anything else looks at the scene."""
+"""Chooses the test photos, before any other use of the scene."""
 
 from __future__ import annotations
 
@@ -17,24 +17,30 @@ from . import visible_images
 def choose_test_views(
     scene: SfmScene, rois: Sequence[OrientedBox], every: int = 8, context: Context = QUIET
 ) -> tuple[str, ...]:
-    """Names of the held-out photos, in the scene's order (docs/method.md, evaluation).
+    """Names of the test photos, in the scene's order (docs/method.md, evaluation).
 
-    The views that see a box are sorted by the camera's distance to the box's centre (ties by name);
-    every `every`-th of them is taken, starting at `every // 2`, so that near and far are both
-    tested. For the second and later boxes the views already taken count: only when fewer than
-    ceil(visible / every) of its views are tested, the missing ones are taken at equal steps from
-    the rest. Every box is left with at least one photo to train on and has at least one to test on.
-    With `every` = 0 none is held out.
+    For the first box, the views that see it are sorted by the camera's distance to the box's centre
+    (names break ties). Every `every`-th view becomes a test photo, starting at `every // 2`, so
+    that near and far views are tested. Test photos of earlier boxes count for later boxes: if a
+    later box has fewer than ceil(visible / every), the missing ones are taken at equal steps from
+    its other views. Every box has at least one test photo and one training photo. With `every` = 0
+    there are no test photos.
+
+    Args:
+        scene: all photos.
+        rois: the boxes.
+        every: see above.
+        context: checked for cancellation.
 
     Raises:
         ConfigError: `every` is 1 or negative.
-        SceneError: a box is seen by too few photos to hold one out.
+        SceneError: too few photos see a box.
     """
     if every == 0:
         return ()
     if every < 2:
         raise ConfigError(
-            f"test_every is {every}.", "Hold out every 2nd photo at most; 8 is usual, 0 for none."
+            f"test_every is {every}.", "Use 2 or more; 8 is usual, 0 means no test photos."
         )
     chosen: set[str] = set()
     seen_by: dict[str, list[str]] = {}
@@ -42,8 +48,9 @@ def choose_test_views(
         views = seen_by[roi.name] = _by_distance(scene, roi, context)
         if len(views) < 2:
             raise SceneError(
-                f"Box '{roi.name}' is seen by {len(views)} photo(s): none can be held out.",
-                "Check where the box is, or add photos of the object.",
+                f"Only {len(views)} photo sees box '{roi.name}': there must be one to train on and"
+                " one to test on.",
+                "Check the position of the box, or add photos of the object.",
             )
         if index == 0:
             chosen.update(views[min(every // 2, len(views) // 2) :: every])
@@ -54,8 +61,8 @@ def choose_test_views(
     for name, views in seen_by.items():
         if chosen.issuperset(views):
             raise SceneError(
-                f"All {len(views)} photos that see box '{name}' would be held out for testing.",
-                "Hold out fewer photos (a larger test_every), or add photos of the object.",
+                f"All {len(views)} photos that see box '{name}' would become test photos.",
+                "Use fewer test photos (a larger test_every), or add photos of the object.",
             )
     return tuple(image.name for image in scene.images if image.name in chosen)
 

@@ -12,7 +12,7 @@ from .records import Picks
 def order_static(features: StaticFeatures, count: int) -> Picks:
     """The `count` photos with the best sum of ranks of -distance, area and keypoints.
 
-    Equal values share their mean rank; equal sums go by name (candidates are in name order).
+    Equal values share their mean rank; names break ties (candidates are in name order).
     """
     ranks = _ranks(features.distance) + _ranks(-features.area) + _ranks(-features.keypoints)
     return Picks(order=tuple(np.argsort(ranks, kind="stable")[:count].tolist()))

@@ -1,1 +1,1 @@
-"""One training stage: photos in, better Gaussians out."""
+"""Trains one stage."""

@@ -1,4 +1,4 @@
-"""A step of `optimizer.VisibleAdam` as one Triton kernel: what it reads and writes, once each."""
+"""A step of `optimizer.VisibleAdam` as one Triton kernel: reads and writes each value once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-ELEMENTS = 1024  # that one program takes on
+ELEMENTS = 1024  # per Triton program
 
 
 # Triton takes tuples as one argument.
@@ -17,7 +17,7 @@ ELEMENTS = 1024  # that one program takes on
 def _step(
     tensors,  # parameter, gradient, exp_avg, exp_avg_sq
     visible,
-    rates,
+    learning_rates,
     skipped,
     count,
     factors,  # scale, beta1, beta2, 1 - beta1, 1 - beta2 (which float32 cannot make), eps
@@ -41,7 +41,7 @@ def _step(
     m = tl.load(exp_avg + at, mask=on, other=0.0)
     v = tl.load(exp_avg_sq + at, mask=on, other=0.0)
     x = tl.load(parameter + at, mask=on, other=0.0)
-    rate = tl.load(rates + columns, mask=columns < WIDTH, other=0.0)
+    rate = tl.load(learning_rates + columns, mask=columns < WIDTH, other=0.0)
     m = beta1 * m + share1 * g
     v = beta2 * v + share2 * g * g
     x -= scale * rate[None, :] * m / (tl.sqrt(v) + eps)
@@ -54,7 +54,7 @@ def step(
     parameter: Tensor,  # (N, ...) float32
     moments: tuple[Tensor, Tensor],  # exp_avg, exp_avg_sq, as the parameter
     visible: Tensor,  # (N,) bool
-    rates: Tensor,  # (W,) a learning rate for each column of a row
+    learning_rates: Tensor,  # (W,) one for each column of a row
     *,
     betas: tuple[float, float],
     eps: float,
@@ -62,10 +62,10 @@ def step(
 ) -> Tensor:
     """Updates parameter and moments in place by `parameter.grad`.
 
-    Returns (1,) int32: rows whose gradient was not finite.
+    Returns (1,) int32: the number of visible rows that were skipped for a NaN or Inf gradient.
     """
     skipped = torch.zeros(1, dtype=torch.int32, device=parameter.device)
-    count, width = len(parameter), rates.numel()
+    count, width = len(parameter), learning_rates.numel()
     assert parameter.grad is not None
     if count == 0:
         return skipped
@@ -77,7 +77,7 @@ def step(
     _step[(triton.cdiv(count, rows),)](
         (parameter, parameter.grad.contiguous(), *moments),
         visible.contiguous(),
-        rates,
+        learning_rates,
         skipped,
         count,
         (scale, *betas, 1 - betas[0], 1 - betas[1], eps * correction[1]),

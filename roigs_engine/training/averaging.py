@@ -1,8 +1,8 @@
-"""The mean of the models that training went through (Polyak and Juditsky 1992).
+"""The mean of the models of the last steps (Polyak and Juditsky 1992).
 
-Adam at a steady rate never comes to rest: each photo pulls the model towards itself, most of all
-where photos differ in exposure. The mean over many steps is nearer to what suits all of them, and
-unlike falling rates it does not slow learning down (docs/results.md has both).
+At a constant learning rate Adam does not converge: each step fits the model to its own photo, most
+of all where photos differ in exposure. The mean over many steps fits all photos better. Unlike a
+decaying learning rate it does not slow learning down (docs/lab_notebook.md compares both).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class ModelMean:
     """Sum of models with the same rows.
 
     Attributes:
-        count: how many models are in it.
+        count: number of models in the sum.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class ModelMean:
 
     @torch.no_grad()
     def add(self, model: Gaussians) -> None:
-        """Take a model in."""
+        """Add a model."""
         self.count += 1
         for name, tensor in model.tensors().items():
             if name in self._sums:
@@ -36,17 +36,17 @@ class ModelMean:
                 self._sums[name] = tensor.detach().clone()
 
     def clear(self) -> None:
-        """Forget all models: rows are about to change."""
+        """Drop all models; needed before rows change."""
         self.count, self._sums = 0, {}
 
     def mean(self) -> Gaussians:
-        """The mean of every parameter as it is stored (logarithms, logits, unscaled rotations)."""
+        """The mean of each parameter in its stored form (log scales, logits, raw quaternions)."""
         return Gaussians(**{name: self._sums[name] / self.count for name in NAMES})
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes."""
+        """The state, as `load_state_dict` takes it."""
         return {"count": self.count, "sums": dict(self._sums)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what `state_dict` returned."""
+        """Continue from a `state_dict`."""
         self.count, self._sums = int(state["count"]), dict(state["sums"])

@@ -1,9 +1,9 @@
-"""How many Gaussians a box may come to hold in the ROI stage, and how fast (ours; paper: no limit).
+"""Gaussian budget: the most Gaussians in each box of the box stage (ours; paper: no limit).
 
-A box that few photos see, or that is small in them, must not get so many that it overfits those
-photos; one that fills the photos must not make the model larger than the plain one. The budget
-grows with the pixels that the photos show of the box, but more slowly: photos overlap, so twice the
-pixels are not twice the surface. Factor and exponent are empirical (docs/lab_notebook.md).
+A box with few pixels in the photos must not get so many Gaussians that it overfits these pixels. A
+box that fills the photos must not make the model larger than Full Scene. The budget grows with the
+number of pixels that show the box, but more slowly: photos overlap, so twice the pixels do not show
+twice the surface. Factor and exponent are empirical (docs/lab_notebook.md).
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ EXPONENT = 0.7
 
 @dataclass(frozen=True, kw_only=True)
 class BoxBudget:
-    """Most Gaussians in a box when densification begins, and when it ends."""
+    """Most Gaussians in a box at the start and at the end of densification."""
 
     begin: int
     end: int
 
     def at(self, progress: float) -> int:
-        """The limit when `progress` (0 to 1) of the densifying steps are done.
+        """The limit when the share `progress` (0 to 1) of the densification steps is done.
 
-        It rises evenly: room given out at once would go to whatever had a large gradient first,
-        before it is known where detail is missing.
+        It rises linearly. A constant limit would be used up by the first large gradients, before
+        training shows where detail is missing.
         """
         return round(self.begin + (self.end - self.begin) * min(progress, 1.0))
 
@@ -46,10 +46,10 @@ def box_budgets(
     """Each box's budget at the end, `box_budget` x pixels^0.7; None when there is no limit.
 
     Args:
-        images: what the stage trains on; pixels count in each of them.
+        images: the stage's photos; each pixel in a box's silhouette counts.
         rois: the boxes.
-        config: gives `box_budget`.
-        context: asked between photos whether to stop.
+        config: has `box_budget`.
+        context: checked for cancellation between photos.
     """
     if not rois or config.box_budget <= 0:
         return None
@@ -59,7 +59,7 @@ def box_budgets(
 def budgets_from(
     model: Gaussians, rois: Sequence[OrientedBox], ends: Sequence[int]
 ) -> list[BoxBudget]:
-    """Budgets that rise from what `model` holds in the boxes to `ends`, one for each box."""
+    """Budgets that rise from the number of Gaussians of `model` in each box to `ends`."""
     counts = count_owned(model, rois)
     return [
         BoxBudget(begin=min(count, end), end=end) for count, end in zip(counts, ends, strict=True)
@@ -67,7 +67,7 @@ def budgets_from(
 
 
 def _pixels(roi: OrientedBox, images: Sequence[PosedImage], context: Context) -> float:
-    """Pixels of all photos that lie in the box's silhouette."""
+    """Number of pixels in the box's silhouette, over all photos."""
     pixels = 0.0
     for image in images:
         context.check_cancelled()

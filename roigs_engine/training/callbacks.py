@@ -1,4 +1,4 @@
-"""Work that interrupts training now and then."""
+"""Callbacks that training calls periodically."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 
 class PeriodicCallback:
-    """Called every so many seconds of training, and for at most a tenth of the time.
+    """A function to call every `every` seconds of training; takes at most a tenth of the time.
 
     Args:
-        every: seconds between two calls; 0: never called.
-        call: what to do.
+        every: seconds of training between two calls; 0: never.
+        call: the function.
     """
 
     def __init__(self, every: float, call: Callable[[], None]) -> None:
@@ -19,7 +19,7 @@ class PeriodicCallback:
         self._due: float | None = None
 
     def call_if_due(self, seconds: float) -> float:
-        """Call it if it is due after `seconds` of training; the seconds that it took."""
+        """Call it if it is due after `seconds` of training; returns the seconds it took."""
         if self._every <= 0:
             return 0.0
         if self._due is None:

@@ -1,6 +1,6 @@
-"""Training state on disk: tensors and plain numbers, in a format of our own that is quick and safe.
+"""Checkpoints: the training state on disk, in a format that is fast and safe to load.
 
-A file holds, one after the other:
+A file consists of:
 
     8 bytes     MAGIC
     8 bytes     length of the header, little-endian
@@ -9,8 +9,8 @@ A file holds, one after the other:
     tensors     their bytes, in the order in which the header names them
     4 bytes     CRC-32 of the tensors
 
-Nothing in it can run code, every length is checked before memory is asked for, and a changed byte
-is noticed. The checkpoint before the last is kept beside it and used when the last is damaged.
+Loading it cannot run code. Every length is checked before memory is allocated, and checksums detect
+damage. The previous checkpoint is kept beside it and used if the last one is damaged.
 """
 
 from __future__ import annotations
@@ -37,21 +37,20 @@ TYPES = {
     str(dtype).removeprefix("torch."): dtype
     for dtype in (torch.float32, torch.float64, torch.int32, torch.int64, torch.uint8, torch.bool)
 }
-TENSOR = "<tensor>"  # key of a header's stand-in for a tensor
-CHUNK = 1 << 20  # bytes that are summed up while they are still in the processor's cache
-HINT = "Delete it to begin the stage anew, or choose another run folder."
+TENSOR = "<tensor>"  # key of a tensor's placeholder in the header
+CHUNK = 1 << 20  # bytes per checksum update: small enough to stay in the processor's cache
+HINT = "Delete it to start the stage again, or choose another run folder."
 
 
 class _DamagedError(Exception):
-    """Why a file cannot be used."""
+    """The reason why a file cannot be used."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None:
-    """Write `state` under `path`, whole or not at all; what was there is kept as `NAME.before.bin`.
+    """Write `state` to `path` atomically; the previous checkpoint becomes `NAME.before.bin`.
 
-    What is written reaches the disk when the system sees fit, some seconds later, so that a stop
-    need not wait for it. Before it becomes the one before, it is made sure of: of the two, one
-    survives a power cut too.
+    The new file is not synced, so that a stop need not wait for the disk. A file is synced before
+    it becomes the previous checkpoint. So one of the two survives a power failure.
 
     Args:
         path: the file.
@@ -59,7 +58,7 @@ def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None
         fingerprint: of the stage's settings and inputs; checked when loading.
 
     Raises:
-        RunFolderError: the folder cannot be written to, or the disk is full.
+        RunFolderError: the folder is not writable, or the disk is full.
     """
     tensors: list[Tensor] = []
     record = {"fingerprint": fingerprint, "state": _described(state, tensors)}
@@ -75,10 +74,10 @@ def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None
 
 
 def load_checkpoint(path: Path, fingerprint: str, context: Context = QUIET) -> dict[str, Any]:
-    """The state that `save_checkpoint` wrote last; the one before it when that is damaged.
+    """The state that `save_checkpoint` wrote last, or the previous one if that is damaged.
 
     Raises:
-        RunFolderError: both are damaged or missing, or belong to another version or stage.
+        RunFolderError: both are damaged or missing, or have another version or fingerprint.
     """
     problems = []
     for file in _present(path):
@@ -88,16 +87,15 @@ def load_checkpoint(path: Path, fingerprint: str, context: Context = QUIET) -> d
             problems.append(f"The checkpoint {file} {error}.")
             continue
         if header["fingerprint"] != fingerprint:
-            raise RunFolderError(f"The checkpoint {file} belongs to other settings.", HINT)
+            raise RunFolderError(f"The checkpoint {file} has other settings.", HINT)
         for problem in problems:
-            text = f"{problem} Training goes on from the one before it."
-            context.warn(text)
+            context.warn(f"{problem} Training resumes from the previous checkpoint.")
         return state
     raise _unusable(path, problems)
 
 
 def checkpoint_fingerprint(path: Path) -> str:
-    """The fingerprint in a checkpoint; its tensors stay on disk. RunFolderError as loading."""
+    """The fingerprint of a checkpoint; does not load tensors. Raises as `load_checkpoint`."""
     problems = []
     for name in _present(path):
         try:
@@ -109,12 +107,12 @@ def checkpoint_fingerprint(path: Path) -> str:
 
 
 def checkpoint_exists(path: Path) -> bool:
-    """Whether there is one, or the one before it."""
+    """Whether there is a checkpoint, or the previous one."""
     return bool(_present(path))
 
 
 def remove_checkpoint(path: Path) -> None:
-    """Delete it and the one before it."""
+    """Delete the checkpoint and the previous one."""
     for name in _present(path):
         name.unlink(missing_ok=True)
 
@@ -124,7 +122,7 @@ def _before(path: Path) -> Path:
 
 
 def _present(path: Path) -> list[Path]:
-    """The files that are there, newest first."""
+    """The existing files, newest first."""
     return [name for name in (path, _before(path)) if name.exists()]
 
 
@@ -145,42 +143,42 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             state = _restored(header["state"], tensors)
             wanted = sum(t.nbytes for t in tensors) + SUM.size
             if os.fstat(file.fileno()).st_size - file.tell() != wanted:
-                raise _DamagedError("is cut short")
+                raise _DamagedError("has the wrong size")
             checksum = 0
             for chunk in _chunks(tensors):
                 file.readinto(chunk)
                 checksum = zlib.crc32(chunk, checksum)
             if SUM.unpack(file.read(SUM.size)) != (checksum,):
-                raise _DamagedError("is damaged (its checksum does not fit)")
+                raise _DamagedError("is damaged (wrong checksum)")
     except OSError as error:
         raise _DamagedError(_because(error)) from error
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise _DamagedError("is damaged (its header makes no sense)") from error
+        raise _DamagedError("is damaged (malformed header)") from error
     return header, state
 
 
 def _header(file: BinaryIO) -> dict[str, Any]:
-    """The header of an open file, its checksum compared before anything in it is believed."""
+    """The header of an open file; its checksum is verified before it is parsed."""
     prefix = file.read(PREFIX.size)
     if prefix[: len(MAGIC)] != MAGIC:
-        raise _DamagedError("is damaged, or of another version")
+        raise _DamagedError("is damaged, or has another version")
     if len(prefix) < PREFIX.size:
-        raise _DamagedError("is cut short")
+        raise _DamagedError("is incomplete")
     _, length, checksum = PREFIX.unpack(prefix)
     if length > os.fstat(file.fileno()).st_size:
-        raise _DamagedError("is cut short")
+        raise _DamagedError("is incomplete")
     text = file.read(length)
     if zlib.crc32(text) != checksum:
-        raise _DamagedError("is damaged (its header's checksum does not fit)")
+        raise _DamagedError("is damaged (wrong header checksum)")
     try:
         header = json.loads(text)
         return {"fingerprint": str(header["fingerprint"]), "state": dict(header["state"])}
     except (KeyError, TypeError, ValueError) as error:
-        raise _DamagedError("is damaged (its header makes no sense)") from error
+        raise _DamagedError("is damaged (malformed header)") from error
 
 
 def _described(value: Any, tensors: list[Tensor]) -> Any:
-    """`value` as JSON; its tensors are appended to the list."""
+    """`value` for JSON, with placeholders for its tensors, which are appended to the list."""
     if isinstance(value, Tensor):
         tensors.append(value.detach().cpu().contiguous())
         return {TENSOR: [str(value.dtype).removeprefix("torch."), list(value.shape)]}
@@ -190,7 +188,7 @@ def _described(value: Any, tensors: list[Tensor]) -> Any:
 
 
 def _restored(value: Any, tensors: list[Tensor]) -> Any:
-    """What `_described` was given, its tensors not yet filled; they are appended to the list."""
+    """The inverse of `_described`; appends the tensors, still without values, to the list."""
     if not isinstance(value, dict):
         return value
     if TENSOR in value:
@@ -201,7 +199,7 @@ def _restored(value: Any, tensors: list[Tensor]) -> Any:
 
 
 def _chunks(tensors: list[Tensor]) -> Iterator[memoryview]:
-    """The memory of the tensors, piece by piece."""
+    """The memory of the tensors, in pieces of at most `CHUNK` bytes."""
     for tensor in tensors:
         if tensor.numel():
             whole = tensor.view(-1).view(torch.uint8).numpy().data

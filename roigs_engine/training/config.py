@@ -1,7 +1,7 @@
 """Settings of one training stage, as a frozen value; torch-free.
 
-A value that differs from the paper or from 3DGS says so beside it; docs/results.md names the
-measurement behind it.
+Comments mark the values that differ from the paper or from 3DGS; docs/lab_notebook.md has the
+measurements.
 """
 
 from __future__ import annotations
@@ -14,41 +14,43 @@ from ..errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """One training stage: standard 3DGS (Kerbl et al. 2023), steps counted from 0.
+    """One training stage: standard 3DGS (Kerbl et al. 2023); steps count from 0.
 
     Attributes:
         steps: optimisation steps, one photo each.
-        sh_degree, sh_start, sh_every: highest degree, degree at the start, steps between raises.
-        ssim_weight: weight of 1 - SSIM beside L1.
-        lr_means, lr_means_final: position rates x scene extent, exponential in between.
-        lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam rates.
-        lr_shN_spacing: where photos stand farther apart around a box than so many degrees, `lr_shN`
-            is lowered (`spacing.py`); 0: it is not.
+        sh_degree, sh_start, sh_every: highest SH degree, degree at the start, steps between raises.
+        ssim_weight: weight w of 1 - SSIM in the loss; L1 has 1 - w.
+        lr_means, lr_means_final: first and last position learning rate, in units of the scene
+            extent; exponential decay.
+        lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam's learning rates.
+        lr_shN_spacing: above this angular view spacing around a box, degrees, `lr_shN` is lowered
+            (`view_spacing.py`); 0: never.
         densify_from, densify_until, densify_every: steps.
         grad_threshold: mean 2D gradient above which a Gaussian is cloned or split.
         split_fraction: a Gaussian larger than this share of the size reference is split.
-        densify_in_boxes: only Gaussians whose centre is in a box are cloned or split (paper,
+        densify_in_boxes: clone and split only Gaussians whose centre is in a box (paper,
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
-        box_margin: for densification and its limits, boxes are so many times larger: what stands
-            close around an object fills much of its silhouette.
-        box_budget: factor of the most Gaussians a box may hold, see `capacity.py`; 0: no limit.
-        box_grad_threshold: takes the place of `grad_threshold` in the boxes; 0: the same there.
-        full_every: in a ROI stage one step of so many looks at a whole photo, drawn from all; the
-            others look at the boxes' silhouettes and a rim, in photos that see a box (`region.py`).
-            1: all look at whole photos (paper).
-        view_weighting: in those steps, 0: a pixel pulls as hard as in a whole photo; 1: a photo as
-            hard as another, on however many pixels it shows the boxes; above, up to 2: one that
-            shows them small pulls harder (`Regions`).
-        prune_opacity: Gaussians below it are removed at densification steps.
-        prune_size: larger ones (share of the scene extent) are removed after the first reset.
-        reset_every: opacities drop to 0.01 every so many steps while densifying; 0: never.
-        contribution_every: Gaussians whose alpha x T stayed below 1/255 on every training pixel of
-            a window of at least so many steps are removed; 0: never.
-        min_views: the stage ends without Gaussians that stand before the boxes and fewer
-            training photos than this show, and without those in the boxes that none shows
-            (`floaters.py`); 0: all stay.
-        average_steps: the stage ends with the mean of the models that it went through in its last
-            so many steps; 0: with the last one, as 3DGS.
+        box_margin: factor on the sides of the boxes for densification, budgets and masks, because
+            things close to an object fill much of its silhouette.
+        box_budget: factor of the Gaussian budget of a box (`budget.py`); 0: no limit.
+        box_grad_threshold: replaces `grad_threshold` in the boxes; 0: it does not.
+        full_every: one step in `full_every` uses a whole photo, drawn from all photos; the others
+            use the masks of photos that see a box (`masks.py`). 1: all steps use whole photos
+            (paper).
+        view_weighting: loss weights of masks (`RoiMasks`). 0: a pixel weighs as much as in a
+            whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
+            2: photos that show the boxes small weigh more.
+        prune_opacity: Gaussians below this opacity are removed at densification steps.
+        prune_size: Gaussians above this share of the scene extent are removed at densification
+            steps, after the first opacity reset.
+        reset_every: steps between opacity resets to 0.01 during densification; 0: none.
+        contribution_every: shortest window, in steps. At the end of a window, Gaussians are removed
+            if their alpha x T stayed below 1/255 on all its training pixels; 0: never.
+        min_views: multi-view consistency (`consistency.py`). At its end, the stage removes
+            Gaussians in front of the boxes that fewer training photos show, and Gaussians in the
+            boxes that no photo shows; 0: none.
+        average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
+            the last model, as in 3DGS.
     """
 
     steps: int
@@ -87,7 +89,7 @@ class TrainConfig:
             raise ConfigError(f"full_every is {self.full_every}.", "Use 1 or more.")
         if self.full_every > 1 and self.contribution_every:
             raise ConfigError(
-                "contribution_every needs steps that look at whole photos.",
+                "contribution_every needs steps that use whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
         if not 0 <= self.view_weighting <= 2:
@@ -95,21 +97,21 @@ class TrainConfig:
                 f"view_weighting is {self.view_weighting:g}.", "Use a number from 0 to 2."
             )
 
-    def position_rate(self, step: int) -> float:
-        """Learning rate of positions at a step, before the scene extent."""
+    def position_learning_rate(self, step: int) -> float:
+        """Position learning rate at a step, in units of the scene extent."""
         t = min(step / max(self.steps, 1), 1.0)
         return math.exp((1 - t) * math.log(self.lr_means) + t * math.log(self.lr_means_final))
 
     def degree(self, step: int) -> int:
-        """Spherical-harmonics degree in use at a step."""
+        """SH degree in use at a step."""
         return min(self.sh_degree, self.sh_start + step // max(self.sh_every, 1))
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The stage `steps` long, its shares of densifying and of averaged steps as before.
+    """The config with `steps` steps; the shares that densify and that are averaged stay the same.
 
-    The steps from which densification starts and between degrees and resets stay: they count
-    what Adam and the statistics need, not shares of a schedule.
+    The first densification step and the intervals between SH degrees and resets do not scale: Adam
+    and the statistics need a fixed number of steps.
     """
     until, averaged = (
         round(share * steps / config.steps)

@@ -1,10 +1,10 @@
-"""Multi-view consistency: prunes floaters in front of the boxes, and what is hidden in them (ours).
+"""Multi-view consistency: prunes floaters in front of boxes and hidden Gaussians in them (ours).
 
-A Gaussian that only one or two photos show can stand anywhere along their rays and still be right
-in them. Close in front of a camera it does no harm there, but it hides the object from every view
-between the photos. So a Gaussian nearer than the boxes is kept only if enough photos show it. One
-that is farther away is background, which few photos may well show. One that no photo shows is
-useless in a box; elsewhere a new view may see it.
+If only one or two photos show a Gaussian, it can lie anywhere along their rays without an error in
+these photos. Close to a camera it hides the object in all views between the photos. So a Gaussian
+nearer than the boxes is kept only if enough photos show it. Farther away it is background, which
+few photos may show. A Gaussian that no photo shows is useless in a box; elsewhere a new view may
+show it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU
-from ..cuda.library import can_weigh
+from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
 from ..model.ownership import owners
 from ..model.roi import OrientedBox
@@ -43,12 +43,12 @@ def consistent_across_views(
         images: the training photos; their pixels are not used.
         rois: the boxes.
         min_views: a Gaussian that is nearer than the nearest box in every photo that shows it
-            must be shown by so many photos, or by all where there are fewer. Only photos that see
-            a box say what is nearer than a box.
-        context: asked between photos whether to stop.
+            needs this number of photos that show it, or all photos if there are fewer. In a photo
+            that sees no box, nothing is nearer than a box.
+        context: checked for cancellation between photos.
     """
     device = gaussians.means.device
-    model = gaussians if can_weigh(device) else gaussians.to(CPU)
+    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
     shown_by = torch.zeros(len(model), dtype=torch.int32, device=model.means.device)
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
     min_views = min(min_views, len(images))
@@ -73,9 +73,9 @@ def consistent_across_views(
 
 
 def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:
-    """Depth of the nearest corner of all boxes; negative where one lies partly behind.
+    """Depth of the nearest corner of all boxes; negative if one is partly behind the camera.
 
-    Below all depths where the photo has no box in sight, and thus nothing before one.
+    Minus infinity if the photo sees no box: nothing is nearer.
     """
     pose = image.world_to_camera
     if not any(roi.projected_area(image.camera, pose) for roi in rois):

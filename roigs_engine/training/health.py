@@ -1,7 +1,7 @@
-"""Is training well? Numbers that are none, and photos that training cannot explain.
+"""Checks training for NaN and Inf, and for photos that do not fit the others.
 
-The loss of every step is kept where it was computed and read every so many steps, together with a
-pass over the parameters: on a graphics card nothing waits for it in between.
+The losses stay on their device. Every `CHECK_EVERY` steps they are read, and the parameters are
+checked: in between, the CPU does not wait for a GPU.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from torch import Tensor
 
 from ..errors import TrainingError
 
-CHECK_EVERY = 100  # steps; not less often than Gaussians are added
-VISITS = 5  # the last ones of a photo; with fewer, nothing is said of it
-FEWEST_PHOTOS = 8  # with fewer, nothing is said of any
-# An outlier is so many standard deviations above the median, estimated from the median deviation
-# (Iglewicz and Hoaglin 1993 take 3.5; photos differ in what they show), and so many times as large.
+CHECK_EVERY = 100  # steps; at least as often as Gaussians are added
+VISITS = 5  # number of a photo's last losses that count; with fewer, the photo is not judged
+FEWEST_PHOTOS = 8  # with fewer photos, none is judged
+# An outlier is DEVIATIONS standard deviations above the median, estimated from the median deviation
+# (Iglewicz and Hoaglin 1993 use 3.5; photos differ more), and at least TIMES the median.
 DEVIATIONS, TIMES = 6.0, 1.5
 HINT = (
-    "Look at the photos that were named in warnings, and at the model's scale. The last good"
-    " checkpoint is kept; the same command goes on from it."
+    "Check the photos named in warnings, and the model's scale. The last good checkpoint is kept;"
+    " the same command resumes from it."
 )
 
 
 class Health:
-    """What is watched during one stage. Nothing in it decides how training goes on.
+    """The checks of one stage. They do not change the training.
 
-    Args: `photos`: names of the stage's photos, by the numbers that `saw` is given.
+    Args: `photos`: names of the stage's photos; `record_loss` gets positions in this list.
     """
 
     def __init__(self, photos: Sequence[str]) -> None:
@@ -38,34 +38,35 @@ class Health:
         self._new: list[tuple[int, int, Tensor]] = []
         self._recent: dict[int, deque[float]] = {}
 
-    def saw(self, step: int, photo: int, loss: Tensor) -> None:
-        """Keep the loss, a scalar tensor, of a step."""
+    def record_loss(self, step: int, photo: int, loss: Tensor) -> None:
+        """Keep the loss of a step, a scalar tensor, without reading its value."""
         self._new.append((step, photo, loss))
 
     def check(
         self, step: int, parameters: Mapping[str, Tensor], skipped_rows: int | Tensor
     ) -> None:
-        """Look at what came since the last check.
+        """Check the losses since the last check, the gradients and the parameters.
 
         Args:
             step: steps done.
             parameters: name -> (N, ...) tensor.
-            skipped_rows: rows whose gradient was not finite, ever (`VisibleAdam.skipped_rows`).
+            skipped_rows: rows skipped so far for a NaN or Inf gradient
+                (`VisibleAdam.skipped_rows`).
 
         Raises:
-            TrainingError: a loss, a gradient or a parameter is not a finite number.
+            TrainingError: a loss, a gradient or a parameter is NaN or Inf.
         """
         self._read_losses()
         since = f"between step {max(step - CHECK_EVERY, 0)} and step {step}"
         if int(skipped_rows):
-            raise TrainingError(f"Gradients became NaN or infinite {since}.", HINT)
+            raise TrainingError(f"Training diverged: NaN or Inf in the gradients {since}.", HINT)
         for name, tensor in parameters.items():
-            # A sum is finite only where all it adds up is, and costs one pass over memory.
+            # One pass over memory: a sum is finite only if all values are.
             if bool(tensor.detach().sum().isfinite()):
                 continue
             rows = int((~tensor.detach().isfinite()).reshape(len(tensor), -1).any(dim=1).sum())
             if rows:
-                text = f"`{name}` of {rows} Gaussians became NaN or infinite {since}."
+                text = f"Training diverged: NaN or Inf in `{name}` of {rows} Gaussians {since}."
                 raise TrainingError(text, HINT)
 
     def _read_losses(self) -> None:
@@ -75,16 +76,16 @@ class Health:
         losses = torch.stack([loss for _, _, loss in new]).tolist()
         for (step, photo, _), loss in zip(new, losses, strict=True):
             if not np.isfinite(loss):
+                name = self._photos[photo]
                 raise TrainingError(
-                    f"The loss became {loss} at step {step}, on the photo '{self._photos[photo]}'.",
-                    HINT,
+                    f"Training diverged: the loss was {loss} at step {step}, photo '{name}'.", HINT
                 )
             self._recent.setdefault(photo, deque(maxlen=VISITS)).append(loss)
 
     def outliers(self) -> list[str]:
-        """Photos whose loss stays far above that of the others, the worst first, in words."""
+        """A warning for each photo whose loss stays far above the others', worst first."""
         self._read_losses()
-        # The least of its last losses: a photo must be bad on every visit.
+        # The smallest of its last losses: a photo must be bad on every visit.
         least = {k: min(v) for k, v in self._recent.items() if len(v) == VISITS}
         if len(least) < FEWEST_PHOTOS:
             return []
@@ -95,7 +96,7 @@ class Health:
         worst = sorted((k for k in least if least[k] > limit), key=lambda k: -least[k])
         return [
             f"The photo '{self._photos[k]}' does not fit the others: its loss stays at"
-            f" {least[k]:.3f}, theirs is {middle:.3f} (median). Is it sharp, of this scene, and"
-            " posed well? A close-up that few others are like is no fault."
+            f" {least[k]:.3f}, the median is {middle:.3f}. Check that it is sharp, shows this scene"
+            " and has a correct pose; a unique close-up is fine."
             for k in worst
         ]

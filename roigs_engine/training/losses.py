@@ -1,4 +1,4 @@
-"""How far a render is from its photo: L1 and SSIM, as 3D Gaussian Splatting is trained by them.
+"""The training loss of a render against its photo: L1 and SSIM, as in 3D Gaussian Splatting.
 
     L = (1 - w) L1 + w (1 - SSIM),  w = 0.2                (Kerbl et al. 2023, eq. 7)
 
@@ -47,18 +47,18 @@ def photo_loss(
 
     Args:
         image: values in [0, 1]. A permuted view of planar (3, H, W) memory is the fastest form:
-            it is not copied, and its gradient comes in the same form.
+            it is not copied, and its gradient has the same form.
         target: the photo, on the image's device.
-        ssim_weight: share of the SSIM term, 0 to 1.
-        weights: how much each pixel counts in both terms, not negative; None: all the same. They
-            are divided by their sum. The SSIM of a pixel still looks at all pixels around it.
-            Where all are zero, so is the loss.
+        ssim_weight: weight of the SSIM term, 0 to 1.
+        weights: weight of each pixel in both terms, not negative; None: all equal. They are
+            divided by their sum. The SSIM of a pixel still depends on all pixels around it. If all
+            weights are zero, so is the loss.
         backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (the package fused-ssim:
             float32 on an NVIDIA GPU, no weights), "reference" (plain torch, any dtype and device),
-            or "auto", the first of them that can be used.
+            or "auto": the first one that supports the arguments.
 
     Raises:
-        EngineError: shapes or types that do not fit, or an unknown backend.
+        EngineError: wrong shapes or types, or an unknown backend.
     """
     # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
     planes = image.squeeze(0) if image.dim() == 4 else image
@@ -81,7 +81,7 @@ def photo_loss(
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     """(H, W, 3) twice -> SSIM of every pixel and channel, (H, W, 3); plain torch.
 
-    `target` may be uint8, it is then divided by 255. Any floating dtype and device.
+    `target` may be uint8; then it is divided by 255. Any floating dtype and device.
     """
     x, t = image.permute(2, 0, 1), _unit_values(target, image.dtype).permute(2, 0, 1)
     mean_x, mean_t = _filtered(x), _filtered(t)
@@ -109,13 +109,13 @@ def _reference(
 
 
 def _without_kernel(image: Tensor, weights: Tensor | None) -> str:
-    """The backend for what the compiled kernel does not take."""
+    """The backend for arguments that the compiled kernel does not support."""
     suits = image.device.type == "cuda" and image.dtype == torch.float32 and weights is None
     return "cuda" if suits and fused_ssim() is not None else "reference"
 
 
 def _fused(image: Tensor, target: Tensor, ssim_weight: float) -> LossOutput:
-    """With the mean SSIM of fused-ssim, whose window, borders and constants are those above."""
+    """The loss with fused-ssim's mean SSIM: same window, borders and constants as above."""
     ssim = fused_ssim()
     if ssim is None:
         raise EngineError("photo_loss: fused-ssim is not installed.", "Use another backend.")

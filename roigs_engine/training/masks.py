@@ -1,8 +1,8 @@
-"""Masks: the pixels of a photo that the ROI stage learns from, the boxes' silhouettes and a rim.
+"""Masks: the pixels of a photo that the box stage trains on, the boxes' silhouettes and a rim.
 
-What lies outside is the Scene-GS's business; leaving it out of most steps makes them faster and
-keeps their descent to what is wanted (ours, docs/method.md; paper: the loss is on the entire image,
-sec. II-B). Masks are whole 16x16 tiles, since that is what the rasterizer works on.
+The Scene-GS has already trained the background. Most steps of the box stage skip it: they are
+faster, and their gradients go into the boxes (ours, docs/method.md; in the paper, the loss is on
+the entire image, sec. II-B). Masks consist of whole 16x16 tiles, the rasterizer's unit of work.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class RoiMask:
     Attributes:
         pixels: (H, W) bool, whole tiles.
         window: x0, y0, x1, y1 in pixels, the smallest rectangle around them.
-        weights: (h, w) of the window, 1 in the mask and 0 outside, on the photos' device.
-        share: of the photo's pixels that the mask holds.
-        loss_weight: of the mask's mean loss, beside that of a whole photo.
+        weights: (h, w) of the window, 1 in the mask and 0 outside, on the training device.
+        share: share of the photo's pixels that are in the mask.
+        loss_weight: weight of the mask's mean loss; a whole photo has 1.
     """
 
     pixels: Tensor
@@ -40,23 +40,23 @@ class RoiMask:
     loss_weight: float
 
     def crop(self, image: Tensor) -> Tensor:
-        """(H, W, ...) -> its pixels in the window."""
+        """(H, W, ...) -> (h, w, ...): the image's pixels in the window."""
         x0, y0, x1, y1 = self.window
         return image[y0:y1, x0:x1]
 
 
 class RoiMasks:
-    """The mask of each photo; made when first asked for, and kept as a small grid of tiles.
+    """The mask of each photo; computed on first use, and kept as a small grid of tiles.
 
     Args:
         images, rois: of the stage.
-        drawn: rows of the photos whose masks are asked for.
+        drawn: row numbers of the photos that the stage's steps draw.
         device: of the weights.
-        view_weighting: 0: a pixel counts as much as in a whole photo, so close-ups, which show a
-            box on many pixels, outweigh the rest; 1: all masks count alike, however large they
-            are, and a pixel as much as in a whole photo only where the mask has the (geometric)
-            mean share.
-        context: asked between photos where they are needed from the start whether to stop.
+        view_weighting: exponent w of the per-view weighting. A mask with the share s of its photo
+            has the loss weight s (m / s)^w, where m is the geometric mean share. 0: a pixel weighs
+            as much as in a whole photo, so close-ups, which show a box on many pixels, outweigh
+            the others. 1: all masks weigh the same.
+        context: checked for cancellation between photos while the mean share is computed.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class RoiMasks:
         self._mean_share = self._geometric_mean(drawn, context) if view_weighting else 0.0
 
     def __getitem__(self, index: int) -> RoiMask | None:
-        """The mask of photo `index`, None where no box is in sight."""
+        """The mask of photo `index`; None if it sees no box."""
         tiles, camera = self._tiles_of(index), self._images[index].camera
         if not tiles.any():
             return None
@@ -94,13 +94,13 @@ class RoiMasks:
         )
 
     def _loss_weight(self, share: float) -> float:
-        """Of a mask that holds this share of its photo."""
+        """The loss weight of a mask with this share of its photo."""
         if not self._weighting:
             return share
         return float(share * (self._mean_share / share) ** self._weighting)
 
     def _geometric_mean(self, drawn: Sequence[int], context: Context) -> float:
-        """Of the shares that the masks have of their photos."""
+        """The geometric mean of the masks' shares."""
         shares = []
         for index in drawn:
             context.check_cancelled()
@@ -108,7 +108,7 @@ class RoiMasks:
         return float(np.exp(np.mean(np.log([share for share in shares if share > 0]))))
 
     def _mask(self, index: int) -> NDArray[np.bool_]:
-        """(H, W): the pixels of the photo's tiles."""
+        """(H, W): the pixels of the photo's mask."""
         tiles, camera = self._tiles_of(index), self._images[index].camera
         return tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
 
@@ -119,9 +119,10 @@ class RoiMasks:
 
 
 def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
-    """The tiles that the boxes' silhouettes touch, and those next to them.
+    """(rows, columns): the tiles that the boxes' silhouettes touch, and the tiles next to them.
 
-    The rim is what the SSIM of the outermost pixels looks at, and a seam's width of background.
+    The rim covers the SSIM window of the outermost pixels, and some background, which keeps the
+    transition to it smooth.
     """
     camera = image.camera
     rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)

@@ -1,15 +1,14 @@
-"""Adam (Kingma and Ba 2015) that updates the Gaussians the last photo has seen, and no others.
+"""Adam (Kingma and Ba 2015) that updates only the Gaussians visible in the last photo.
 
-Two rules keep a step's cost in proportion to the view and not to the scene:
+Two rules make a step's cost depend on the view and not on the scene:
 
 * Rows that are not visible keep their value and their moments: no decay.
-* There is no dense gradient. Either each parameter's `.grad` is allocated once, as zeros, the
-  rasterizer's backward pass adds to the rows of visible Gaussians in place, and `VisibleAdam.step`
-  consumes these rows and zeroes them. Or, `fused`, that backward pass is handed the step and takes
-  it (`VisibleAdam.backward_step`).
+* There is no dense gradient. Normally each parameter's `.grad` is allocated once, as zeros; the
+  rasterizer's backward pass adds to the rows of visible Gaussians in place; `VisibleAdam.step`
+  applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
+  (`VisibleAdam.backward_step`).
 
-On an NVIDIA GPU a gradient is dense in any case: there the one that the backward pass has made is
-used as it is, and dropped after the step.
+On an NVIDIA GPU a gradient is dense in any case: the step applies it and then drops it.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ from ..kernels import bindings
 class VisibleAdam:
     """Adam on named parameters (N, ...) that all have one row per Gaussian.
 
-    Bias correction counts the optimiser's steps, as in the dense Adam, not a row's own.
+    Bias correction counts the optimizer's steps, as in dense Adam, not the steps of each row.
 
     Attributes:
         parameters: the leaf tensors by name.
-        exp_avg: first moments by name, shaped as the parameters.
+        exp_avg: first moments by name, in the parameters' shapes.
         exp_avg_sq: second moments by name.
-        step_count: how many steps were taken.
-        skipped_rows: rows so far that were not updated because their gradient was not finite; a
-            tensor on devices where reading it would be waiting for them.
+        step_count: number of steps taken.
+        skipped_rows: number of rows skipped so far for a NaN or Inf gradient; a tensor on a GPU,
+            since reading it would wait for the GPU.
     """
 
     def __init__(
@@ -50,19 +49,20 @@ class VisibleAdam:
         backend: str = "auto",
         fused: bool = False,
     ) -> None:
-        """Begin with zero moments; allocate `.grad` of every parameter, unless fused or "cuda".
+        """Start with zero moments; allocate `.grad` of every parameter, unless fused or "cuda".
 
         Args:
-            parameters: name -> (contiguous leaf tensor, learning rate). The rate is one number, or
-                a tensor with one number per element of a row, (48,) for sh (N, 16, 3).
+            parameters: name -> (contiguous leaf tensor, learning rate). The learning rate is one
+                number, or a tensor with one number per element of a row: (48,) for sh (N, 16, 3).
             betas: decay of the two moments.
             eps: added to the root of the second moment.
             backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (Triton: float32 on an
-                NVIDIA GPU), "reference" (plain torch), or "auto", the first that can be used.
-            fused: see the class; left out where the backend is not "cpu".
+                NVIDIA GPU), "reference" (plain torch), or "auto": the first one that can be used.
+            fused: the rasterizer's backward pass takes the steps (see the module); ignored unless
+                the backend is "cpu".
 
         Raises:
-            EngineError: rows, rates or strides that do not fit.
+            EngineError: wrong numbers of rows or learning rates, or wrong strides.
         """
         if backend not in ("auto", "cpu", "cuda", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
@@ -72,40 +72,42 @@ class VisibleAdam:
         self.exp_avg_sq: dict[str, Tensor] = {}
         self.step_count = 0
         self.skipped_rows: int | Tensor = 0
-        self._rates: dict[str, Tensor] = {}
+        self._learning_rates: dict[str, Tensor] = {}
         self._adopt({name: tensor for name, (tensor, _) in parameters.items()})
-        for name, (tensor, rate) in parameters.items():
+        for name, (tensor, lr) in parameters.items():
             self.exp_avg[name] = torch.zeros_like(tensor, requires_grad=False)
             self.exp_avg_sq[name] = torch.zeros_like(tensor, requires_grad=False)
-            self.set_lr(name, rate)
+            self.set_lr(name, lr)
 
-    def set_lr(self, name: str, rate: float | Tensor) -> None:
+    def set_lr(self, name: str, lr: float | Tensor) -> None:
         """Set a parameter's learning rate: one number, or one per element of a row."""
-        if isinstance(rate, float) and name in self._rates:  # every step: spares most of the work
-            self._rates[name].fill_(rate)
+        if (
+            isinstance(lr, float) and name in self._learning_rates
+        ):  # called every step: no new tensor
+            self._learning_rates[name].fill_(lr)
             return
         parameter = self.parameters[name]
         width = parameter.shape[1:].numel()
-        if isinstance(rate, float):  # filled in there: no copy to a device to wait for
-            self._rates[name] = torch.full(
-                (width,), rate, dtype=torch.float32, device=parameter.device
+        if isinstance(lr, float):  # filled on the device: no copy to wait for
+            self._learning_rates[name] = torch.full(
+                (width,), lr, dtype=torch.float32, device=parameter.device
             )
             return
-        given = torch.as_tensor(rate, dtype=torch.float32).flatten()
-        if given.numel() not in (1, width):
-            raise EngineError(f"{name}: {given.numel()} learning rates for {width} columns.")
-        self._rates[name] = given.expand(width).to(parameter.device, copy=True).contiguous()
+        values = torch.as_tensor(lr, dtype=torch.float32).flatten()
+        if values.numel() not in (1, width):
+            raise EngineError(f"{name}: {values.numel()} learning rates for {width} columns.")
+        values = values.expand(width).to(parameter.device, copy=True)
+        self._learning_rates[name] = values.contiguous()
 
     @torch.no_grad()
     def step(self, visible: Tensor) -> int | Tensor:
         """Update the visible rows of all parameters by their gradient, and zero that gradient.
 
         Args:
-            visible: (N,) bool. The gradient of all other rows has to be zero and is left alone.
+            visible: (N,) bool. The gradient of all other rows must be zero; it is not touched.
 
         Returns:
-            How many rows were skipped (and their gradient zeroed) because of a NaN or an infinity,
-            as `skipped_rows`.
+            The number of rows that were skipped (and their gradient zeroed) for NaN or Inf.
 
         Raises:
             EngineError: `visible` does not fit the parameters.
@@ -129,19 +131,20 @@ class VisibleAdam:
         return skipped
 
     def step_by(self, kernel: Callable[[Any], int]) -> int:
-        """Take a step by a kernel, which gets a pointer to an `Adam` and returns what `step` does.
+        """Take a step with a kernel; returns the number of skipped rows, as `step`.
 
-        The tensors that the structure points to are float32 in main memory.
+        Args: `kernel`: gets a pointer to a `bindings.Adam`, whose tensors are float32 in main
+            memory, and returns the number of skipped rows.
         """
         self.step_count += 1
         parameters = (bindings.AdamParameter * len(self.parameters))()
-        for place, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
-            rates = self._rates[name]
-            place.values = parameter.data_ptr()
-            place.exp_avg = self.exp_avg[name].data_ptr()
-            place.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
-            place.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
-            place.rates, place.width = rates.data_ptr(), rates.numel()
+        for entry, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
+            learning_rates = self._learning_rates[name]
+            entry.values = parameter.data_ptr()
+            entry.exp_avg = self.exp_avg[name].data_ptr()
+            entry.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
+            entry.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
+            entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
         adam = bindings.Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
         skipped = int(kernel(ctypes.byref(adam)))
         self.skipped_rows += skipped
@@ -149,16 +152,16 @@ class VisibleAdam:
 
     @property
     def fused(self) -> bool:
-        """Whether a backward pass takes the steps; then parameters have no `.grad`."""
+        """Whether the backward pass takes the steps; then parameters have no `.grad`."""
         return self._may_fuse and self._backend() == "cpu"
 
     @property
     def backward_step(self) -> FusedStep | None:
-        """What to hand to `rasterize(..., backward_step=...)`; None where `step` is called."""
+        """The argument of `rasterize(..., backward_step=...)`; None: call `step` instead."""
         return FusedStep(self) if self.fused else None
 
     def _backend(self) -> str:
-        """What is used for the parameters: they are all of one kind."""
+        """The backend in use; all parameters have one dtype and device."""
         first = next(iter(self.parameters.values()))
         if self.backend != "auto" or first.dtype != torch.float32:
             return "reference" if self.backend == "auto" else self.backend
@@ -176,7 +179,7 @@ class VisibleAdam:
             parameter,
             (self.exp_avg[name], self.exp_avg_sq[name]),
             visible,
-            self._rates[name],
+            self._learning_rates[name],
             betas=self.betas,
             eps=self.eps,
             step_count=self.step_count,
@@ -185,36 +188,37 @@ class VisibleAdam:
         return skipped
 
     def _reference_step(self, name: str, visible: Tensor) -> Tensor:
-        """The same step in plain torch, on all rows with a mask; the others are tested by it."""
+        """The step in plain torch, on all rows with a mask; the tests compare backends with it."""
         parameter, gradient = self.parameters[name], self.parameters[name].grad
         mean, square = self.exp_avg[name], self.exp_avg_sq[name]
         assert gradient is not None, "the buffer is allocated here"
         beta1, beta2 = self.betas
-        finite = gradient.isfinite().reshape(len(gradient), self._rates[name].numel()).all(dim=1)
+        learning_rates = self._learning_rates[name]
+        finite = gradient.isfinite().reshape(len(gradient), learning_rates.numel()).all(dim=1)
         row = (-1,) + (1,) * (gradient.dim() - 1)
         on = (visible & finite).view(row)
-        rate = self._rates[name].to(parameter.dtype).view(1, *parameter.shape[1:])
+        lr = learning_rates.to(parameter.dtype).view(1, *parameter.shape[1:])
 
         usable = torch.where(on, gradient, 0)
         mean.copy_(torch.where(on, beta1 * mean + (1 - beta1) * usable, mean))
         square.copy_(torch.where(on, beta2 * square + (1 - beta2) * usable**2, square))
         denominator = (square / (1 - beta2**self.step_count)).sqrt() + self.eps
-        change = rate * mean / (1 - beta1**self.step_count) / denominator
+        change = lr * mean / (1 - beta1**self.step_count) / denominator
         parameter.copy_(torch.where(on, parameter - change, parameter))
         gradient.copy_(torch.where(visible.view(row), 0, gradient))
         return (visible & ~finite).sum()
 
     @torch.no_grad()
     def replace(self, parameters: Mapping[str, Tensor], rows: Tensor) -> None:
-        """Go on with other parameters, after Gaussians were added, removed or reordered.
+        """Replace the parameters after Gaussians were added, removed or reordered.
 
         Args:
             parameters: a new leaf tensor for every name.
-            rows: (N_new,) long, for each new row the old one whose moments it takes over; -1 for
-                zero moments. Gradients are zero afterwards.
+            rows: (N_new,) long: for each new row, the old row whose moments it gets; -1: zero
+                moments. Gradients are zero afterwards.
 
         Raises:
-            EngineError: names or shapes that do not fit.
+            EngineError: wrong names or shapes.
         """
         if set(parameters) != set(self.parameters):
             raise EngineError(f"Expected {sorted(self.parameters)}, got {sorted(parameters)}.")
@@ -234,7 +238,7 @@ class VisibleAdam:
 
     @torch.no_grad()
     def zero_moments(self, name: str, rows: Tensor | None = None) -> None:
-        """Forget the moments of some rows (bool or long index; None: of all) of a parameter."""
+        """Zero a parameter's moments in some rows (bool or long index; None: all rows)."""
         for moments in (self.exp_avg[name], self.exp_avg_sq[name]):
             moments[slice(None) if rows is None else rows] = 0
 
@@ -245,16 +249,16 @@ class VisibleAdam:
             "skipped_rows": int(self.skipped_rows),
             "exp_avg": dict(self.exp_avg),
             "exp_avg_sq": dict(self.exp_avg_sq),
-            "rates": dict(self._rates),
+            "rates": dict(self._learning_rates),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state_dict`; tensors are copied. Raises EngineError if it does not fit."""
+        """Continue from a `state_dict`; copies tensors. Raises EngineError if it does not fit."""
         for key in ("exp_avg", "exp_avg_sq"):
             for name, parameter in self.parameters.items():
                 saved = state[key].get(name)
                 if saved is None or saved.shape != parameter.shape:
-                    raise EngineError(f"The optimiser state has no {key} that fits {name}.")
+                    raise EngineError(f"The optimizer state has no {key} that fits {name}.")
         self.step_count = int(state["step_count"])
         self.skipped_rows = int(state["skipped_rows"])
         for name, parameter in self.parameters.items():
@@ -282,15 +286,15 @@ def _copy_like(saved: Tensor, parameter: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class FusedStep:
-    """A step of an optimizer that a backward pass takes (`rasterize.inputs.BackwardStep`)."""
+    """An optimizer step that the backward pass takes (`rasterize.inputs.BackwardStep`)."""
 
     optimizer: VisibleAdam
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:
-        """The tensors it updates."""
+        """The tensors that the step updates."""
         return tuple(self.optimizer.parameters.values())
 
     def take(self, kernel: Callable[[Any], int]) -> None:
-        """Take the step by a kernel, see `VisibleAdam.step_by`."""
+        """Take the step with a kernel, see `VisibleAdam.step_by`."""
         self.optimizer.step_by(kernel)

@@ -1,4 +1,4 @@
-"""Which photo a training step sees: pure functions of (seed, step), so a resumed run agrees."""
+"""The photo of each training step: a pure function of (seed, step), so a resumed run agrees."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ PhotoAt = Callable[[int], int]
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoOrder:
-    """An order as data, which a plan holds.
+    """An order of photos as data, part of a plan.
 
     Attributes:
-        kind: `shuffled` (epochs of permutations), `ordered` (as they stand, over and over) or
-            `mixed` (`of_boxes`).
-        count: of all photos.
+        kind: `shuffled` (epochs of permutations), `ordered` (repeated in their order) or `mixed`
+            (`box_order`).
+        count: number of all photos.
         seed: of the epochs.
-        selected, drawn, share, full_every: of `mixed`, see `of_boxes`.
+        selected, drawn, share, full_every: of `mixed`, see `box_order`.
     """
 
     kind: str
@@ -34,12 +34,12 @@ class PhotoOrder:
     full_every: int = 1
 
     def photo_at(self) -> PhotoAt:
-        """Step -> row of the photo it sees."""
+        """The function step -> position of its photo."""
         if self.kind == "ordered":
             return ordered(range(self.count))
         if self.kind == "shuffled":
             return shuffled(range(self.count), self.seed)
-        return of_boxes(
+        return box_order(
             self.count,
             self.drawn,
             self.selected,
@@ -50,13 +50,13 @@ class PhotoOrder:
 
 
 def ordered(photos: Sequence[int]) -> PhotoAt:
-    """The photos in the order given, over and over (paper, sec. III-A)."""
+    """The photos in the order given, repeated (paper, sec. III-A)."""
     photos = list(photos)
     return lambda step: photos[step % len(photos)]
 
 
 def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
-    """Epochs of random permutations, as 3DGS draws them."""
+    """Epochs of random permutations, as in 3DGS."""
     photos = list(photos)
     cached: tuple[int, NDArray[np.int64]] = (-1, np.empty(0, dtype=np.int64))
 
@@ -71,7 +71,7 @@ def shuffled(photos: Sequence[int], seed: int) -> PhotoAt:
 
 
 def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
-    """Steps spread evenly over two sources; `share` of them draw from `second`."""
+    """Two orders mixed: `share` of the steps, evenly spread, draw from `second`."""
 
     def photo_at(step: int) -> int:
         drawn = int(step * share + 1e-9)
@@ -81,12 +81,12 @@ def mixed(first: PhotoAt, second: PhotoAt, share: float) -> PhotoAt:
 
 
 def is_whole(step: int, every: int) -> bool:
-    """Whether a step is the one of `every` that looks at a whole photo."""
+    """Whether a step is the one in `every` that uses a whole photo."""
     return step % every == 0
 
 
 def with_whole(whole: PhotoAt, partial: PhotoAt, every: int) -> PhotoAt:
-    """The steps that `is_whole` names draw from the first source, the others from the second."""
+    """Two orders mixed: steps with `is_whole` draw from `whole`, the others from `partial`."""
 
     def photo_at(step: int) -> int:
         before = -(-step // every)  # whole steps before this one
@@ -95,7 +95,7 @@ def with_whole(whole: PhotoAt, partial: PhotoAt, every: int) -> PhotoAt:
     return photo_at
 
 
-def of_boxes(
+def box_order(
     count: int,
     seen: Sequence[int],
     selected: Sequence[int],
@@ -104,13 +104,14 @@ def of_boxes(
     full_every: int,
     seed: int,
 ) -> PhotoAt:
-    """The order of a stage that looks at boxes.
+    """The order of a stage that trains on masks.
 
     Args:
-        count: of all photos.
-        seen: photos drawn by the steps that look at the boxes.
-        selected: photos that `share` of those steps draw.
-        full_every: one step of so many draws from all photos instead; 1: none does, `seen` is all.
+        count: number of all photos.
+        seen: photos that the steps with a mask draw from.
+        selected: selected photos.
+        share: share of the steps with a mask that draw from `selected` instead.
+        full_every: one step in `full_every` draws from all photos; 1: all draw as above.
         seed: of the epochs.
     """
     photo_at = mixed(shuffled(seen, seed), shuffled(selected, seed + 1), share)

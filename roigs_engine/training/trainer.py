@@ -1,4 +1,4 @@
-"""One training stage: photos in, better Gaussians out; stops and resumes bit for bit."""
+"""Trains the Gaussians of one stage; a resumed stage gives the same bits as an unstopped one."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
-from ..cuda.memory import memory_explained, smaller
+from ..cuda.memory import explain_out_of_memory, smaller_side
 from ..cuda.photos import Photos, photos_on
 from ..errors import Stopped
 from ..formats.events import Progress
-from ..machine import give_back_freed
+from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
@@ -38,25 +38,25 @@ from .photo_order import PhotoAt, is_whole
 from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
-AVERAGE_EVERY = 10  # steps between the models that are averaged: neighbours hardly differ
+AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 PSNR_EVERY = 50  # steps
-RECENT = 0.98  # weight of the past in the running loss and PSNR that progress shows
+RECENT = 0.98  # weight of the past in the running loss that progress shows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageData:
-    """What a stage trains on.
+    """The data that a stage trains on.
 
     Attributes:
-        images: posed photos; `photo_at` gives rows of it.
-        photos: their pixels, by the same rows.
-        photo_at: the photo of each step.
-        extent: the *scene's* extent, for position rates and world-size pruning.
-        rois: boxes that confine densification, when the stage's config says so.
-        budgets: of each box; None: no limit.
-        masks: what steps look at that do not look at whole photos (`config.full_every`).
-        seed: of the split positions.
-        device: where to train; the result is the same but for rounding.
+        images: posed photos.
+        photos: their pixels, in the same order.
+        photo_at: step -> position in `images` of the photo that the step uses.
+        extent: the *scene's* extent, world units; scales position learning rates and pruning sizes.
+        rois: boxes that limit densification, if the stage's config says so.
+        budgets: Gaussian budget of each box; None: no limit.
+        masks: masks for the steps that do not use whole photos (`config.full_every`).
+        seed: for the positions of split Gaussians.
+        device: where to train; devices differ only in rounding.
     """
 
     images: Sequence[PosedImage]
@@ -73,14 +73,14 @@ class StageData:
 class Trainer:
     """Optimises Gaussians on posed photos (Kerbl et al. 2023, with the paper's sec. II-B changes).
 
-    Everything random is a function of (seed, step), so `state_dict` holds no generator, and a
-    trainer loaded from it continues as if it had never stopped.
+    Everything random is a function of (seed, step), so `state_dict` needs no random generator, and
+    a trainer that loads it continues exactly.
 
-    A step reads no number back from its device: what progress shows stays there until it is shown.
+    A step does not wait for its device: the running loss is read only when progress is shown.
     """
 
     def __init__(self, gaussians: Gaussians, data: StageData, config: TrainConfig) -> None:
-        """Begin at step 0 with a copy of `gaussians`."""
+        """Start at step 0 with a copy of `gaussians`."""
         self.config = config
         self.data = data
         self.step = 0
@@ -99,7 +99,7 @@ class Trainer:
 
     @property
     def gaussians(self) -> Gaussians:
-        """The present model; its tensors are the trainer's own."""
+        """The current model; its tensors belong to the trainer."""
         return self._parameters
 
     def run(
@@ -109,15 +109,15 @@ class Trainer:
         stage: str = "",
         callbacks: Sequence[PeriodicCallback] = (),
     ) -> bool:
-        """Train until the config's last step, then prune floaters; False when stopped before.
+        """Train to the config's last step, then prune floaters; False if stopped earlier.
 
         Args:
-            context: takes progress events, at most two a second; asked before every step whether
-                to stop.
-            stage: name that progress events carry.
-            callbacks: called between steps, to write checkpoints and previews.
+            context: receives progress events, at most two per second; checked for cancellation
+                before every step.
+            stage: the stage's name in progress events.
+            callbacks: called between steps to write checkpoints and previews.
         """
-        with one_torch_thread(), memory_explained(self._doing, self._advice):
+        with one_torch_thread(), explain_out_of_memory(self._doing, self._advice):
             return self._run(context, stage, callbacks)
 
     def _run(self, context: Context, stage: str, callbacks: Sequence[PeriodicCallback]) -> bool:
@@ -136,7 +136,7 @@ class Trainer:
                 left = (now - started) / (self.step - first) * (self.config.steps - self.step)
                 context.emit(self._progress(stage, left))
             for callback in callbacks:
-                # Writing files is not training: the clock leaves it out.
+                # Writing files does not count as training time.
                 started += callback.call_if_due(self.seconds)
             cpu_started = time.process_time() - self.cpu_seconds
         if self.step < self.config.steps:
@@ -144,12 +144,12 @@ class Trainer:
         return not self.config.min_views or self._prune_inconsistent(context)
 
     def train_step(self) -> None:
-        """One photo: render, compare, descend; then edit the Gaussians where that is due."""
+        """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
         config, data = self.config, self.data
         index = data.photo_at(self.step)
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target = self._photos[index]
-        self._optimizer.set_lr("means", config.position_rate(self.step) * data.extent)
+        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         mask = self._mask(index)
         output = self._render(index, mask)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
@@ -158,7 +158,7 @@ class Trainer:
             image, target = mask.crop(image), mask.crop(target)
             weights = mask.weights
         loss = photo_loss(image, target, ssim_weight=config.ssim_weight, weights=weights)
-        # A pixel counts about as much as in a whole photo: thresholds keep their meaning.
+        # A pixel weighs about as much as in a whole photo: gradient thresholds keep their meaning.
         loss_weight = None if mask is None else loss.loss.new_tensor(mask.loss_weight)
         loss.loss.backward(loss_weight)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
@@ -166,7 +166,7 @@ class Trainer:
             self._optimizer.step(visible)
         self._density.observe(visible, output.grad2d[0], output.max_weight)
         self._observe(loss.loss.detach(), image, target, weights)
-        self.health.saw(self.step, index, loss.loss.detach())
+        self.health.record_loss(self.step, index, loss.loss.detach())
         self.step += 1
         if self.step % min(CHECK_EVERY, config.densify_every) == 0:
             self.check()
@@ -176,11 +176,11 @@ class Trainer:
         self._average()
 
     def check(self) -> None:
-        """Raise TrainingError if a loss, a gradient or a parameter is NaN or infinite."""
+        """Raise TrainingError if a loss, a gradient or a parameter is NaN or Inf."""
         self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
 
     def _mask(self, index: int) -> RoiMask | None:
-        """What this step looks at of the photo; None: all of it."""
+        """The mask of this step's photo; None: the step uses the whole photo."""
         masks = self.data.masks
         if masks is None or is_whole(self.step, self.config.full_every):
             return None
@@ -200,7 +200,7 @@ class Trainer:
             camera.height,
             sh_degree=self.config.degree(self.step),
             raw=True,
-            with_max_weight=self._density.watches_max_weight,
+            with_max_weight=self._density.needs_max_weight,
             mask=None if mask is None else mask.pixels,
             backward_step=self._optimizer.backward_step,
         )
@@ -208,7 +208,7 @@ class Trainer:
     def _observe(
         self, loss: Tensor, rendered: Tensor, target: Tensor, weights: Tensor | None
     ) -> None:
-        """Keep the running loss; the PSNR costs a pass over the image, so only now and then."""
+        """Update the running loss, and every `PSNR_EVERY` steps the PSNR, which costs more."""
         self._loss = torch.where(
             self._loss.isnan(), loss, RECENT * self._loss + (1 - RECENT) * loss
         )
@@ -230,7 +230,7 @@ class Trainer:
         )
 
     def _average(self) -> None:
-        """Take the model into the mean, and end with that."""
+        """Add the model to the mean; at the last step, the mean becomes the model."""
         config = self.config
         if self.step > config.steps - config.average_steps and self.step % AVERAGE_EVERY == 0:
             self._mean.add(self._parameters)
@@ -239,7 +239,7 @@ class Trainer:
             self._mean.clear()
 
     def _prune_inconsistent(self, context: Context) -> bool:
-        """End without floaters (`consistency.py`); False when stopped, with nothing changed."""
+        """Prune floaters (`consistency.py`); False if stopped, with nothing changed."""
         began, cpu_began = time.perf_counter(), time.process_time()
         data, views = self.data, self.config.min_views
         try:
@@ -253,16 +253,16 @@ class Trainer:
         return True
 
     def _doing(self) -> str:
-        """For the message when memory is full."""
+        """Describes the work for the message when memory is full."""
         width, height = self._largest()
         photos = f"photos of up to {width}x{height}"
         return f"step {self.step}, {len(self._parameters):,} Gaussians, {photos}"
 
     def _advice(self) -> str:
         return (
-            "Close what else uses the GPU, or train with smaller photos"
-            f" (--max-side {smaller(*self._largest())}) or fewer Gaussians (a smaller --preset)."
-            " The last checkpoint is untouched."
+            "Close other programs that use the GPU, or train with smaller photos"
+            f" (--max-side {smaller_side(*self._largest())}) or fewer Gaussians (a smaller"
+            " --preset). The last checkpoint is kept."
         )
 
     def _largest(self) -> tuple[int, int]:
@@ -270,12 +270,12 @@ class Trainer:
         return max(c.width for c in cameras), max(c.height for c in cameras)
 
     def _apply(self, edit: Edit) -> None:
-        """Continue with the edited Gaussians; the optimizer's state follows."""
+        """Continue with the edited Gaussians and their optimizer state."""
         if edit.rows is not None:
             self._mean.clear()
             self._parameters = _leaves(edit.gaussians)
             self._optimizer.replace(self._parameters.tensors(), edit.rows)
-            give_back_freed()
+            release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
             with torch.no_grad():
@@ -311,7 +311,7 @@ class Trainer:
         return VisibleAdam(parameters, fused=True)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that decides how training continues; tensors on the CPU and plain numbers."""
+        """The complete training state: tensors on the CPU and plain numbers."""
         state = {
             "step": self.step,
             "seconds": self.seconds,
@@ -326,7 +326,7 @@ class Trainer:
         return dict(on_device(state, CPU))
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from what `state_dict` returned, on whatever device."""
+        """Continue from a `state_dict`, which may come from another device."""
         state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
         self.cpu_seconds = float(state["cpu_seconds"])
@@ -341,9 +341,9 @@ class Trainer:
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Keep torch's own pool quiet: it and the kernels' pool would fight for the same cores.
+    """Limit torch to one thread: its threads and the kernels' would compete for the same cores.
 
-    What torch does in a training step is small; its threads cost more than they bring.
+    torch's share of a training step is small; more threads would cost more than they gain.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -364,7 +364,7 @@ def _cameras(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor
 
 
 def _leaves(gaussians: Gaussians) -> Gaussians:
-    """The same values as contiguous leaf tensors that collect gradients."""
+    """The same values as contiguous leaf tensors that require gradients."""
     return Gaussians(
         **{n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
     )

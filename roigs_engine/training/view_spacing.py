@@ -1,11 +1,11 @@
-"""How far apart the photos stand around a box, and how fast to learn view dependence there.
+"""The angular view spacing of the photos around a box, and the SH learning rate that it allows.
 
-Harmonics of the third degree turn within some 60 degrees. Where photos stand close, a high rate for
-them only makes up for a short schedule; where they stand far apart, nothing holds the harmonics
-between them, and the same rate learns the photos by heart. That happens sooner where all photos are
-far apart, and later, in a long stage, where only the close-ups are: the others hold the colours,
-but not the detail. Limits and exponent are empirical (docs/results.md); ours, the paper keeps
-3DGS's rate.
+SH of degree 3 vary within about 60 degrees. If the photos are close together, a high SH learning
+rate compensates for a short schedule. If they are far apart, no photo constrains the SH between
+them, and the same learning rate overfits the photos. This happens early if all photos are far
+apart. If only the close-ups are, it happens late, in a long stage: the other photos constrain the
+colours, but not the detail. Limits and exponent are empirical (docs/lab_notebook.md). Ours; the
+paper keeps 3DGS's learning rate.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
 from .config import TrainConfig
 
-NEIGHBOUR = 3  # two photos side by side do not make a surrounding
+NEIGHBOUR = 3  # the third one: two photos side by side do not cover the directions around them
 EXPONENT = 3.0
-AS_CLOSE = 0.7  # of a photo's pixels per world unit: half of its pixels on the box
-STEPS = 3000  # that close-ups far apart allow the full rate for
+MIN_SCALE = 0.7  # of a photo's pixels per world unit: half as many pixels on the box
+STEPS = 3000  # longest stage with the full learning rate if the close-ups are far apart
 
 
 def view_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
-    """Degrees from a photo to its third neighbour as seen from the box's centre, the median.
+    """Median angle between a photo and its third neighbour, seen from the box's centre, degrees.
 
-    With fewer neighbours the last counts; 180 for less than two photos.
+    With fewer than three neighbours, the farthest one counts; 180 for fewer than two photos.
     """
     if len(images) < 2:
         return 180.0
@@ -40,16 +40,17 @@ def view_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
 
 
 def detail_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
-    """The same for what the closest photos show: a mean pixel of the box instead of a mean photo.
+    """As `view_spacing`, for the detail that close-ups show, degrees.
 
-    Neighbours are photos that show the box about as large or larger; photos count by their pixels.
+    Only photos that show the box about as large or larger are neighbours of a photo, and the median
+    weights each photo by its pixels on the box.
     """
     if len(images) < 2:
         return 180.0
     rays, distances = _rays(images, roi)
     scales = np.array([image.camera.fx for image in images]) / distances
     angles = np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1)))
-    angles[scales[None] < AS_CLOSE * scales[:, None]] = 180.0
+    angles[scales[None] < MIN_SCALE * scales[:, None]] = 180.0
     np.fill_diagonal(angles, 0.0)
     angles.sort(axis=1)
     thirds = angles[:, min(NEIGHBOUR, len(images) - 1)]
@@ -66,18 +67,18 @@ def _rays(images: Sequence[PosedImage], roi: OrientedBox) -> tuple[Float64, Floa
     return rays / distances[:, None], distances
 
 
-def rates_for_spacing(config: TrainConfig, spacing: float, detail: float) -> TrainConfig:
-    """The config with the harmonics' rate that photos so far apart allow, 3DGS's at least.
+def learning_rates_for_spacing(config: TrainConfig, spacing: float, detail: float) -> TrainConfig:
+    """The config with the SH learning rate that this spacing allows, at least 3DGS's.
 
     Args:
         config: of the stage.
-        spacing, detail: of its sparsest box, degrees: `view_spacing`, `detail_spacing`.
+        spacing, detail: largest `view_spacing` and `detail_spacing` of its boxes, degrees.
     """
-    limit, rate = config.lr_shN_spacing, config.lr_shN
+    limit, lr = config.lr_shN_spacing, config.lr_shN
     if limit <= 0:
         return config
     if spacing > limit:
-        rate *= (limit / spacing) ** EXPONENT
+        lr *= (limit / spacing) ** EXPONENT
     if detail > limit:
-        rate = min(rate, config.lr_shN * STEPS / max(config.steps, STEPS))
-    return replace(config, lr_shN=max(rate, min(config.lr_shN, TrainConfig.lr_shN)))
+        lr = min(lr, config.lr_shN * STEPS / max(config.steps, STEPS))
+    return replace(config, lr_shN=max(lr, min(config.lr_shN, TrainConfig.lr_shN)))

@@ -9,8 +9,9 @@ from torch import Tensor
 def morton_order(means: Tensor) -> Tensor:
     """(N, 3) positions -> (N,) row numbers along a Z-order curve.
 
-    Neighbours in space become neighbours in memory, which the kernels' caches like. 10 bits an axis
-    between the 1st and 99th percentile: a few far Gaussians must not use the resolution up.
+    Neighbours in space become neighbours in memory, which is good for the kernels' caches. Each
+    axis has 10 bits between its 1st and 99th percentile, so that a few distant Gaussians do not
+    reduce the resolution.
     """
     points = means.detach().double()
     if len(points) == 0:
@@ -25,7 +26,7 @@ def morton_order(means: Tensor) -> Tensor:
 
 
 def _percentile(points: Tensor, share: float) -> Tensor:
-    """(N, 3) -> (3,) value below which this share of each column lies, between two rows."""
+    """(N, 3) -> (3,) quantile of each column at `share` (0 to 1), linearly interpolated."""
     position = share * (len(points) - 1)
     lower, upper = (
         points.kthvalue(int(k) + 1, dim=0).values for k in (position, -(-position // 1))

@@ -1,11 +1,11 @@
-"""Density control: what to watch of each Gaussian, when to edit the model, and how.
+"""Density control: which statistics to keep of each Gaussian, and when and how to edit the model.
 
-A scheme is a class behind the interface `DensityControl` in a file of its own; `density_control`
-chooses by a stage's settings. `Trainer` knows nothing else of it.
+Each scheme is a class with the interface `DensityControl`, in its own file. `density_control`
+chooses one by the stage's settings. `Trainer` uses only the interface.
 
     adaptive    3DGS's adaptive density control (Kerbl et al. 2023, sec. 5.2)
-    in_box      the same confined to boxes (ROI-GS, sec. II-B), with a budget for each
-    none        the Gaussians stay as they are
+    in_box      the same limited to boxes (ROI-GS, sec. II-B), with a Gaussian budget for each box
+    none        the set of Gaussians does not change
 """
 
 from __future__ import annotations

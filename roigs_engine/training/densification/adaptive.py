@@ -1,8 +1,8 @@
 """3DGS's adaptive density control (Kerbl et al. 2023, sec. 5.2).
 
-Gaussians with a large mean 2D gradient are cloned or split, transparent and huge ones pruned,
-opacities reset now and then. ROI-GS prunes besides what contributed to no training pixel of a
-window (sec. II-B).
+Gaussians with a large mean 2D gradient are cloned or split, transparent and huge ones are pruned,
+and opacities are reset periodically. ROI-GS also prunes Gaussians that contribute to no training
+pixel of a window of steps (sec. II-B).
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ RESET_OPACITY = 0.01
 
 
 class AdaptiveDensity:
-    """See the module. Subclasses change which Gaussians are densified, and what is large."""
+    """See the module. Subclasses override which Gaussians are densified, and the size reference."""
 
     def __init__(self, inputs: DensityInputs, count: int) -> None:
-        """Begin with `count` Gaussians that nothing has seen."""
+        """Start with empty statistics of `count` Gaussians."""
         self.inputs, self.config = inputs, inputs.config
         self.stats = DensityStats.zeros(count, inputs.device)
-        self._window = 0  # the step at which the present one began
+        self._window = 0  # the step at which the current window began
 
     @property
-    def watches_max_weight(self) -> bool:
-        """Only pruning by contribution goes by it."""
+    def needs_max_weight(self) -> bool:
+        """Only pruning by contribution needs it."""
         return self.config.contribution_every > 0
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Take one training view in; all arguments (N,)."""
+        """Add the statistics of one training view; all arguments (N,)."""
         self.stats.add(visible, grad2d, max_weight)
 
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
-        """Densify, prune, reset: whatever is due after `step` steps."""
+        """Densify, prune and reset, as far as due after `step` steps."""
         config = self.config
         densifying = config.densify_from <= step < config.densify_until
         edit = Edit(gaussians=gaussians, rows=None)
@@ -51,7 +51,7 @@ class AdaptiveDensity:
             assert edit.rows is not None
             self.follow(edit.rows)
         if config.contribution_every and step - self._window >= self._window_steps():
-            edit = self._without_idle(edit)
+            edit = self._prune_idle(edit)
             self.stats.new_window()
             self._window = step
         if densifying and config.reset_every and step % config.reset_every == 0:
@@ -59,7 +59,7 @@ class AdaptiveDensity:
         return None if edit.rows is None and edit.opacity_cap is None else edit
 
     def follow(self, rows: Tensor) -> None:
-        """Keep the statistics of rows that stay; gradients start anew."""
+        """Carry the statistics over to edited rows; gradient sums restart at zero."""
         self.stats = self.stats.after(rows)
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
@@ -67,7 +67,7 @@ class AdaptiveDensity:
         return self.stats.mean_gradient() > self.config.grad_threshold
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
-        """(N,) the length that `split_fraction` refers to: the scene's extent."""
+        """(N,) the length that `split_fraction` is relative to: the scene's extent."""
         device = gaussians.means.device
         return torch.full((len(gaussians),), self.inputs.extent, device=device)
 
@@ -79,7 +79,7 @@ class AdaptiveDensity:
         return edit.keep(rows[morton_order(edit.gaussians.means[rows])])
 
     def prune_mask(self, gaussians: Gaussians, step: int) -> Tensor:
-        """(N,) bool: too transparent or, once opacities were reset, too large in the world."""
+        """(N,) bool: too transparent or, after the first opacity reset, too large in the world."""
         config = self.config
         keep = gaussians.logit_opacities.detach().sigmoid() >= config.prune_opacity
         if config.reset_every and step > config.reset_every:
@@ -87,8 +87,8 @@ class AdaptiveDensity:
             keep &= largest <= config.prune_size * self.inputs.extent
         return ~keep
 
-    def _without_idle(self, edit: Edit) -> Edit:
-        """Without what contributed to no training pixel of the window (ROI-GS, sec. II-B)."""
+    def _prune_idle(self, edit: Edit) -> Edit:
+        """Drop Gaussians that contributed to no training pixel of the window (ROI-GS, II-B)."""
         keep = self.stats.weight >= VISIBLE_WEIGHT
         if bool(keep.all()):
             return edit
@@ -97,11 +97,11 @@ class AdaptiveDensity:
         return (unchanged(edit.gaussians) if edit.rows is None else edit).keep(kept)
 
     def _window_steps(self) -> int:
-        """A window must hold every photo: idle means idle on all of them."""
+        """Steps of a window, enough to include every photo: a Gaussian must be idle on all."""
         return max(self.config.contribution_every, 2 * self.inputs.photos)
 
     def state_dict(self) -> dict[str, Any]:
-        """The statistics, and where the window began."""
+        """The statistics, and the step at which the window began."""
         stats = self.stats
         return {
             "window": self._window,
@@ -109,6 +109,6 @@ class AdaptiveDensity:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from what `state_dict` returned."""
+        """Continue from a `state_dict`."""
         self._window = int(state["window"])
         self.stats = DensityStats(**state["stats"])

@@ -1,4 +1,4 @@
-"""Edits of a model that the optimizer's state can follow: each new row says where it came from."""
+"""Edits of a model that keep the optimizer's state: each new row names the row it came from."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Edit:
     """Edited Gaussians.
 
     Attributes:
-        gaussians: (M rows).
-        rows: (M,) the row each came from with its optimizer state, -1 for a newborn; None: all
-            rows stay as they are.
-        opacity_cap: opacities are lowered to this, and their moments forgotten; None: they stay.
+        gaussians: the edited model, M rows.
+        rows: (M,) the old row of each new row, whose optimizer state it keeps; -1: new; None: the
+            rows did not change.
+        opacity_cap: upper limit for opacities; their moments become zero. None: no limit.
     """
 
     gaussians: Gaussians
@@ -29,13 +29,13 @@ class Edit:
     opacity_cap: float | None = None
 
     def keep(self, rows: Tensor) -> Edit:
-        """The edit with some of its rows: a bool mask (M,) or row numbers in a new order."""
+        """The edit with some of its rows: a bool mask (M,), or row numbers in a new order."""
         assert self.rows is not None
         return replace(self, gaussians=self.gaussians.rows(rows), rows=self.rows[rows])
 
 
 def unchanged(gaussians: Gaussians) -> Edit:
-    """The edit that keeps every row, to be narrowed by `Edit.keep`."""
+    """The edit that keeps every row; `Edit.keep` can then drop some."""
     rows = torch.arange(len(gaussians), device=gaussians.means.device)
     return Edit(gaussians=gaussians, rows=rows)
 
@@ -43,16 +43,16 @@ def unchanged(gaussians: Gaussians) -> Edit:
 def clone_and_split(
     gaussians: Gaussians, mask: Tensor, reference: Tensor, fraction: float, rng: torch.Generator
 ) -> Edit:
-    """Clone the small and split the large of the Gaussians in a mask.
+    """Clone the small and split the large Gaussians of a mask.
 
-    A clone stays beside its original; a split Gaussian is replaced by two that are drawn from it.
+    A clone is added to its original; two samples of a split Gaussian replace it.
 
     Args:
         gaussians: N rows.
-        mask: (N,) bool, which to densify.
-        reference: (N,) the lengths that `fraction` refers to.
-        fraction: of the reference above which a Gaussian is split.
-        rng: draws the positions of split ones.
+        mask: (N,) bool: which to densify.
+        reference: (N,) size reference, world units.
+        fraction: Gaussians larger than `fraction` x `reference` are split.
+        rng: draws the positions of split Gaussians.
     """
     large = gaussians.log_scales.detach().exp().amax(dim=1) > fraction * reference
     kept = torch.nonzero(~(mask & large)).flatten()
@@ -60,14 +60,14 @@ def clone_and_split(
     parents = torch.nonzero(mask & large).flatten().repeat(2)
     children = _children(gaussians.rows(parents), rng)
     edited = Gaussians.concatenate([gaussians.rows(torch.cat([kept, clones])), children])
-    newborn = kept.new_full((len(clones) + len(parents),), -1)
-    return Edit(gaussians=edited, rows=torch.cat([kept, newborn]))
+    new = kept.new_full((len(clones) + len(parents),), -1)
+    return Edit(gaussians=edited, rows=torch.cat([kept, new]))
 
 
 def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
-    """Each parent moved to a sample of itself and shrunk."""
+    """Each parent, moved to a random sample of itself and shrunk."""
     scales = parents.log_scales.exp()
-    # drawn on the CPU: the same numbers on every device
+    # drawn on the CPU, to get the same numbers on every device
     offsets = torch.randn(scales.shape, generator=rng).to(scales.device) * scales
     rotations = rotation_matrices(torch.nn.functional.normalize(parents.quats, dim=1))
     values = parents.tensors()

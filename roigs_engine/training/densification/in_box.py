@@ -1,4 +1,4 @@
-"""Density control with rules for boxes (ROI-GS, sec. II-B): confined to them, within a budget."""
+"""Density control with rules for boxes (ROI-GS, sec. II-B): only in boxes, within budgets."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from .adaptive import AdaptiveDensity
 
 
 class InBoxDensity(AdaptiveDensity):
-    """As 3DGS, with up to three rules: densify in the boxes only, a threshold there, budgets."""
+    """3DGS with up to three rules: densify in boxes only, a threshold for boxes, budgets."""
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
-        """(N,) bool; where a box's budget is short, the largest gradients win."""
+        """(N,) bool; if a box's budget is too small for all, the largest gradients go first."""
         config, gradient = self.config, self.stats.mean_gradient()
         mask = gradient > config.grad_threshold
         owner = owners(gaussians, self.inputs.rois)
@@ -32,9 +32,9 @@ class InBoxDensity(AdaptiveDensity):
         return mask
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
-        """(N,) the scene's extent, in a box at most the box's diagonal.
+        """(N,) the scene's extent; in a box at most the box's diagonal, world units.
 
-        A close-up's own extent is never used: it would split or delete the background.
+        The extent of the box's own photos is not used: it would split or prune the background.
         """
         reference = super().size_reference(gaussians)
         if self.config.densify_in_boxes:

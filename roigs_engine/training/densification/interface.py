@@ -1,4 +1,4 @@
-"""The interface that every scheme of density control has."""
+"""The interface of all density control schemes."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from .edits import Edit
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DensityInputs:
-    """What a scheme may go by.
+    """The inputs of a scheme.
 
     Attributes:
         config: of the stage.
         extent: of the scene, world units.
         rois: the stage's boxes.
-        budgets: of each box; None: no limit.
-        photos: how many the stage trains on.
-        seed: of what is drawn at random; together with the step it decides the numbers.
+        budgets: Gaussian budget of each box; None: no limit.
+        photos: number of the stage's photos.
+        seed: random numbers are a function of seed and step.
         device: where the statistics are kept.
     """
 
@@ -43,26 +43,26 @@ class DensityControl(Protocol):
     """Adds and removes Gaussians while a stage trains."""
 
     @property
-    def watches_max_weight(self) -> bool:
+    def needs_max_weight(self) -> bool:
         """Whether `observe` needs each Gaussian's largest blending weight."""
         ...
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Take one training view in; all arguments (N,), see `rasterize.RenderOutput`."""
+        """Add the statistics of one training view; all (N,), see `rasterize.RenderOutput`."""
         ...
 
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
-        """What to change after `step` steps; None: nothing. The caller carries it out."""
+        """The edit that is due after `step` steps, for the caller to apply; None: no edit."""
         ...
 
     def follow(self, rows: Tensor) -> None:
-        """The model's rows have changed by somebody else's edit, see `Edit.rows`."""
+        """Update the statistics after another edit of the model's rows, see `Edit.rows`."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` needs to continue exactly."""
+        """The state, as `load_state_dict` needs it to continue exactly."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from what `state_dict` returned."""
+        """Continue from a `state_dict`."""
         ...

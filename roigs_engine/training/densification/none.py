@@ -1,4 +1,4 @@
-"""No density control: the Gaussians stay as many as they are."""
+"""No density control: the set of Gaussians does not change."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from .edits import Edit
 
 
 class FixedDensity:
-    """Watches nothing, edits nothing."""
+    """Keeps no statistics and makes no edits."""
 
-    watches_max_weight = False
+    needs_max_weight = False
 
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Nothing is watched."""
+        """Does nothing."""
 
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
-        """Never anything."""
+        """Always None."""
         return None
 
     def follow(self, rows: Tensor) -> None:
-        """There are no statistics."""
+        """Does nothing."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Empty."""
+        """An empty state."""
         return {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Nothing to continue from."""
+        """Does nothing."""

@@ -1,4 +1,4 @@
-"""What training has seen of each Gaussian since the last edit."""
+"""Statistics of each Gaussian since the last edit."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class DensityStats:
 
     Attributes:
         gradient: (N,) sum of 2D gradient norms (`RenderOutput.grad2d`).
-        views: (N,) number of views that saw it.
-        weight: (N,) largest alpha x T on any training pixel of the present window; infinite for
-            Gaussians born in it, which not every photo has seen yet.
+        views: (N,) number of views that showed it.
+        weight: (N,) largest alpha x T on any training pixel of the current window; Inf for
+            Gaussians added in this window, since some photos have not been drawn after that.
     """
 
     gradient: Tensor
@@ -25,26 +25,26 @@ class DensityStats:
 
     @classmethod
     def zeros(cls, count: int, device: torch.device | None = None) -> DensityStats:
-        """Statistics of `count` Gaussians that nothing has seen."""
+        """Empty statistics of `count` Gaussians."""
         return cls(*(torch.zeros(count, device=device) for _ in range(3)))
 
     def add(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
-        """Take one training view in; all arguments (N,)."""
+        """Add one training view; all arguments (N,)."""
         self.gradient += grad2d
         self.views += visible
         if max_weight is not None:
             torch.maximum(self.weight, max_weight, out=self.weight)
 
     def mean_gradient(self) -> Tensor:
-        """(N,) mean gradient norm over the views that saw each Gaussian."""
+        """(N,) mean gradient norm over the views that showed each Gaussian."""
         return self.gradient / self.views.clamp(min=1)
 
     def after(self, rows: Tensor) -> DensityStats:
-        """Statistics for edited Gaussians: gradients start anew, weights follow their rows."""
+        """Statistics for edited rows: gradients restart at zero, weights stay with their rows."""
         fresh = DensityStats.zeros(len(rows), rows.device)
         fresh.weight = torch.where(rows >= 0, self.weight[rows.clamp(min=0)], torch.inf)
         return fresh
 
     def new_window(self) -> None:
-        """Begin to measure the weights anew."""
+        """Start a new window: reset the weights."""
         self.weight.zero_()

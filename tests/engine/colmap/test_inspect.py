@@ -51,7 +51,7 @@ def test_without_tracks_silhouettes_decide(tmp_path: Path) -> None:
     box = OrientedBox.axis_aligned("box", [-0.3] * 3, [0.3] * 3)
     report = inspect_scene(scene, [box])
     assert not report["has_tracks"] and report["rois"][0]["photos"] == 3
-    assert "not stored" in format_inspection(report)
+    assert "does not store" in format_inspection(report)
 
 
 def test_an_empty_scene(tmp_path: Path) -> None:

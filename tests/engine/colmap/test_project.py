@@ -332,13 +332,13 @@ def test_points_without_a_position_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize("binary", [True, False])
 def test_no_points(tmp_path: Path, binary: bool) -> None:
     write_project(tmp_path, points=np.empty((0, 3)), binary=binary)
-    with pytest.raises(SceneError, match="holds no 3D points"):
+    with pytest.raises(SceneError, match="has no 3D points"):
         load_colmap(tmp_path)
 
 
 def test_no_photos_in_the_model(tmp_path: Path) -> None:
     write_project(tmp_path, names=[])
-    with pytest.raises(SceneError, match="holds no posed photos"):
+    with pytest.raises(SceneError, match="has no posed photos"):
         load_colmap(tmp_path)
 
 
@@ -348,7 +348,7 @@ def test_no_photos_in_the_model(tmp_path: Path) -> None:
 def test_missing_folders_and_files(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="is not a folder"):
         load_colmap(tmp_path / "nothing")
-    with pytest.raises(SceneError, match="holds no COLMAP model"):
+    with pytest.raises(SceneError, match="has no COLMAP model"):
         load_colmap(tmp_path)
     write_project(tmp_path)
     (tmp_path / "sparse/0/points3D.bin").unlink()

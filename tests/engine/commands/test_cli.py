@@ -1,4 +1,4 @@
-"""The command line as a person or a program meets it: help, errors, events, request files."""
+"""The command line as a person or a program meets it: help, errors, events, options files."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def test_training_values_out_of_range(
 ) -> None:
     folder = tmp_path / "run"
     refused(capsys, "train", project.folder, "--roi", BOX, "--run-dir", folder, *options)
-    assert not folder.exists(), "a request that is refused leaves nothing behind"
+    assert not folder.exists(), "a refused command leaves nothing behind"
 
 
 def test_files_that_are_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -296,7 +296,7 @@ def without(missing: str, project: Project, out: Path, *methods: str) -> str:
 
 def test_inspect_and_every_selection_need_no_torch(project: Project, tmp_path: Path) -> None:
     shown = without("torch", project, tmp_path / "out", *METHODS)
-    assert all(f"chosen by {method}" in shown for method in METHODS)
+    assert all(f"selected by {method}" in shown for method in METHODS)
 
 
 def test_what_blender_runs_itself_needs_numpy_alone(project: Project, tmp_path: Path) -> None:
@@ -463,33 +463,33 @@ def test_names_that_cannot_be_printed(
         assert "caf\\udce9.png" in result.stdout + result.stderr
 
 
-# --- request files ---
+# --- options files ---
 
 
-def request_file(folder: Path, **values: object) -> Path:
-    path = folder / "request.json"
+def options_file(folder: Path, **values: object) -> Path:
+    path = folder / "options.json"
     path.write_text(json.dumps(values), encoding="utf-8")
     return path
 
 
-def test_a_request_file_stands_for_options(
+def test_a_options_file_stands_for_options(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    request = request_file(
+    file = options_file(
         tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2, out=str(tmp_path)
     )
-    assert main(["select", str(request)]) == 0
+    assert main(["select", str(file)]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["method"], len(stored["names"])) == ("fvs", 2)
     # What is null is as if it were not there, and a number may be written as 640.0.
     values = {"max_side": 640.0, "count": 2, "seed": None, "only": None, "method": None}
-    same = request_file(tmp_path, scene=str(project.folder), roi=BOX, **values)
+    same = options_file(tmp_path, scene=str(project.folder), roi=BOX, **values)
     assert main(["select", str(same)]) == 0
-    request_file(
+    options_file(
         tmp_path, scene=str(project.folder), roi=[BOX], method="fvs", count=2, out=str(tmp_path)
     )
     # An option beside the file wins.
-    assert main(["select", str(request), "--count", "4"]) == 0
+    assert main(["select", str(file), "--count", "4"]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["method"], len(stored["names"])) == ("fvs", 4)
     capsys.readouterr()
@@ -522,39 +522,39 @@ def test_a_request_file_stands_for_options(
         ({"max_side": 40, "downscale": 2.0}, "'downscale'"),
     ],
 )
-def test_a_request_with_a_wrong_key_or_value_is_refused(
+def test_an_options_file_with_a_wrong_key_or_value_is_refused(
     project: Project,
     tmp_path: Path,
     values: dict[str, object],
     named: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    request = request_file(tmp_path, scene=str(project.folder), roi=[BOX], **values)
-    assert named in refused(capsys, "select", request)
+    file = options_file(tmp_path, scene=str(project.folder), roi=[BOX], **values)
+    assert named in refused(capsys, "select", file)
 
 
 def test_an_option_beside_the_file_wins_over_what_excludes_it(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    request = request_file(tmp_path, scene=str(project.folder), max_side=20)
+    file = options_file(tmp_path, scene=str(project.folder), max_side=20)
 
     def width(*options: object) -> int:
-        assert main(["export", str(request), "--out", str(tmp_path), *map(str, options)]) == 0
+        assert main(["export", str(file), "--out", str(tmp_path), *map(str, options)]) == 0
         return int(json.loads((tmp_path / "scene.json").read_text("utf-8"))["largest"][0])
 
     assert width() == 20
     assert width("--downscale", 1) == 2 * width("--downscale", 2) > 40
 
 
-def test_a_request_that_is_none_is_refused(
+def test_an_options_file_that_is_none_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "scene" in refused(capsys, "select", request_file(tmp_path, roi=[BOX]))
+    assert "scene" in refused(capsys, "select", options_file(tmp_path, roi=[BOX]))
     broken = tmp_path / "broken.json"
     broken.write_text("{", encoding="utf-8")
     assert "broken.json" in refused(capsys, "select", broken)
     assert "gone.json" in refused(capsys, "select", tmp_path / "gone.json")
-    assert "xxx" in refused(capsys, "select", request_file(tmp_path, scene="x" * 5000, roi=[BOX]))
+    assert "xxx" in refused(capsys, "select", options_file(tmp_path, scene="x" * 5000, roi=[BOX]))
 
 
 def test_what_does_not_fit_into_memory_is_one_line(

@@ -97,7 +97,7 @@ def test_the_mask_can_come_from_a_named_model(scene: SfmScene) -> None:
     assert named.views == alone.views != best.views
     assert named.rows[0] == alone.rows[0] != best.rows[0]
     assert named.rows[1].object_psnr not in (None, best.rows[1].object_psnr)
-    with pytest.raises(ConfigError, match="No model of box 'thing' is named 'best'"):
+    with pytest.raises(ConfigError, match="Box 'thing' has no model 'best'"):
         evaluate(models, scene, TEST, [BOX], object_mask_from="best")
 
 
@@ -253,7 +253,7 @@ def cells(line: str) -> list[str]:
 
 def test_markdown_table(result: Evaluation) -> None:
     text = format_markdown(result)
-    assert text.startswith("# Evaluation on 3 held-out photos")
+    assert text.startswith("# Evaluation on 3 test photos")
     tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("| Method")]
     assert len(tables) == 2
     for table, scores in zip(tables, result.rois, strict=True):

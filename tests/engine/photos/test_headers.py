@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.photos.headers import MAX_PIXELS, PhotoError, check_whole, photo_size
+from roigs_engine.photos.headers import MAX_PIXELS, PhotoError, check_complete, photo_size
 from tests.fuzz.inputs import jpeg_of_claimed_size, png_of_claimed_size
 
 
@@ -47,16 +47,16 @@ def test_files_cut_in_their_pixels(
 ) -> None:
     path = tmp_path / f"a.{suffix}"
     Image.effect_noise((321, 123), 80).save(path)
-    check_whole(path)
+    check_complete(path)
     data = path.read_bytes()
     path.write_bytes(data + b"\0" * 200_000)  # a telephone's film
-    check_whole(path)
+    check_complete(path)
     path.write_bytes(data[: len(data) // 2])
     assert photo_size(path) == (321, 123)
     with pytest.raises(PhotoError, match="a\\." + suffix):
-        check_whole(path)
+        check_complete(path)
     monkeypatch.setitem(sys.modules, "PIL", None)
-    check_whole(path)  # nothing can tell
+    check_complete(path)  # nothing can tell
 
 
 @pytest.mark.parametrize("data", [b"\xff\xd8" + b"\xff" * 50, b"\xff\xd8\xff\xda\0\x02", b"hello"])

@@ -64,7 +64,7 @@ def test_too_many_intersections_are_refused_at_once() -> None:
     )
     assert result.returncode == 0, result.stderr
     error, peak = result.stdout.splitlines()
-    assert error.startswith("More than 2^31 ")
+    assert error.startswith("This view has more than 2^31 ")
     assert float(peak) < 2048, "MiB"
 
 

@@ -33,9 +33,9 @@ def test_paper_preset_has_the_papers_numbers() -> None:
 
 def test_training_defaults_are_those_of_3dgs() -> None:
     config = TrainConfig(steps=30_000)
-    assert config.position_rate(0) == pytest.approx(1.6e-4)
-    assert config.position_rate(30_000) == pytest.approx(1.6e-6)
-    assert config.position_rate(15_000) == pytest.approx(1.6e-5)
+    assert config.position_learning_rate(0) == pytest.approx(1.6e-4)
+    assert config.position_learning_rate(30_000) == pytest.approx(1.6e-6)
+    assert config.position_learning_rate(15_000) == pytest.approx(1.6e-5)
     assert (config.densify_from, config.densify_every, config.densify_until) == (500, 100, 15_000)
     assert (config.grad_threshold, config.split_fraction) == (2e-4, 0.01)
     assert (config.prune_opacity, config.reset_every, config.ssim_weight) == (0.005, 3000, 0.2)
@@ -44,8 +44,8 @@ def test_training_defaults_are_those_of_3dgs() -> None:
 @given(st.integers(0, 20_000))
 def test_rates_fall_and_degrees_rise_with_the_steps(step: int) -> None:
     config = TrainConfig(steps=10_000)
-    assert config.position_rate(step + 1) <= config.position_rate(step)
-    assert config.position_rate(step) >= config.lr_means_final * (1 - 1e-12)
+    assert config.position_learning_rate(step + 1) <= config.position_learning_rate(step)
+    assert config.position_learning_rate(step) >= config.lr_means_final * (1 - 1e-12)
     assert config.degree(step) == min(3, step // 1000)
 
 
@@ -59,15 +59,17 @@ def test_presets_are_complete_and_fair(name: str) -> None:
         steps=total, densify_until=total // 2
     )  # 3DGS alone
     assert config.roi.densify_in_boxes
-    assert config.roi.position_rate(config.roi.steps) == pytest.approx(1.6e-6)
+    assert config.roi.position_learning_rate(config.roi.steps) == pytest.approx(1.6e-6)
 
 
 @pytest.mark.parametrize("name", ["standard", "draft"])
 def test_short_presets_break_the_decay_off_and_begin_anew(name: str) -> None:
     config, whole = preset(name), stage_configs.baseline(preset(name))
     steps = config.scene.steps
-    assert config.scene.position_rate(steps) == pytest.approx(whole.position_rate(steps))
-    assert config.roi.position_rate(0) == pytest.approx(whole.position_rate(0))
+    assert config.scene.position_learning_rate(steps) == pytest.approx(
+        whole.position_learning_rate(steps)
+    )
+    assert config.roi.position_learning_rate(0) == pytest.approx(whole.position_learning_rate(0))
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

@@ -1,4 +1,4 @@
-"""Killed anywhere, an engine goes on with the same command and ends with the same bytes."""
+"""Killed anywhere, an engine resumes with the same command and ends with the same bytes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.engine.killing import SECRET, Request, contents, engine
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
 
 KILLED = -9
-# What goes on when the engine is killed; at which of such moments is drawn from the seed.
+# The work during which the engine is killed; the seed draws the moment.
 PLACES = [
     "undistort: check",
     "undistort: half of",

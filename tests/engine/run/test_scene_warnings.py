@@ -45,7 +45,7 @@ def test_a_box_inside_another(scene: SfmScene) -> None:
     points = np.array([[0.1, 0.1, 0.1], [0.5, 0.5, 0.5]])
     both = replace(scene, points=points)
     (line,) = scene_warnings(both, [inner, BOX])
-    assert "'inner' owns none of the 1 points" in line and "--only inner" in line
+    assert "'inner' owns none of its 1 points" in line and "--only inner" in line
     assert scene_warnings(both, [inner]) == []
 
 

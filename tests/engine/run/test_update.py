@@ -90,8 +90,8 @@ def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> No
     )
     assert PhotoSets(run).selection(BOX).names == (there,)
     texts = [event.text for event in events if isinstance(event, Message)]
-    assert any("tests" in text and test[0] in text for text in texts)
-    assert any("not usable" in text and "gone.png" in text for text in texts)
+    assert any("test photos" in text and test[0] in text for text in texts)
+    assert any("cannot be used" in text and "gone.png" in text for text in texts)
     with pytest.raises(ConfigError, match=r"'nothing\.png'"):
         opened(tmp_path / "c", scene, [BOX], config, manual={"thing": ["nothing.png"]})
     with pytest.raises(ConfigError, match="None of the 1 photos"):

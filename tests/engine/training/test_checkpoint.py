@@ -1,4 +1,4 @@
-"""Checkpoints: what goes in comes out; a damaged one is named, and the one before it is used."""
+"""Checkpoints: what goes in comes out; a damaged one is named, and the previous one is used."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_the_one_before_is_kept_and_both_go(path: Path) -> None:
 
 
 def test_another_stage_is_refused(path: Path) -> None:
-    with pytest.raises(RunFolderError, match="belongs to other settings"):
+    with pytest.raises(RunFolderError, match="has other settings"):
         load_checkpoint(path, "two")
 
 
@@ -97,7 +97,7 @@ def test_a_damaged_one_is_named_and_the_one_before_used(
     assert back["step"] == 0 and torch.equal(back["rows"], state(0)["rows"])
     (message,) = events
     assert isinstance(message, Message) and message.level == "warning"
-    assert str(path) in message.text and "the one before" in message.text
+    assert str(path) in message.text and "the previous checkpoint" in message.text
     path.with_name("checkpoint.before.bin").write_bytes(b"")
     with pytest.raises(RunFolderError, match=r"checkpoint\.bin .*Delete it"):
         load_checkpoint(path, "one")
@@ -116,7 +116,7 @@ def test_lengths_are_checked_before_memory_is_asked_for(path: Path) -> None:
     whole = path.read_bytes()
     path.write_bytes(checkpoint.PREFIX.pack(checkpoint.MAGIC, 1 << 60, 0) + whole[20:])
     path.with_name("checkpoint.before.bin").unlink()
-    with pytest.raises(RunFolderError, match="cut short"):
+    with pytest.raises(RunFolderError, match="incomplete"):
         load_checkpoint(path, "one")
 
 

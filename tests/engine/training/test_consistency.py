@@ -126,9 +126,11 @@ def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPa
     """The card itself is in test_cuda.py."""
     card = torch.device("cuda")
     monkeypatch.setattr(library, "has_triton", lambda: True)
-    assert library.can_weigh(card)
+    assert library.has_blending_weights(card)
     monkeypatch.setattr(library, "has_triton", lambda: False)
-    assert not library.can_weigh(card) and library.can_weigh(torch.device("cpu"))
+    assert not library.has_blending_weights(card) and library.has_blending_weights(
+        torch.device("cpu")
+    )
 
 
 def test_it_can_be_stopped() -> None:

@@ -1,4 +1,4 @@
-"""Training: it learns, it stops and goes on bit for bit, its ROI stage stays in the box."""
+"""Training: it learns, it resumes bit for bit, and the box stage stays in the box."""
 
 from __future__ import annotations
 

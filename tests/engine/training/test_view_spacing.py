@@ -15,7 +15,7 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.view_spacing import (
     STEPS,
     detail_spacing,
-    rates_for_spacing,
+    learning_rates_for_spacing,
     view_spacing,
 )
 from tests.engine.synthetic_scene import look_at
@@ -68,21 +68,21 @@ def test_the_spacing_of_the_detail_is_that_of_the_close_ups() -> None:
 
 def test_the_rate_falls_where_photos_stand_far_apart() -> None:
     config = TrainConfig(steps=9, lr_shN=1e-3, lr_shN_spacing=20)
-    assert rates_for_spacing(config, 20, 20) == config
-    assert rates_for_spacing(config, 40, 40).lr_shN == pytest.approx(1e-3 / 8)
-    assert rates_for_spacing(config, 180, 180).lr_shN == TrainConfig.lr_shN
+    assert learning_rates_for_spacing(config, 20, 20) == config
+    assert learning_rates_for_spacing(config, 40, 40).lr_shN == pytest.approx(1e-3 / 8)
+    assert learning_rates_for_spacing(config, 180, 180).lr_shN == TrainConfig.lr_shN
     slow = replace(config, lr_shN=1e-5)
-    assert rates_for_spacing(slow, 180, 180) == slow
+    assert learning_rates_for_spacing(slow, 180, 180) == slow
 
 
 def test_close_ups_far_apart_lower_the_rate_of_a_long_stage_only() -> None:
     short = TrainConfig(steps=STEPS, lr_shN=1e-3, lr_shN_spacing=20)
     long = replace(short, steps=2 * STEPS)
-    assert rates_for_spacing(short, 20, 90) == short
-    assert rates_for_spacing(long, 20, 90).lr_shN == pytest.approx(5e-4)
-    assert rates_for_spacing(long, 40, 90).lr_shN == pytest.approx(1e-3 / 8)
+    assert learning_rates_for_spacing(short, 20, 90) == short
+    assert learning_rates_for_spacing(long, 20, 90).lr_shN == pytest.approx(5e-4)
+    assert learning_rates_for_spacing(long, 40, 90).lr_shN == pytest.approx(1e-3 / 8)
 
 
 def test_the_paper_keeps_its_rate() -> None:
     paper = preset("paper").roi
-    assert rates_for_spacing(paper, 180, 180) == paper
+    assert learning_rates_for_spacing(paper, 180, 180) == paper
