@@ -247,14 +247,14 @@ def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -
     assert [type(event) for event in said] == [Message]
     assert "without CUDA" in said[0].text
     assert choose_device("cpu", Context(emit=said.append)) == CPU and len(said) == 1
-    with pytest.raises(KernelError, match="Install a torch for CUDA"):
+    with pytest.raises(KernelError, match="Install torch with CUDA"):
         choose_device("cuda")
 
 
-def test_a_torch_for_cuda_without_a_card(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_torch_for_cuda_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(KernelError, match="finds no NVIDIA card"):
+    with pytest.raises(KernelError, match="finds no NVIDIA GPU"):
         choose_device("cuda")
 
 

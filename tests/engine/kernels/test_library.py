@@ -97,7 +97,7 @@ def test_wrong_isa_says_what_is_there() -> None:
     code = "from roigs_engine.kernels import library; library.load()"
     result = run_python(code, ROIGS_ISA="mmx")
     assert result.returncode != 0
-    assert "ROIGS_ISA is 'mmx', but there are only: " in result.stderr
+    assert "ROIGS_ISA is 'mmx', but the libraries are: " in result.stderr
     assert runnable_isas()[-1] in result.stderr
 
 
@@ -110,7 +110,7 @@ def test_isa_beyond_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     assert library.isa() == "generic"
     monkeypatch.setenv(library.ISA_VARIABLE, "avx2")
     library.load.cache_clear()
-    with pytest.raises(KernelError, match="generic at most"):
+    with pytest.raises(KernelError, match="best that this processor runs is generic"):
         library.load()
 
 
