@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 from ..context import Context
 from ..errors import RunFolderError
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
+from ..formats.run_files import EVENTS
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -56,7 +57,7 @@ class Console:
         Raises:
             RunFolderError: the file cannot be written.
         """
-        path = folder / "events.jsonl"
+        path = folder / EVENTS
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with open(path, "a+b") as file:

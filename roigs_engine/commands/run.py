@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..errors import ConfigError
+from ..formats import run_files
 from ..run.config import COMPARISONS
 from . import train
 from .console import Console
@@ -56,7 +57,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
     console.print(format_markdown(evaluation))
-    outputs = {"report": "report.md", "pictures": "crops", "result": "result.ply", "rois": "rois"}
+    outputs = {
+        "report": run_files.REPORT,
+        "pictures": run_files.CROPS,
+        "result": run_files.RESULT,
+        "rois": run_files.FINE,
+    }
     for what, where in outputs.items():
         console.print(f"{what + ':':10}{args.run_dir / where}")
     return {what: str(args.run_dir / where) for what, where in outputs.items()}

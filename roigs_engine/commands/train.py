@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..context import Context
 from ..errors import ConfigError
+from ..formats import run_files
 from ..formats.files import remove_leftovers
 from ..formats.lock import locked
 from ..selection.manual import load_manual
@@ -89,7 +90,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     with opened_run(args, console) as (run, context):
         train_opened(run, (), context, update=args.update, preview_seconds=args.preview_seconds)
-    return {"result": str(args.run_dir / "result.ply"), "rois": str(args.run_dir / "rois")}
+    return {
+        "result": str(args.run_dir / run_files.RESULT),
+        "rois": str(args.run_dir / run_files.FINE),
+    }
 
 
 @contextmanager
@@ -107,7 +111,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     with locked(args.run_dir):
         remove_leftovers(args.run_dir)
         context = _context(args, console)
-        scene = load_scene(args, console, args.run_dir / "cache")
+        scene = load_scene(args, console, args.run_dir / run_files.CACHE)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
         console.log_to(args.run_dir)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..formats.files import write_json, write_text
+from ..formats.run_files import REPORT, REPORT_DATA
 from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores
 
 NONE = "–"  # a cell without a number
@@ -44,7 +45,7 @@ def format_markdown(evaluation: Evaluation) -> str:
 
 def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
     """Write `report.md` and `report.json` (with each photo's numbers); returns both paths."""
-    markdown, record = Path(run_dir) / "report.md", Path(run_dir) / "report.json"
+    markdown, record = Path(run_dir) / REPORT, Path(run_dir) / REPORT_DATA
     write_json(record, evaluation.to_dict())
     write_text(markdown, format_markdown(evaluation))
     return markdown, record

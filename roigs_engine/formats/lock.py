@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import RunFolderError
+from .run_files import EVENTS, LOCK
 
-NAME = "run.lock"
 # Windows keeps others from reading what is locked, so a byte far behind the text is locked.
 LOCKED_BYTE = 1 << 30
 
@@ -32,10 +32,10 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         RunFolderError: another process holds it, or the folder cannot be written to.
     """
-    path = folder / NAME
+    path = folder / LOCK
     try:
         file = _hold(path)
-        _write_record(file, folder / "events.jsonl")
+        _write_record(file, folder / EVENTS)
     except BlockingIOError as error:
         raise RunFolderError(
             f"Another engine is at work in {folder}{_holder(path)}.",

@@ -13,8 +13,9 @@ from itertools import count
 from pathlib import Path
 
 from ..errors import RunFolderError
+from ..formats.run_files import ARCHIVE
 
-FOLDER, PARTS = "archive", "results"
+PARTS = "results"
 
 
 def archive(folder: Path, fingerprint: str) -> None:
@@ -53,7 +54,7 @@ def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
 
 
 def _place(folder: Path, fingerprint: str) -> Path:
-    return folder.parent / FOLDER / f"{folder.name}-{fingerprint[:8]}"
+    return folder.parent / ARCHIVE / f"{folder.name}-{fingerprint[:8]}"
 
 
 def _free(place: Path) -> Path:

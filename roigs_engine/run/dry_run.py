@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 from ..context import QUIET, Context
 from ..formats.files import read_json
+from ..formats.run_files import MANIFEST
 from ..kernels import library
 from .definition import Run
 from .estimate import Estimator, StageEstimate, evaluation_seconds
 from .executor import Executor
-from .manifest import NAME, check_version, from_json, manifest_difference
+from .manifest import check_version, from_json, manifest_difference
 from .memory import run_memory
 from .plan import POINTS, Plan, Stage
 from .strategies import plan_run
@@ -124,7 +125,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
 
 def _folder_note(run: Run, *, update: bool) -> list[str]:
     """A note if the folder already has another run."""
-    path = run.folder / NAME
+    path = run.folder / MANIFEST
     if not path.exists():
         return []
     difference = manifest_difference(read_json(path), from_json(run.manifest()))

@@ -9,6 +9,7 @@ import torch
 
 from ..context import QUIET, Context
 from ..evaluation.views import EvaluatedModel
+from ..formats import run_files
 from ..formats.files import write_json
 from ..model.compose import background, crop, merge
 from ..model.gaussians import Gaussians
@@ -100,7 +101,7 @@ class Executor:
         """
         for folder, selections in plan.selections.items():
             for chosen in selections:
-                path = self.run.folder / folder / "selection" / f"{chosen.roi}.json"
+                path = self.run.folder / folder / run_files.SELECTION / f"{chosen.roi}.json"
                 write_json(path, chosen.to_dict())
         models = []
         for planned in plan.models:
@@ -156,7 +157,7 @@ class Executor:
         self._photos = {}
 
     def _folder(self, stage: Stage) -> StageFolder:
-        preview = self.run.folder / "preview.ply" if self._preview_seconds else None
+        preview = self.run.folder / run_files.PREVIEW if self._preview_seconds else None
         return StageFolder(
             name=stage.name,
             folder=self.run.folder / stage.name,
@@ -227,8 +228,8 @@ class Executor:
         folder, rois = self.run.folder / output.folder, self.run.rois
         result = self.gaussians(output.model.source)
         coarse = self.result(output.coarse).gaussians
-        result.save_ply(folder / "result.ply")
-        background(result, rois).save_ply(folder / "background.ply")
+        result.save_ply(folder / run_files.RESULT)
+        background(result, rois).save_ply(folder / run_files.BACKGROUND)
         for roi in rois:
-            for model, name in ((result, "rois"), (coarse, "coarse")):
+            for model, name in ((result, run_files.FINE), (coarse, run_files.COARSE)):
                 crop(model, roi, rois).save_ply(folder / name / f"{roi.name}.ply")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from ..context import QUIET, Context
 from ..formats.files import write_json
+from ..formats.run_files import SPLIT
 from .definition import Run
 from .executor import Executor, TrainedModel
 from .manifest import claim
@@ -29,7 +30,7 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
     """
     run_memory(run, context)
     claim(run.folder, run.manifest(), update=update, context=context)
-    write_json(run.folder / "split.json", {"test": list(run.test)})
+    write_json(run.folder / SPLIT, {"test": list(run.test)})
     for text in scene_warnings(run.train_scene, run.rois):
         context.warn(text)
 

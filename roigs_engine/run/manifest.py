@@ -9,15 +9,16 @@ from typing import Any
 
 from ..context import QUIET, Context
 from ..errors import RunFolderError
+from ..formats import run_files
 from ..formats.files import read_json, write_json
+from ..formats.run_files import MANIFEST
 from .archive import archive_parts, restore_parts
 
-NAME = "manifest.json"
 FORMER_NAME = "request.json"  # until 0.1.0
 # Results of the run as a whole, not of one stage.
 RESULTS = (
-    *("result.ply", "background.ply", "rois", "coarse"),
-    *("report.md", "report.json", "crops", "selection"),
+    *(run_files.RESULT, run_files.BACKGROUND, run_files.FINE, run_files.COARSE),
+    *(run_files.REPORT, run_files.REPORT_DATA, run_files.CROPS, run_files.SELECTION),
 )
 
 
@@ -32,7 +33,7 @@ def claim(
     Raises:
         RunFolderError: the folder was made for other settings, or by an earlier version.
     """
-    path, now = folder / NAME, from_json(manifest)
+    path, now = folder / MANIFEST, from_json(manifest)
     check_version(folder)
     if not path.exists():
         write_json(path, now)
@@ -54,7 +55,7 @@ def claim(
 
 def check_version(folder: Path) -> None:
     """Raise RunFolderError if an earlier version of the engine made the folder."""
-    if (folder / FORMER_NAME).exists() and not (folder / NAME).exists():
+    if (folder / FORMER_NAME).exists() and not (folder / MANIFEST).exists():
         raise RunFolderError(
             f"{folder} was made by an earlier version; this version cannot resume it.",
             "Choose another --run-dir; the results in this one stay as they are.",

@@ -18,10 +18,10 @@ from typing import Any
 from .. import __version__
 from ..errors import EngineError, RunFolderError, Stopped
 from ..formats.files import read_json, write_json
+from ..formats.run_files import PROVENANCE, STAGE
 from ..kernels import library
 from ..machine import machine_memory, processor_name
 
-NAME = "provenance.json"
 PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
 
 
@@ -32,7 +32,7 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
     Raises:
         RunFolderError: the file cannot be written, or is not the engine's.
     """
-    path = folder / NAME
+    path = folder / PROVENANCE
     entries = _earlier(path)
     now: dict[str, Any] = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -93,7 +93,7 @@ def _version(name: str) -> str:
 def _stages(folder: Path) -> dict[str, float]:
     """Finished stage -> its seconds of training."""
     found = {}
-    for path in sorted(folder.glob("*/stage.json")):
+    for path in sorted(folder.glob(f"*/{STAGE}")):
         with suppress(RunFolderError, KeyError, TypeError, ValueError):
             found[path.parent.name] = round(float(read_json(path)["seconds"]), 1)
     return found

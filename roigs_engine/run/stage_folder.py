@@ -15,6 +15,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..cuda.device import CPU
 from ..errors import RunFolderError, Stopped, TrainingError
+from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import read_json, write_json
 from ..model.gaussians import Gaussians
@@ -84,11 +85,11 @@ class StageFolder:
 
     @property
     def _checkpoint(self) -> Path:
-        return self.folder / "checkpoint.bin"
+        return self.folder / run_files.CHECKPOINT
 
     @property
     def _record(self) -> Path:
-        return self.folder / "stage.json"
+        return self.folder / run_files.STAGE
 
     def peek(self) -> StageResult | None:
         """The stage's result if it is finished, or None; changes nothing."""
@@ -121,7 +122,7 @@ class StageFolder:
             )
         return StageResult(
             name=self.name,
-            model_path=self.folder / "model.ply",
+            model_path=self.folder / run_files.MODEL,
             count=int(record["gaussians"]),
             seconds=float(record["seconds"]),
             cpu_seconds=float(record["cpu_seconds"]),
@@ -227,7 +228,7 @@ class StageFolder:
 
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached().to(CPU)
-        path = self.folder / "model.ply"
+        path = self.folder / run_files.MODEL
         model.save_ply(path)
         record = {
             "fingerprint": self.fingerprint,

@@ -9,6 +9,7 @@ from itertools import starmap
 
 from ..context import QUIET, Context
 from ..errors import SceneError
+from ..formats import run_files
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..training.budget import box_budgets
@@ -108,14 +109,14 @@ def scene_stage(photos: PhotoSets, folder: str = "") -> Stage:
             "Raise --kept-share (1 keeps all), or select fewer photos (--count).",
         )
     images = tuple(image.scaled(config.scene_scale) for image in kept)
-    return _stage(_path(folder, "scene"), photos, images, config.scene)
+    return _stage(_path(folder, run_files.SCENE_STAGE), photos, images, config.scene)
 
 
 def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:
     """One stage for all boxes and all photos, densified in the boxes (ours)."""
     run = photos.run
     joint = _stage(
-        _path(folder, "joint"),
+        _path(folder, run_files.JOINT_STAGE),
         photos,
         photos.images,
         run.config.roi,
@@ -160,7 +161,7 @@ def _object_stage(photos: PhotoSets, scene: Stage, roi: OrientedBox, folder: str
     run = photos.run
     by_name = {image.name: image for image in photos.images}
     return _stage(
-        _path(folder, f"object-{roi.name}"),
+        _path(folder, f"{run_files.OBJECT_STAGE}{roi.name}"),
         photos,
         tuple(by_name[name] for name in photos.selection(roi).names),
         stage_configs.object_stage(run.config),
@@ -173,7 +174,7 @@ def _object_stage(photos: PhotoSets, scene: Stage, roi: OrientedBox, folder: str
 def _refine_stage(photos: PhotoSets, composed: Source, folder: str) -> Stage:
     """Joint refinement (ours): trains the merged model on, so that its parts fit together."""
     return _stage(
-        _path(folder, "refine"),
+        _path(folder, run_files.REFINE_STAGE),
         photos,
         photos.images,
         stage_configs.refine_stage(photos.run.config),

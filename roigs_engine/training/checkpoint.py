@@ -30,7 +30,7 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.files import atomic_write
 
-MAGIC = b"ROIGSck2"
+MAGIC = b"ROIGSck3"
 PREFIX = struct.Struct("<8sQI")
 SUM = struct.Struct("<I")
 TYPES = {
