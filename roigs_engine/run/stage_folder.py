@@ -44,7 +44,6 @@ class StageResult:
         seconds: training time without checkpoints and evaluation.
         cpu_seconds: the same as CPU time of all threads of this process. Compare this one on a
             machine that is busy with other programs.
-        fingerprint: of the stage.
         trained: the model, if this process trained it.
     """
 
@@ -53,7 +52,6 @@ class StageResult:
     count: int
     seconds: float
     cpu_seconds: float
-    fingerprint: str
     trained: Gaussians | None = field(default=None, repr=False)
 
     @cached_property
@@ -125,7 +123,6 @@ class StageFolder:
             count=int(record["gaussians"]),
             seconds=float(record["seconds"]),
             cpu_seconds=float(record["cpu_seconds"]),
-            fingerprint=self.fingerprint,
         )
 
     def train(
@@ -245,6 +242,5 @@ class StageFolder:
             count=len(model),
             seconds=trainer.seconds,
             cpu_seconds=trainer.cpu_seconds,
-            fingerprint=self.fingerprint,
             trained=model,
         )
