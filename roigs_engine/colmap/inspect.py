@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import observations
@@ -44,7 +43,7 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
     }
 
 
-def inspect_roi(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> dict[str, Any]:
+def inspect_roi(scene: SfmScene, roi: OrientedBox) -> dict[str, Any]:
     """One box in numbers.
 
     Keys: `name`; `sides` (3 lengths, world units); `points` (inside); `photos` (that see the box,
@@ -53,7 +52,7 @@ def inspect_roi(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> 
     `nearest`, `farthest` (distance of these photos' cameras from the box's centre, world units;
     0 if there are none); `cameras_inside` (number of these photos inside the box).
     """
-    seen = observations(scene, roi, context)
+    seen = observations(scene, roi)
     photos = seen.images
     areas = [roi.projected_area(image.camera, image.world_to_camera) for image in photos]
     distances = [float(np.linalg.norm(image.centre - roi.centre)) for image in photos]

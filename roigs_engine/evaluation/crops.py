@@ -42,7 +42,6 @@ def write_crops(
     run_dir: Path,
     *,
     names: Sequence[str] | None = None,
-    views: Sequence[str] | None = None,
     context: Context = QUIET,
 ) -> list[Path]:
     """Write the images of all boxes; returns the files, box by box.
@@ -55,7 +54,7 @@ def write_crops(
         run_dir: the images go to its folder `crops`.
         names: rows to show after the photo; the last one is the result. Default: the baseline and
             the box's last row.
-        views: photos to show instead of those with the largest, median and least gain.
+
         context: checked for cancellation before every picture.
     """
     written: list[Path] = []
@@ -67,9 +66,8 @@ def write_crops(
         by_name = {m.name: m for m in models if m.rois is None or roi.name in m.rois}
         panels = [(row, by_name[row.model]) for row in shown]
         chosen = choose_views(shown[-1], shown[0])
-        labels = chosen if views is None else {name: chosen.get(name, "") for name in views}
         folder = Path(run_dir) / "crops" / safe_name(roi.name)
-        for name, label in labels.items():
+        for name, label in chosen.items():
             context.check_cancelled()
             path = folder / f"{safe_name(name)}.png"
             save_png(path, _side_by_side(scene.image(name), roi, panels, label))
@@ -119,7 +117,7 @@ def _side_by_side(
     """(H, W, 3) uint8: the photo's crop window, then each model's, labelled."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
     pictures = [load_photo(image)[rows, columns]]
-    captions = [f"photo ({label})" if label else "photo"]
+    captions = [f"photo ({label})"]
     for row, model in panels:
         view = render_view(model.gaussians, image.camera, image.world_to_camera)
         pictures.append(to_uint8(view.image)[rows, columns])

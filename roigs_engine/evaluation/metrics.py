@@ -19,7 +19,7 @@ SSIM_RADIUS = 5  # half of the 11 x 11 window
 
 
 def psnr_from_mse(mse: float) -> float:
-    """Peak signal-to-noise ratio in dB of a mean squared error on values in [0, 1]."""
+    """PSNR in dB of a mean squared error on values in [0, 1]; at most `MAX_PSNR`, NaN for NaN."""
     return MAX_PSNR if mse <= 1e-10 else -10.0 * math.log10(mse)
 
 
@@ -32,15 +32,6 @@ def mean_in(values: Tensor, mask: Tensor | None = None) -> float:
     """Mean of (H, W) values over the mask's pixels, summed in float64; NaN for an empty mask."""
     picked = values if mask is None else values[mask]
     return float(picked.double().mean()) if picked.numel() else math.nan
-
-
-def psnr(image: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
-    """PSNR in dB from the mean squared error over the mask's pixels x 3 channels.
-
-    NaN for an empty mask; at most `MAX_PSNR`.
-    """
-    mse = mean_in(squared_error(image, target), mask)
-    return mse if math.isnan(mse) else psnr_from_mse(mse)
 
 
 def ssim(

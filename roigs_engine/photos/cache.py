@@ -11,6 +11,8 @@ from ..machine import machine_memory
 from ..model.scene import PosedImage
 from .decode import Pixels, load_photo
 
+THREADS = 2  # that decode ahead
+
 
 class PhotoCache:
     """Decoded photos of a scene; above a limit in bytes, drops the least recently used ones.
@@ -19,9 +21,7 @@ class PhotoCache:
     `prefetch` decodes ahead on background threads. Thread-safe.
     """
 
-    def __init__(
-        self, images: Sequence[PosedImage], limit_bytes: int | None = None, threads: int = 2
-    ) -> None:
+    def __init__(self, images: Sequence[PosedImage], limit_bytes: int | None = None) -> None:
         """Args: `limit_bytes`: of the kept photos; default: a quarter of the machine's memory."""
         self._images = list(images)
         self._limit = machine_memory() // 4 if limit_bytes is None else limit_bytes
@@ -29,7 +29,7 @@ class PhotoCache:
         self._kept_bytes = 0
         self._pending: dict[int, Future[Pixels]] = {}
         self._lock = threading.Lock()
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="photos")
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="photos")
         self._closed = False
 
     def __len__(self) -> int:

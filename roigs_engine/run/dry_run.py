@@ -79,9 +79,7 @@ def _stage_rows(
             missing += expected.seconds
         else:
             each = done.seconds / max(stage.config.steps, 1)
-            expected = StageEstimate(
-                start=start, end=done.count, seconds=done.seconds, step_seconds=each
-            )
+            expected = StageEstimate(end=done.count, seconds=done.seconds, step_seconds=each)
             saved += done.seconds
         ends[stage.name] = expected.end
         estimates.append(expected)

@@ -36,12 +36,11 @@ class StageEstimate:
     """The estimate of one stage.
 
     Attributes:
-        start, end: numbers of Gaussians.
+        end: number of Gaussians at the end.
         seconds: training time.
         step_seconds: time of a step at the end.
     """
 
-    start: int
     end: int
     seconds: float
     step_seconds: float
@@ -66,7 +65,7 @@ class Estimator:
         low, high = self._step_seconds(stage, start, end)
         slope = (high - low) / max(end - start, 1)
         seconds = sum(low + slope * (count - start) for count in counts)
-        return StageEstimate(start=start, end=end, seconds=seconds, step_seconds=high)
+        return StageEstimate(end=end, seconds=seconds, step_seconds=high)
 
     def _share_in_boxes(self, stage: Stage) -> float:
         """Share of the scene's points that lie in the stage's boxes."""

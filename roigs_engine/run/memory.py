@@ -34,15 +34,14 @@ class MemoryPlan:
         photos: all photos of the run, decoded.
         cache: most bytes of decoded photos that are kept at a time.
         picture: training on the largest photo.
-        start, end: the Gaussians at the start, and the most that are expected.
-        count: number of Gaussians (not bytes) behind `end`.
+        end: the largest number of Gaussians that is expected.
+        count: that number (not bytes).
     """
 
     machine: int
     photos: int
     cache: int
     picture: int
-    start: int
     end: int
     count: int
 
@@ -117,7 +116,6 @@ def plan_memory(
         photos=photos,
         cache=max(cache, least),
         picture=PER_PIXEL * largest,
-        start=start,
         end=PER_GAUSSIAN * count,
         count=count,
     )

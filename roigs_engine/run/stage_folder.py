@@ -45,7 +45,6 @@ class StageResult:
         seconds: training time without checkpoints and evaluation.
         cpu_seconds: the same as CPU time of all threads of this process. Compare this one on a
             machine that is busy with other programs.
-        fingerprint: of the stage.
         trained: the model, if this process trained it.
     """
 
@@ -54,7 +53,6 @@ class StageResult:
     count: int
     seconds: float
     cpu_seconds: float
-    fingerprint: str
     trained: Gaussians | None = field(default=None, repr=False)
 
     @cached_property
@@ -126,7 +124,6 @@ class StageFolder:
             count=int(record["gaussians"]),
             seconds=float(record["seconds"]),
             cpu_seconds=float(record["cpu_seconds"]),
-            fingerprint=self.fingerprint,
         )
 
     def train(
@@ -246,6 +243,5 @@ class StageFolder:
             count=len(model),
             seconds=trainer.seconds,
             cpu_seconds=trainer.cpu_seconds,
-            fingerprint=self.fingerprint,
             trained=model,
         )

@@ -29,14 +29,13 @@ class RoiMask:
         pixels: (H, W) bool, whole tiles.
         window: x0, y0, x1, y1 in pixels, the smallest rectangle around them.
         weights: (h, w) of the window, 1 in the mask and 0 outside, on the training device.
-        share: share of the photo's pixels that are in the mask.
+
         loss_weight: weight of the mask's mean loss; a whole photo has 1.
     """
 
     pixels: Tensor
     window: tuple[int, int, int, int]
     weights: Tensor
-    share: float
     loss_weight: float
 
     def crop(self, image: Tensor) -> Tensor:
@@ -84,13 +83,11 @@ class RoiMasks:
         x0, x1 = int(columns[0]) * TILE, min(int(columns[-1] + 1) * TILE, camera.width)
         y0, y1 = int(rows[0]) * TILE, min(int(rows[-1] + 1) * TILE, camera.height)
         weights = mask[y0:y1, x0:x1].astype(np.float32)
-        share = float(mask.mean())
         return RoiMask(
             pixels=torch.from_numpy(np.ascontiguousarray(mask)),
             window=(x0, y0, x1, y1),
             weights=torch.from_numpy(weights).to(self._device),
-            share=share,
-            loss_weight=self._loss_weight(share),
+            loss_weight=self._loss_weight(float(mask.mean())),
         )
 
     def _loss_weight(self, share: float) -> float:

@@ -237,10 +237,10 @@ class VisibleAdam:
                     moments[name][fresh] = 0
 
     @torch.no_grad()
-    def zero_moments(self, name: str, rows: Tensor | None = None) -> None:
-        """Zero a parameter's moments in some rows (bool or long index; None: all rows)."""
+    def zero_moments(self, name: str) -> None:
+        """Zero a parameter's moments."""
         for moments in (self.exp_avg[name], self.exp_avg_sq[name]):
-            moments[slice(None) if rows is None else rows] = 0
+            moments.zero_()
 
     def state_dict(self) -> dict[str, Any]:
         """Step count, moments and learning rates; tensors are shared, not copied."""

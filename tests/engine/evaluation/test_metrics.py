@@ -29,38 +29,43 @@ def block(height: int = 40, width: int = 50) -> torch.Tensor:
     return mask
 
 
+def psnr(image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor | None = None) -> float:
+    """As the evaluation computes it."""
+    return metrics.psnr_from_mse(metrics.mean_in(metrics.squared_error(image, target), mask))
+
+
 def test_psnr_of_a_known_error() -> None:
     target = torch.full((4, 5, 3), 0.5)
-    assert metrics.psnr(target + 0.1, target) == pytest.approx(20.0, abs=1e-4)
-    assert metrics.psnr(target + 0.01, target) == pytest.approx(40.0, abs=1e-3)
+    assert psnr(target + 0.1, target) == pytest.approx(20.0, abs=1e-4)
+    assert psnr(target + 0.01, target) == pytest.approx(40.0, abs=1e-3)
 
 
 def test_psnr_averages_over_pixels_and_channels() -> None:
     target, image = torch.zeros(2, 2, 3), torch.zeros(2, 2, 3)
     image[0, 0, 1] = 0.6
-    assert metrics.psnr(image, target) == pytest.approx(-10 * math.log10(0.36 / 12), abs=1e-5)
+    assert psnr(image, target) == pytest.approx(-10 * math.log10(0.36 / 12), abs=1e-5)
     corner = torch.tensor([[True, False], [False, False]])
-    assert metrics.psnr(image, target, corner) == pytest.approx(-10 * math.log10(0.12), abs=1e-5)
+    assert psnr(image, target, corner) == pytest.approx(-10 * math.log10(0.12), abs=1e-5)
 
 
 def test_only_the_mask_counts() -> None:
     target, mask = picture(), block()
     image = target.clone()
     image[~mask] = 1 - image[~mask]
-    assert metrics.psnr(image, target, mask) == metrics.MAX_PSNR
-    assert metrics.psnr(image, target, ~mask) < 15
+    assert psnr(image, target, mask) == metrics.MAX_PSNR
+    assert psnr(image, target, ~mask) < 15
 
 
 def test_equal_images() -> None:
     image = picture()
-    assert metrics.psnr(image, image) == metrics.MAX_PSNR
+    assert psnr(image, image) == metrics.MAX_PSNR
     assert metrics.ssim(photo() / 255, photo()) == pytest.approx(1.0, abs=1e-6)
     assert metrics.ssim(photo() / 255, photo(), block()) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_empty_mask_has_no_value() -> None:
     empty = torch.zeros(40, 50, dtype=torch.bool)
-    assert math.isnan(metrics.psnr(picture(), picture(1), empty))
+    assert math.isnan(psnr(picture(), picture(1), empty))
     assert math.isnan(metrics.ssim(picture(), photo(1), empty))
     assert metrics.bounding_box(empty) is None
 

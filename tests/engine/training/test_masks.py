@@ -43,12 +43,12 @@ def test_a_mask_is_the_silhouettes_tiles_and_a_rim() -> None:
     for reach in (-16, 16):  # a whole tile around every pixel of the silhouette
         assert pixels[ys, np.clip(xs + reach, 0, CAMERA.width - 1)].all()
         assert pixels[np.clip(ys + reach, 0, CAMERA.height - 1), xs].all()
-    assert 0 < mask.share < 0.6
+    assert 0 < mask.loss_weight < 0.6
     x0, y0, x1, y1 = mask.window
     assert not pixels[:y0].any() and not pixels[y1:].any()
     assert not pixels[:, :x0].any() and not pixels[:, x1:].any()
     assert torch.equal(mask.weights, mask.pixels[y0:y1, x0:x1].float())
-    assert mask.share == pytest.approx(float(mask.pixels.float().mean()))
+    assert mask.loss_weight == pytest.approx(float(mask.pixels.float().mean()))
 
 
 def test_a_photo_without_a_box_has_no_mask() -> None:
@@ -80,7 +80,7 @@ def test_weightingd_photos_pull_alike_from_near_and_far() -> None:
         several = RoiMasks(photos, [BOX], drawn, view_weighting=weighting)
         return [mask for k in range(4) if (mask := several[k]) is not None]
 
-    shares = np.array([mask.share for mask in masks(0)])
+    shares = np.array([float(mask.pixels.float().mean()) for mask in masks(0)])
     assert len(shares) == 3 and shares[0] > 2 * shares[2]
     for weighting in (0.0, 0.5, 1.0, 1.5):
         weights = np.array([mask.loss_weight for mask in masks(weighting)])
