@@ -1,4 +1,4 @@
-"""On an NVIDIA card: the compiled backend against the float64 reference, and whole trainings.
+"""On an NVIDIA GPU: the compiled backend against the float64 reference, and whole trainings.
 
 Every test is skipped by itself, with the reason, where the card or gsplat is missing.
 """
