@@ -64,7 +64,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
 
     load_boxes(blender)
     look_at_boxes(blender)
-    picture("2-regions", "1040x780+0+0")
+    picture("2-boxes", "1040x780+0+0")
 
     blender.click(blender.find("roigs.select_cameras"))
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
