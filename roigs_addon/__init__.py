@@ -1,12 +1,12 @@
 """The Blender side of ROI-GS: the only code of the project that may import `bpy`.
 
 It talks to the engine as to another program, through options files, JSON lines and a run folder
-(docs/files.md), and imports nothing of `roigs_engine`. A room imports only from those above it:
+(docs/files.md). Of `roigs_engine` it imports only the formats and their errors, through
+`shared.py`. A room imports only from those above it:
 
 | room | what |
 |---|---|
 | `geometry/` | cameras and boxes in COLMAP's frame and in Blender's; no bpy |
-| `formats/` | the files and lines shared with the engine; no bpy |
 | `engine/` | the engine as another program: run, find, install, look at its runs; no bpy |
 | `scene/` | COLMAP models, boxes and Gaussians as Blender objects |
 | `jobs/` | the one engine job that runs at a time, and what is asked of it |

@@ -86,9 +86,11 @@ def engine(packages: tuple[str, ...]) -> Engine:
     Raises:
         AddonError: there is none.
     """
-    found, reason = python.find(chosen_python(), environments(), packages)
+    chosen = chosen_python()
+    found, reason = python.find(chosen, environments(), packages)
     if found is None:
-        raise AddonError(f"{reason} Set up the engine in the add-on's preferences.")
+        remedy = "Change or clear Engine Python" if chosen else "Set up the engine"
+        raise AddonError(f"{reason} {remedy} in the add-on's preferences.")
     return found
 
 

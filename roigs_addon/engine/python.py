@@ -77,9 +77,17 @@ def ability(python: Path) -> Ability:
         found = json.loads(result.stdout.strip().splitlines()[-1])
         version = (int(found["version"][0]), int(found["version"][1]))
         there = set(found["packages"])
-    except (OSError, subprocess.TimeoutExpired, ValueError, KeyError, IndexError) as error:
-        return Ability(version=(0, 0), missing=PACKAGES, fault=f"it does not start ({error})")
+    except OSError as error:
+        return _faulty(f"it does not start ({error.strerror or error})")
+    except subprocess.TimeoutExpired:
+        return _faulty(f"it does not answer within {PROBE_SECONDS:.0f} seconds")
+    except (ValueError, KeyError, IndexError):
+        return _faulty("it is not a working Python")
     return Ability(version=version, missing=tuple(n for n in PACKAGES if n not in there))
+
+
+def _faulty(fault: str) -> Ability:
+    return Ability(version=(0, 0), missing=PACKAGES, fault=fault)
 
 
 def own_python() -> Path:

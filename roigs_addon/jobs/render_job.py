@@ -48,4 +48,5 @@ def spec(scene: bpy.types.Scene, directory: str, *, animation: bool) -> JobSpec:
         arguments=["render", result, *where, *options_files.machine_options()],
         log=own_files.log_file(folder),
         on_done=load,
+        done_text=f"Rendered to {out}",
     )

@@ -25,6 +25,7 @@ class JobSpec:
         folder: of the run; previews outside it are ignored.
         on_preview: called with the path of each preview.
         on_done: called after a job that was finished, not stopped; may raise AddonError.
+        done_text: what the user is told then; empty where the window shows it anyway.
     """
 
     title: str
@@ -33,3 +34,4 @@ class JobSpec:
     folder: Path | None = None
     on_preview: Callable[[Path], None] = nothing
     on_done: Callable[[], None] = nothing
+    done_text: str = ""

@@ -87,6 +87,7 @@ class EngineOperator(bpy.types.Operator):
         if result.stopped:
             self.report({"WARNING"}, "Stopped.")
             return {"CANCELLED"}
+        self._tell(job)
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
@@ -113,8 +114,14 @@ class EngineOperator(bpy.types.Operator):
                 # An error would pop up over the panel, which shows the message anyway.
                 self.report({"WARNING"}, job.result.message)
                 return {"CANCELLED", "PASS_THROUGH"}
+            if not job.result.stopped:
+                self._tell(job)
             return {"FINISHED", "PASS_THROUGH"}
         if event.type == "ESC" and event.value == "PRESS" and not job.stopping:
             job.stop()
             return {"RUNNING_MODAL"}
         return {"PASS_THROUGH"}
+
+    def _tell(self, job: Job) -> None:
+        if job.spec.done_text:
+            self.report({"INFO"}, job.spec.done_text)

@@ -118,7 +118,8 @@ def box(roi: bpy.types.Object, scene: bpy.types.Scene) -> Box:
         return box_from_matrix(*_with_root(roi, root), roi.empty_display_size)
     except ShearedBoxError as error:
         raise AddonError(
-            f"'{roi.name}' is slanted: {error}. Scale its root evenly, or clear the box's rotation."
+            f"'{roi.name}' is slanted: {error}."
+            " Scale the COLMAP empty evenly, or clear the box's rotation."
         ) from error
     except (ValueError, np.linalg.LinAlgError) as error:
         raise AddonError(

@@ -18,6 +18,7 @@ from ..errors import AddonError
 from ..geometry.box import Box
 from ..properties import object_props, scene_props
 from ..shared import EngineError
+from ..shared import names as name_format
 from ..shared import rois as roi_format
 from . import lookup
 
@@ -186,9 +187,12 @@ def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -
     """Write `rois.json` for the engine; returns its path.
 
     Raises:
-        AddonError: one is not a box, or its name cannot name a file.
+        AddonError: one is not a box, its name cannot name a file, or two have the same name.
     """
     path = folder / ROIS
+    taken = name_format.first_taken(roi.name for roi in boxes)
+    if taken is not None:
+        raise AddonError(f"Two boxes are named '{taken}' (case does not count). Rename one.")
     records = [lookup.box(roi, scene).record(file_name(roi)) for roi in boxes]
     path.write_text(roi_format.rois_document(records), encoding="utf-8")
     return path
@@ -200,6 +204,8 @@ def read(path: Path) -> dict[str, Box]:
     Raises:
         AddonError: it cannot be read, or one of its entries is not a box.
     """
+    if not path.is_file():
+        raise AddonError(f"There is no file {path}. Choose a rois.json.")
     try:
         return {record.name: Box.of(record) for record in roi_format.read_rois(path)}
     except EngineError as error:

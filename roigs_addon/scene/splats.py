@@ -169,7 +169,7 @@ def _points(name: str, path: Path) -> bpy.types.Object:
     try:
         cloud = read_splats(path)
     except (OSError, ValueError) as error:
-        raise AddonError(f"{path} cannot be read ({error}). Train again.") from error
+        raise AddonError(f"{error} Train again.") from error
     item = clouds.new_points(name, cloud.means)
     add_attributes(mesh_of(item), cloud)
     return item

@@ -10,10 +10,16 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from .. import blender, settings
 from ..blender import region_of, registration
 from ..engine import check, install
+from ..windows import redraw_sidebars
 from .layout import PIXELS_PER_LETTER, wrapped
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
+
+
+def _show_anew(_page: RoigsPreferences, _context: bpy.types.Context) -> None:
+    """The sidebar says whether this Python can train."""
+    redraw_sidebars()
 
 
 class RoigsPreferences(bpy.types.AddonPreferences):
@@ -25,6 +31,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         name="Engine Python",
         subtype="FILE_PATH",
         description="Python that runs the engine (empty: found automatically)",
+        update=_show_anew,
     )
     threads: IntProperty(
         name="Threads", default=0, min=0, description="CPU threads that the engine uses; 0: all"

@@ -37,7 +37,8 @@ class ResultPanel(SidebarPanel):
         _draw_objects(layout.column(align=True), splats, shown_levels(scene))
         _draw_as_points(layout, splats)
         for path, problem in viewport.problems().items():
-            show.wrong(layout, f"{Path(path).name}: {problem}" if path else problem)
+            named = not path or path in problem
+            show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine archives files.
         if not current.busy() and (missing := run_facts.missing_splats(scene)):
             names = ", ".join(missing)

@@ -52,7 +52,7 @@ def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: Run
         text = f"Another Blender or terminal is training here (process {status.holder})"
         show.paused(layout, text)
     elif status.left:
-        show.paused(layout, f"Stopped: {stage_in_words(status.left)}")
+        show.paused(layout, f"Stopped during: {stage_in_words(status.left)}")
     elif status.result and (changed := run_facts.changed_boxes(scene, status)):
         show.wrong(layout, f"Changed since training: {', '.join(changed)}")
     elif status.result:

@@ -38,9 +38,10 @@ def select(blender: Blender, kind: str) -> None:
 
 
 def look_at_boxes(blender: Blender) -> None:
-    """Make the boxes fill the view."""
-    blender.ask("[o.select_set(o.roigs.kind == 'ROI') for o in bpy.context.scene.objects] and None")
-    blender.ask("call('view3d.view_selected')")
+    """Make the boxes fill the view beside the sidebar."""
+    select(blender, "ROI")
+    for _ in range(2):  # the sidebar lies over the view's right side
+        blender.ask("call('view3d.zoom', delta=-1)")
     blender.ask("call('roigs.select_roi', name='vase')")
 
 
@@ -64,7 +65,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
 
     load_boxes(blender)
     look_at_boxes(blender)
-    picture("2-regions", "1040x780+0+0")
+    picture("2-boxes", "1040x780+0+0")
 
     blender.click(blender.find("roigs.select_cameras"))
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
@@ -77,8 +78,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
 
     blender.ask("bpy.context.scene.camera.data.show_background_images = False")
     blender.click(blender.find("roigs.train_roi", x=0.3))
-    blender.until(f"{STATE}.stage == 'joint'", 3600)
-    blender.until(f"{STATE}.step > 600", 3600)
+    blender.until(f"{STATE}.step > 1200", 3600)
     picture("4-training")
 
     blender.until(f"not {BUSY}", 3600)
@@ -86,7 +86,9 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     blender.pause(10.0)
     picture("5-result")
 
+    blender.screen.do("mousemove", *(str(side // 2) for side in SIZE))  # the window opens there
     blender.ask(PREFERENCES)
+    blender.screen.do("mousemove", "3", "450")  # no tooltip
     blender.pause(2.0)
     picture("6-preferences", blender.screen.place_of("Preferences"))
 

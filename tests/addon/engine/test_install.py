@@ -180,3 +180,10 @@ def test_check_of_a_python_that_does_not_exist(tmp_path: Path) -> None:
     assert not any(finding.works for finding in findings)
     assert "does not start" in findings[-1].text
     check.forget()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such program")
+def test_check_of_a_program_that_is_no_python(tmp_path: Path) -> None:
+    findings = check.check("/bin/ls", tmp_path)
+    assert findings[-1].text.endswith("it is not a working Python")
+    check.forget()

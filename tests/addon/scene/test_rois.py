@@ -249,6 +249,22 @@ def test_names_that_cannot_name_files(
         written(blender.context.scene, tmp_path)
 
 
+def test_names_that_differ_in_case_only(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    from roigs_addon.errors import AddonError
+
+    add_roi(blender).name = "vase"
+    add_roi(blender).name = "VASE"
+    with pytest.raises(AddonError, match=r"Two boxes are named 'vase' .*Rename one"):
+        written(blender.context.scene, tmp_path)
+
+
+def test_a_file_that_does_not_exist(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match=r"There is no file .*none\.json"):
+        blender.ops.roigs.load_rois(filepath=str(tmp_path / "none.json"))
+
+
 def test_flat_and_slanted_boxes_are_refused(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:
