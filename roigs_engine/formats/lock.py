@@ -39,7 +39,7 @@ def locked(folder: Path) -> Iterator[None]:
     except BlockingIOError as error:
         raise RunFolderError(
             f"Another engine is at work in {folder}{_holder(path)}.",
-            "Wait for it, stop it, or choose another --run-dir.",
+            "Wait for it, stop it, or choose another run folder (--run-dir).",
         ) from error
     except OSError as error:
         raise RunFolderError(

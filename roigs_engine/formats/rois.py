@@ -19,8 +19,12 @@ from ..errors import RoiError
 from .names import MAX_NAME, first_taken, is_file_name
 
 Float64 = NDArray[np.float64]
+FORM_HINT = "Give 'min' and 'max' with three numbers each, or 'world_to_box' and 'half_extents'."
 FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
-NAME_HINT = f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _."
+NAME_HINT = (
+    f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _; no space or dot at the ends,"
+    " and no name that Windows reserves (NUL, CON, COM1)."
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,11 +98,10 @@ def roi_record(record: Any) -> RoiRecord:
             return RoiRecord.between(name, low, high)
         transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
         half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
-    except (KeyError, ValueError, TypeError, OverflowError) as error:
-        raise RoiError(
-            f"Box '{name}' is malformed ({error}).",
-            "Give 'min' and 'max' with three numbers each, or 'world_to_box' and 'half_extents'.",
-        ) from error
+    except KeyError as error:
+        raise RoiError(f"Box '{name}' has no {error}.", FORM_HINT) from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise RoiError(f"Box '{name}' has corners or sides of a wrong shape.", FORM_HINT) from error
     rotation = transform[:3, :3]
     with np.errstate(all="ignore"):
         rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)

@@ -16,6 +16,7 @@ from .archive import archive_parts, restore_parts
 
 FORMER_NAME = "request.json"  # until 0.1.0
 # Results of the run as a whole, not of one stage.
+MOST_TEXT = 120  # characters; a longer difference is not spelled out
 RESULTS = (
     *(run_files.RESULT, run_files.BACKGROUND, run_files.FINE, run_files.COARSE),
     *(run_files.REPORT, run_files.REPORT_DATA, run_files.CROPS, run_files.SELECTION),
@@ -45,7 +46,7 @@ def claim(
     if not update:
         raise RunFolderError(
             f"{folder} has another run ({difference}).",
-            "Add --update to archive that run, or choose another --run-dir.",
+            "Add --update to archive that run, or choose another run folder (--run-dir).",
         )
     archive_parts(folder, RESULTS, manifest_digest(before))
     restore_parts(folder, RESULTS, manifest_digest(now))
@@ -58,7 +59,7 @@ def check_version(folder: Path) -> None:
     if (folder / FORMER_NAME).exists() and not (folder / MANIFEST).exists():
         raise RunFolderError(
             f"{folder} was made by an earlier version; this version cannot resume it.",
-            "Choose another --run-dir; the results in this one stay as they are.",
+            "Choose another run folder (--run-dir); the results in this one stay as they are.",
         )
 
 
@@ -82,4 +83,7 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
             if found:
                 return found
         return ""
-    return "" if before == now else f"{path} was {before}, now {now}"
+    if before == now:
+        return ""
+    text = f"{path} was {before}, now {now}"
+    return text if len(text) <= MOST_TEXT else f"{path} changed"

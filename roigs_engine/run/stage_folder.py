@@ -116,7 +116,8 @@ class StageFolder:
         if not isinstance(record, dict) or record.get("fingerprint") != self.fingerprint:
             raise RunFolderError(
                 f"{self.folder} was trained with other settings or photos.",
-                "Add --update to archive it and train again, or choose another --run-dir.",
+                "Add --update to archive it and train again, or choose another run folder"
+                " (--run-dir).",
             )
         return StageResult(
             name=self.name,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.errors import RunFolderError
-from roigs_engine.formats.lock import locked
+from roigs_engine.formats.lock import holder, locked
 
 ROOT = Path(__file__).resolve().parents[3]
 HOLD = """
@@ -61,3 +61,13 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"run\.lock"), locked(tmp_path / "file"):
         pass
+
+
+def test_others_see_who_holds_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.lock"
+    assert holder(path) == 0
+    with locked(tmp_path):
+        assert holder(path) == os.getpid()
+    tmp_path.mkdir(exist_ok=True)
+    path.write_text("nobody", encoding="utf-8")  # as a killed engine leaves it
+    assert holder(path) == 0

@@ -14,13 +14,14 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.ownership import count_owned
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.executor import Executor
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.stage_folder import StageFolder, StageResult
-from roigs_engine.run.strategies import plan_run, scene_stage
+from roigs_engine.run.strategies import matched, plan_run, scene_stage, strategy
 from roigs_engine.training.trainer import StageData
 from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -207,3 +208,16 @@ def test_every_stage_is_made_and_read_at_most_once(
     assert sorted(read) == sorted(names)
     done = [e.text for e in events if isinstance(e, Message) and "already finished" in e.text]
     assert len(done) == len(names)
+
+
+def test_the_matched_baseline_gets_our_number_of_gaussians(scene: SfmScene, tmp_path: Path) -> None:
+    photos = PhotoSets(define_run(tmp_path, scene, [BOX], tiny("joint")))
+    ours = strategy(photos)
+    plan = matched(photos, ours.models[-1])
+    (stage,) = (stage for stage in plan.stages if stage.name == "matched-scene")
+    assert [needed.name for needed in stage.inputs] == ["joint"]
+    executor = Executor(photos.run)
+    (trained,) = executor.execute(plan)
+    joint = executor.gaussians(ours.models[-1].source)
+    allowed, held = (count_owned(model, [BOX])[0] for model in (joint, trained.gaussians))
+    assert 0 < held <= allowed
