@@ -1,4 +1,4 @@
-"""The engine's lines: read with a bound, and as lines of the log. No bpy."""
+"""The engine's output, read with a limit on line length, and its events as text. No bpy."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, check_complete, photo_size
 from .records import NO_IDS, Model, ModelCamera, ModelImage
 from .undistort import (
-    Plan,
+    UndistortionPlan,
     as_pinhole,
     has_pycolmap,
     plan_undistortion,
@@ -89,7 +89,7 @@ class PhotoLoader:
         self._pixels = pixels
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.posed: dict[int, PosedImage] = {}
-        self._plans: dict[int, Plan] = {}
+        self._plans: dict[int, UndistortionPlan] = {}
         names: set[str] = set()
         for image in sorted(model.images, key=lambda image: image.image_id):
             context.check_cancelled()

@@ -39,7 +39,7 @@ CACHE_VERSION = 1  # part of each cached photo's name: increase it if the pixels
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class UndistortionPlan:
     """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`."""
 
     photo: Path
@@ -93,7 +93,7 @@ def plan_undistortion(
     camera: ModelCamera,
     size: tuple[int, int],
     shrink: Callable[[int, int], tuple[int, int]],
-) -> Plan:
+) -> UndistortionPlan:
     """How to undistort a photo.
 
     Args:
@@ -113,10 +113,10 @@ def plan_undistortion(
         source = _resized(camera, round(size[0] * share), round(size[1] * share))
         # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
-    return Plan(photo=photo, source=source, target=target)
+    return UndistortionPlan(photo=photo, source=source, target=target)
 
 
-def undistort(plan: Plan, folder: Path) -> Path:
+def undistort(plan: UndistortionPlan, folder: Path) -> Path:
     """The undistorted photo in `folder`; created now if it is not in the cache.
 
     Raises:

@@ -7,6 +7,16 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
+MAX_NAME = 100  # characters; leaves room for what is added to it
+# These names open devices on Windows, with any extension.
+DEVICES = {
+    "con",
+    "prn",
+    "aux",
+    "nul",
+    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
+}
+
 
 def safe_name(name: str) -> str:
     """`name` as one path component: letters of any script, digits, `-`, `.`, `_` and spaces.
@@ -15,22 +25,10 @@ def safe_name(name: str) -> str:
     """
     clean = re.sub(r"[^\w\-. ]+", "_", name).strip(" .")
     clean = clean[:80].rstrip(" .") or "unnamed"
-    if clean == name:
+    if clean == name and not _is_device(name):
         return clean
+    clean = f"_{clean}" if _is_device(clean) else clean
     return f"{clean}-{hashlib.sha1(name.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}"
-
-
-MAX_NAME = 100  # letters: with what is added to it, a name for a file on every system
-
-
-# Windows opens a device under these names, whatever follows behind a dot.
-DEVICES = {
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
-}
 
 
 def is_file_name(name: str) -> bool:
@@ -41,12 +39,16 @@ def is_file_name(name: str) -> bool:
         and not name.endswith(".")
         and not any(c in '/\\:*?"<>|' or unicodedata.category(c) in ("Cc", "Cs") for c in name)
         and len(name.encode("utf-8", "replace")) <= 2 * MAX_NAME
-        and name.partition(".")[0].strip().casefold() not in DEVICES
+        and not _is_device(name)
     )
 
 
+def _is_device(name: str) -> bool:
+    return name.partition(".")[0].strip().casefold() in DEVICES
+
+
 def first_taken(names: Iterable[str]) -> str | None:
-    """A name that another one has too, or has in another case: their files would be the same."""
+    """The first name that repeats an earlier one, ignoring case: their files would collide."""
     seen: set[str] = set()
     for name in names:
         key = unicodedata.normalize("NFC", name).casefold()

@@ -22,9 +22,11 @@ Float64 = NDArray[np.float64]
 FORM_HINT = "Give 'min' and 'max' with three numbers each, or 'world_to_box' and 'half_extents'."
 FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 NAME_HINT = (
-    f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _; no space or dot at the ends,"
-    " and no name that Windows reserves (NUL, CON, COM1)."
+    f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _; no space or dot at the"
+    " ends, and no name that Windows reserves (NUL, CON, COM1)."
 )
+FORM_HINT = "Give 'min' and 'max' with 3 numbers each, or 'world_to_box' and 'half_extents'."
+FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -55,7 +55,8 @@ class MemoryPlan:
         kept = min(self.photos, self.cache)
         text = (
             f"Memory: up to about {_gb(self.total)} of {_gb(self.machine)}: photos {_gb(kept)},"
-            f" {self.count:,} Gaussians {_gb(self.end)}, the rest {_gb(ENGINE + self.picture)}."
+            f" {_gb(self.end)} if a model grows to {self.count:,} Gaussians,"
+            f" the rest {_gb(ENGINE + self.picture)}."
         )
         found = [Message(text=text)]
         if kept < self.photos:

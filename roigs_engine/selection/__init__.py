@@ -108,8 +108,10 @@ def _order(
             return order_coverage(candidates, count, context)
         case "fvs":
             return order_fvs(candidates, count)
-        case _:
+        case "random":
             return order_random(candidates, count, config.seed)
+        case _:
+            raise AssertionError(f"`METHODS` has {config.method}, but nothing orders by it.")
 
 
 def _count_flags(roi: OrientedBox, config: SelectionConfig, candidates: int) -> tuple[str, ...]:

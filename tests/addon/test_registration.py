@@ -132,3 +132,10 @@ def test_a_failed_registration_is_taken_back(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(RuntimeError, match="c"):
         roigs_addon.register()
     assert calls == ["+a", "+b", "-b", "-a"]
+
+
+def test_the_methods_are_the_engines(addon: ModuleType) -> None:
+    from roigs_addon import properties
+    from roigs_engine.selection import METHODS
+
+    assert {method[0].lower() for method in properties.METHODS} == set(METHODS)
