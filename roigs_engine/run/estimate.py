@@ -28,6 +28,7 @@ from .plan import Stage
 # (docs/lab_notebook.md).
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
 WARM_UP, MEASURED = 4, 12  # steps
+MOST_MEASURED = 300_000  # Gaussians; the time of more is extrapolated
 RENDER_SHARE = 0.5  # of a training step's time, to render and compare a test photo
 
 
@@ -62,10 +63,11 @@ class Estimator:
         """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end = counts[-1]
-        low, high = self._step_seconds(stage, start, end)
-        slope = (high - low) / max(end - start, 1)
-        seconds = sum(low + slope * (count - start) for count in counts)
-        return StageEstimate(end=end, seconds=seconds, step_seconds=high)
+        few, many = min(start, MOST_MEASURED), min(end, MOST_MEASURED)
+        low, high = self._step_seconds(stage, few, many)
+        slope = (high - low) / (many - few) if many > few else high / max(few, 1)
+        seconds = sum(low + slope * (count - few) for count in counts)
+        return StageEstimate(end=end, seconds=seconds, step_seconds=low + slope * (end - few))
 
     def _share_in_boxes(self, stage: Stage) -> float:
         """Share of the scene's points that lie in the stage's boxes."""
@@ -86,7 +88,7 @@ class Estimator:
         return self._times[key]
 
     def _measured(self, stage: Stage, count: int) -> float:
-        """Seconds of a training step with `count` Gaussians, the mean of a few."""
+        """Seconds of a training step with `count` Gaussians, the median of a few."""
         self._context.check_cancelled()
         images = stage.images[:: max(1, len(stage.images) // 8)]
         data = StageData(

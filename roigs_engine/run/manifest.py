@@ -13,10 +13,11 @@ from ..formats import run_files
 from ..formats.files import read_json, write_json
 from ..formats.run_files import MANIFEST
 from .archive import archive_parts, restore_parts
+from .config import STRATEGIES
 
 FORMER_NAME = "request.json"  # until 0.1.0
-# Results of the run as a whole, not of one stage.
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
+# Results of the run as a whole, not of one stage.
 RESULTS = (
     *(run_files.RESULT, run_files.BACKGROUND, run_files.FINE, run_files.COARSE),
     *(run_files.REPORT, run_files.REPORT_DATA, run_files.CROPS, run_files.SELECTION),
@@ -48,8 +49,9 @@ def claim(
             f"{folder} has another run ({difference}).",
             "Add --update to archive that run, or choose another run folder (--run-dir).",
         )
-    archive_parts(folder, RESULTS, manifest_digest(before))
-    restore_parts(folder, RESULTS, manifest_digest(now))
+    for home in (folder, *(folder / name for name in STRATEGIES)):  # the second: --compare
+        archive_parts(home, RESULTS, manifest_digest(before))
+        restore_parts(home, RESULTS, manifest_digest(now))
     write_json(path, now)
     context.info(f"Updated {folder} to the new settings ({difference}).")
 

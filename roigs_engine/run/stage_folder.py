@@ -91,8 +91,8 @@ class StageFolder:
 
     def peek(self) -> StageResult | None:
         """The stage's result if it is finished, or None; changes nothing."""
-        with suppress(RunFolderError, KeyError, TypeError, ValueError):
-            return self._finished()
+        with suppress(RunFolderError):
+            return self._finished() if (self.folder / run_files.MODEL).exists() else None
         return None
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
@@ -119,13 +119,18 @@ class StageFolder:
                 "Add --update to archive it and train again, or choose another run folder"
                 " (--run-dir).",
             )
-        return StageResult(
-            name=self.name,
-            model_path=self.folder / run_files.MODEL,
-            count=int(record["gaussians"]),
-            seconds=float(record["seconds"]),
-            cpu_seconds=float(record["cpu_seconds"]),
-        )
+        try:
+            return StageResult(
+                name=self.name,
+                model_path=self.folder / run_files.MODEL,
+                count=int(record["gaussians"]),
+                seconds=float(record["seconds"]),
+                cpu_seconds=float(record["cpu_seconds"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise RunFolderError(
+                f"{self._record} is damaged.", f"Delete {self.folder} to train the stage again."
+            ) from error
 
     def train(
         self,

@@ -11,8 +11,9 @@ from roigs_engine.errors import RunFolderError
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
-from roigs_engine.run.estimate import expected_counts, model_of_size
+from roigs_engine.run.estimate import MOST_MEASURED, Estimator, expected_counts, model_of_size
 from roigs_engine.run.folder import train_run
+from roigs_engine.run.plan import Stage
 from roigs_engine.run.strategies import plan_run
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -87,3 +88,27 @@ def test_a_model_of_any_size_to_measure_with(scene: SfmScene, share: float) -> N
     model = model_of_size(scene, count)
     assert len(model) == count
     assert all(bool(tensor.isfinite().all()) for tensor in model.tensors().values())
+
+
+def test_a_large_model_is_extrapolated_not_made(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes: list[int] = []
+
+    def measured(self: Estimator, stage: Stage, count: int) -> float:
+        sizes.append(count)
+        return 1e-6 * count
+
+    monkeypatch.setattr(Estimator, "_measured", measured)
+    stage = plan_run(define_run(tmp_path, scene, [BOX], tiny("joint"))).stages[0]
+    found = Estimator(scene).estimate(stage, 50_000_000)
+    assert max(sizes) <= MOST_MEASURED
+    assert found.step_seconds == pytest.approx(1e-6 * found.end)
+
+
+def test_a_stage_without_its_model_is_not_done(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    train_run(run)
+    (tmp_path / "joint" / "model.ply").unlink()
+    found = rows(describe_plan(run))
+    assert found["scene"][-1] == "done" and found["joint"][-1] != "done"
