@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
-from ..formats.rois import RoiRecord, check_box, read_rois, roi_record
+from ..formats.rois import RoiRecord, read_rois, roi_record
 from .scene import Camera, Float64
 from .silhouette import convex_hull, fill_convex
 
@@ -22,21 +22,8 @@ AREA_SIDE = 256  # longer side of the thumbnail for measuring a silhouette's are
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OrientedBox:
-    """A box: |world_to_box . p| <= half_extents, per axis.
-
-    Attributes:
-        name: unique within a run; used in file names.
-        world_to_box: (4, 4) rigid transform; the box's centre maps to the origin.
-        half_extents: (3,) half side lengths, world units, > 0.
-    """
-
-    name: str
-    world_to_box: Float64
-    half_extents: Float64
-
-    def __post_init__(self) -> None:
-        check_box(self.name, self.world_to_box, self.half_extents)
+class OrientedBox(RoiRecord):
+    """A box of `rois.json` with its geometry: |world_to_box . p| <= half_extents, per axis."""
 
     @classmethod
     def from_record(cls, record: RoiRecord) -> OrientedBox:
@@ -135,14 +122,6 @@ class OrientedBox:
     def projected_pixels(self, camera: Camera, world_to_camera: Float64) -> float:
         """Number of pixels in the silhouette, from `projected_area`."""
         return self.projected_area(camera, world_to_camera) * camera.width * camera.height
-
-    def to_dict(self) -> dict[str, Any]:
-        """A record of `rois.json`, as `roi_from_dict` reads it."""
-        return {
-            "name": self.name,
-            "world_to_box": self.world_to_box.tolist(),
-            "half_extents": self.half_extents.tolist(),
-        }
 
 
 def roi_from_dict(record: Any) -> OrientedBox:
