@@ -84,11 +84,7 @@ class RenderOutput:
 class RenderInputs:
     """The arguments of `rasterize` after its checks; all tensors on one device."""
 
-    means: Tensor  # (N, 3)
-    quats: Tensor  # (N, 4) wxyz, any length
-    scales: Tensor  # (N, 3)
-    opacities: Tensor  # (N,)
-    sh: Tensor  # (N, K, 3)
+    parameters: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]  # the first five arguments
     viewmats: Tensor  # (C, 4, 4) world_to_camera
     Ks: Tensor  # (C, 3, 3)
     width: int
@@ -105,9 +101,9 @@ class RenderInputs:
     backward_step: BackwardStep | None  # None: the backward pass returns gradients
 
     @property
-    def parameters(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The trained tensors, in the order of `rasterize`'s arguments."""
-        return self.means, self.quats, self.scales, self.opacities, self.sh
+    def means(self) -> Tensor:
+        """(N, 3) centres."""
+        return self.parameters[0]
 
 
 def check_inputs(
@@ -170,16 +166,19 @@ def check_backward_step(
         )
 
 
-def check_pixel_weights(
-    pixel_weights: Tensor, with_weight_sum: bool, shape: tuple[int, int, int]
-) -> None:
-    """Raise EngineError unless the weights fit the images and `with_weight_sum` is set."""
+def checked_pixel_weights(
+    pixel_weights: Tensor | None, with_weight_sum: bool, shape: tuple[int, int, int], like: Tensor
+) -> Tensor | None:
+    """The weights in `like`'s type and device; EngineError unless they fit and have an effect."""
+    if pixel_weights is None:
+        return None
     if not with_weight_sum:
         raise EngineError("rasterize: pixel_weights without with_weight_sum have no effect.")
     if tuple(pixel_weights.shape) != shape:
         raise EngineError(
             f"rasterize: pixel_weights has shape {tuple(pixel_weights.shape)}, expected {shape}."
         )
+    return pixel_weights.detach().to(like)
 
 
 def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:
