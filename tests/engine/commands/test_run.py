@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
+from tests.engine.commands.command_line import BOX
 from tests.engine.synthetic_colmap import Project, write_project
-
-BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
     names = [f"{k}.png" for k in range(10)]
     return write_project(tmp_path_factory.mktemp("run") / "a scene", names=names, dots=True)
-
-
-@pytest.fixture(autouse=True)
-def handlers() -> Iterator[None]:
-    """Commands take Ctrl-C and SIGTERM over; give them back."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
-    yield
-    for number, handler in zip(numbers, before, strict=True):
-        signal.signal(number, handler)
 
 
 def arguments(project: Project, run: Path, *more: str) -> list[str]:

@@ -1,0 +1,43 @@
+"""The command line for the tests: called, or as a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import roigs_engine
+from roigs_engine.cli import main
+
+ROOT = Path(roigs_engine.__file__).resolve().parent.parent
+BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+EMPTY = "nothing=30,30,30,31,31,31"  # no points in it
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    """The command line as a process of its own, its input open."""
+    command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+
+def python(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command line as a process of its own, to its end; its input stays open until then."""
+    with start(*arguments) as process:
+        assert process.stdout is not None and process.stderr is not None
+        out, err = process.stdout.read(), process.stderr.read()
+        return subprocess.CompletedProcess(process.args, process.wait(120), out, err)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run a command that must fail as people expect; returns its one line."""
+    assert main([str(argument) for argument in arguments]) == 2
+    out, err = capsys.readouterr()
+    lines = err.strip().splitlines()
+    assert out == ""
+    assert len(lines) == 1, err
+    assert lines[0].startswith("error: ")
+    assert "Traceback" not in err
+    return lines[0]

@@ -1,0 +1,26 @@
+"""A small scene, and signal handlers that come back."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from tests.engine.synthetic_colmap import Project, write_project
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
+    names = [f"{k}.png" for k in range(8)]
+    return write_project(tmp_path_factory.mktemp("cli") / "a scene", names=names)
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """Commands take Ctrl-C and SIGTERM over; give them back."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    yield
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)

@@ -1,0 +1,119 @@
+"""Events, and a command that is stopped."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roigs_engine.formats.events import Message, Progress, to_json
+from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
+from tests.engine.commands.command_line import BOX, EMPTY, python, start
+from tests.engine.synthetic_colmap import Project
+
+
+def events(result: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
+    """Standard output with --events: JSON lines and nothing else."""
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_every_event_is_one_line_of_strict_json() -> None:
+    nan = float("nan")
+    progress = Progress(
+        stage="a", step=1, total=2, loss=nan, psnr=-nan, gaussians=3, seconds_left=float("inf")
+    )
+    record = json.loads(to_json(progress), parse_constant=pytest.fail)
+    assert record["event"] == "progress"
+    assert record["step"] == 1
+    assert record["loss"] is record["psnr"] is record["seconds_left"] is None
+    line = to_json(Message(text="two\nlines, '模型'"))
+    assert "\n" not in line and "模型" in line
+
+
+def test_events_end_in_done(project: Project) -> None:
+    result = python("select", project.folder, "--roi", BOX, "--events")
+    assert result.returncode == 0
+    assert events(result)[-1] == {"event": "done", "outputs": {}, "stopped": False}
+
+
+def test_a_failure_is_an_event(project: Project) -> None:
+    result = python("select", project.folder, "--roi", EMPTY, "--events")
+    assert result.returncode == 2
+    last = events(result)[-1]
+    assert last["event"] == "failed"
+    assert "'nothing'" in last["message"]
+    assert last["hint"]
+    assert "Traceback" not in result.stderr
+
+
+def train(project: Project, folder: Path, *options: object) -> subprocess.Popen[str]:
+    """A training run in its first stage, with a preview every moment."""
+    process = start(
+        *("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3),
+        *("--events", "--threads", 1, "--preview-seconds", 0.01, *options),
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if json.loads(line)["event"] == "preview":
+            return process
+    raise AssertionError(process.communicate()[1])
+
+
+def checkpoint_step(folder: Path) -> int:
+    path = folder / "scene" / "checkpoint.bin"
+    return int(load_checkpoint(path, checkpoint_fingerprint(path))["step"])
+
+
+@pytest.mark.parametrize("text", ["stop\n", ""])
+def test_a_stop_or_the_end_of_input_stops_training(
+    project: Project, tmp_path: Path, text: str
+) -> None:
+    folder = tmp_path / "run"
+    process = train(project, folder)
+    out, err = process.communicate(text, timeout=60)
+    assert process.returncode == 3, err
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert lines[-1] == {"event": "done", "outputs": {}, "stopped": True}
+    assert (folder / "preview.ply").stat().st_size > 0
+    assert checkpoint_step(folder) > 0
+    log = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+    assert json.loads(log[-1])["event"] == "done"
+    assert not (folder / "run.lock").exists()
+
+
+def test_a_run_outlives_nobody_and_leaves_a_checkpoint(project: Project, tmp_path: Path) -> None:
+    """Both pipes break at once, as when the parent was killed."""
+    folder = tmp_path / "run"
+    process = train(project, folder)
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        assert pipe is not None
+        pipe.close()
+    assert process.wait(60) == 3
+    assert checkpoint_step(folder) > 0
+
+
+def test_a_second_engine_is_refused(project: Project, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    process = train(project, folder)
+    lock = json.loads((folder / "run.lock").read_text(encoding="utf-8"))
+    assert lock["pid"] == process.pid
+    second = python("train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3)
+    assert second.returncode == 2
+    assert f"process {process.pid}" in second.stderr
+    assert len(second.stderr.strip().splitlines()) == 1
+    process.kill()
+    process.communicate()
+    assert (folder / "run.lock").exists()
+    # What a dead process has left does not hold up the next one.
+    train(project, folder).communicate("stop\n", timeout=60)
+    assert not (folder / "run.lock").exists()
+
+
+def test_a_stop_while_loading_is_answered(project: Project, tmp_path: Path) -> None:
+    process = start("export", project.folder, "--out", tmp_path / "out", "--events")
+    out, _ = process.communicate("stop\n", timeout=60)
+    assert process.returncode in (0, 3)  # 0: it was done before the line was read
+    assert json.loads(out.splitlines()[-1])["stopped"] == (process.returncode == 3)
