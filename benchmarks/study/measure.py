@@ -24,7 +24,7 @@ from roigs_engine.machine import processor_name
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_configs, strategies
 from roigs_engine.run.config import RunConfig
-from roigs_engine.run.definition import Run, define_run
+from roigs_engine.run.definition import Run, define_run, inputs_record
 from roigs_engine.run.executor import Executor, TrainedModel
 from roigs_engine.run.folder import open_folder
 from roigs_engine.run.manifest import from_json
@@ -58,14 +58,10 @@ class Bench:
 
     def manifest(self, row: Row) -> dict[str, Any]:
         """What decides a row's numbers, as JSON. A record with another manifest is out of date."""
-        run = Run(
-            folder=self.folder,
-            scene=self.sfm,
-            rois=tuple(self.scene.rois),
-            config=self._config(row),
-        )
+        inputs = inputs_record(self.sfm, self.scene.rois)
         baseline = asdict(stage_configs.baseline(self._own_config()))
-        manifest = {"kind": row.kind, "baseline": baseline, **run.manifest()}
+        config = self._config(row).to_dict()
+        manifest = {"kind": row.kind, "baseline": baseline, "config": config, **inputs}
         return cast(dict[str, Any], from_json(manifest))
 
     def measure(self, row: Row, *, keep_models: bool = True) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def read_splats(path: str | Path) -> SplatCloud:
     quats = stored["quats"]
     with np.errstate(all="ignore"):  # what is out of range is skipped below
         cloud = {
-            "means": stored["means"],
+            "means": stored["means"].astype(np.float32, copy=False),
             "quats": quats / np.linalg.norm(quats, axis=1, keepdims=True),
             "scales": np.exp(stored["log_scales"]),
             "opacities": 1 / (1 + np.exp(-stored["logit_opacities"])),

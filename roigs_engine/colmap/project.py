@@ -12,6 +12,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.rois import FAR
 from ..model.scene import Float64, Int64, SfmScene
+from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
 from .model_files import count_images, model_suffix, read_model
 from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
@@ -61,24 +62,29 @@ def load_colmap(
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
-    _report_skipped(skipped, context)
     observed = _observations(model, ids, context)
     used = {image.name: observed.get(image_id, NO_IDS) for image_id, image in posed.items()}
-    return SfmScene(
-        images=tuple(
-            replace(image, point_indices=used[image.name])
-            for image in sorted(posed.values(), key=lambda image: image.name)
-        ),
-        points=points,
-        colors=colors,
-        skipped=skipped,
-        has_tracks=any(len(rows) for rows in used.values()),
+    scene = without_strays(
+        SfmScene(
+            images=tuple(
+                replace(image, point_indices=used[image.name])
+                for image in sorted(posed.values(), key=lambda image: image.name)
+            ),
+            points=points,
+            colors=colors,
+            skipped=skipped,
+            has_tracks=any(len(rows) for rows in used.values()),
+        )
     )
+    _report_left_out(scene, context)
+    return scene
 
 
-def _report_skipped(skipped: dict[str, tuple[str, ...]], context: Context) -> None:
+def _report_left_out(scene: SfmScene, context: Context) -> None:
     """Emit a message for each reason: a warning, unless the photos merely have no pose."""
-    for reason, names in skipped.items():
+    if scene.stray_points:
+        context.warn(f"Left out {scene.stray_points:,} 3D points far from all cameras.")
+    for reason, names in scene.skipped.items():
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
         emit = context.info if reason == UNPOSED else context.warn
         emit(f"Skipped {len(names)} photos, {reason}: {first}.")

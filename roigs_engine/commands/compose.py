@@ -34,7 +34,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..model.gaussians import Gaussians
 
     by_name = {roi.name: roi for roi in boxes(args)}
-    objects: dict[str, Gaussians] = {}
+    objects: dict[str, Path] = {}
     for text in args.object:
         name, _, path = text.partition("=")
         if name not in by_name:
@@ -44,9 +44,13 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             )
         if name in objects:
             raise RoiError(f"--object names '{name}' twice.", "Give one file for each box.")
-        objects[name] = Gaussians.load_ply(Path(path))
-    pairs = [(by_name[name], model) for name, model in objects.items()]
-    composed = merge(Gaussians.load_ply(args.scene_ply), pairs)
-    composed.save_ply(args.out)
+        objects[name] = Path(path)
+    scene, frame = Gaussians.load_framed(args.scene_ply, scaled=False)
+    pairs = [
+        (frame.box(by_name[name]), Gaussians.load_ply(path, frame))
+        for name, path in objects.items()
+    ]
+    composed = merge(scene, pairs)
+    composed.save_ply(args.out, frame)
     console.print(f"{len(composed):,} Gaussians in {args.out}")
     return {"result": str(args.out)}

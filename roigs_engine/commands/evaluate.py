@@ -57,6 +57,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..evaluation.report import format_markdown, write_report
     from ..evaluation.views import EvaluatedModel
     from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
     from ..selection.split import choose_test_views
 
     rois, scene = boxes(args), load_scene(args, console, args.out / "cache")
@@ -67,12 +68,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             f"{args.split} names '{unknown[0]}', which is not in the scene.",
             "Use the split.json of a run on this scene.",
         )
+    frame = LocalFrame.of_scene(scene)
+    scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
     context, models = context_on_device(args, console), []
     for text in args.model:
         name, separator, path = text.partition("=")
         if not separator:
             raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
-        loaded = Gaussians.load_ply(Path(path)).to(torch.device(context.device))
+        loaded = Gaussians.load_ply(Path(path), frame).to(torch.device(context.device))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
         models,

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..rasterize.sequence import render_sequence
     from .options import load_scene
 
-    gaussians = Gaussians.load_ply(args.ply)
+    gaussians, frame = Gaussians.load_framed(args.ply)
     context = context_on_device(args, console)
     gaussians = gaussians.to(torch.device(context.device))
     if args.path:
@@ -55,5 +55,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         raise ConfigError(f"There is no camera '{unknown[0]}' in {args.path or args.scene}.")
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
-    render_sequence(gaussians, cameras, args.out, context)
+    local = [(name, camera, frame.transform(pose)) for name, camera, pose in cameras]
+    render_sequence(gaussians, local, args.out, context)
     return {"pictures": str(args.out)}

@@ -2,7 +2,8 @@
 
 Layout (docs/conventions.md): binary little-endian float32 `x y z nx ny nz f_dc_0..2 f_rest_0..44
 opacity scale_0..2 rot_0..3`; `f_rest` channel-major (15 red, 15 green, 15 blue), opacity a logit,
-scales natural logarithms, rotation wxyz. Values go out and come back bit for bit.
+scales natural logarithms, rotation wxyz. Values go out and come back bit for bit. Centres far from
+the origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from ..errors import RunFolderError
 from .files import atomic_write
 
 Float32 = NDArray[np.float32]
+Floats = NDArray[np.float32] | NDArray[np.float64]
 # What a PLY may call its scalar types, and how numpy reads them.
 SCALARS = {
     "char": "<i1", "uchar": "<u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4",
@@ -38,36 +40,45 @@ def _columns(rest: int) -> list[str]:
     return names
 
 
-def write_ply(path: Path, arrays: Mapping[str, Float32]) -> None:
+def write_ply(path: Path, arrays: Mapping[str, Floats]) -> None:
     """Write Gaussians under `path`, whole or not at all.
 
     Args:
         path: the file to write.
-        arrays: float32 `means` (N, 3), `quats` (N, 4), `log_scales` (N, 3), `logit_opacities` (N,),
-            `sh` (N, K, 3) with K = 1, 4, 9 or 16.
+        arrays: `means` (N, 3), float32 or, to be written as double, float64; float32 `quats`
+            (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
+            or 16.
     """
     sh = arrays["sh"]
     count, bands = sh.shape[:2]
     rest = 3 * (bands - 1)
     names = _columns(rest)
     table = np.zeros((count, len(names)), dtype="<f4")
-    table[:, 0:3] = arrays["means"]
+    means = arrays["means"]
+    table[:, 0:3] = means
     table[:, 6:9] = sh[:, 0]
     table[:, 9 : 9 + rest] = sh[:, 1:].transpose(0, 2, 1).reshape(count, rest)
     table[:, -8] = arrays["logit_opacities"]
     table[:, -7:-4] = arrays["log_scales"]
     table[:, -4:] = arrays["quats"]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    types = dict.fromkeys(names, "float")
+    rows: NDArray[Any] = table
+    if means.dtype == np.float64:
+        types |= dict.fromkeys(("x", "y", "z"), "double")
+        rows = np.empty(count, [("means", "<f8", 3), ("others", "<f4", len(names) - 3)])
+        rows["means"], rows["others"] = means, table[:, 3:]
+    header += [f"property {types[name]} {name}" for name in names] + ["end_header", ""]
     with atomic_write(path) as file:
         file.write("\n".join(header).encode("ascii"))
-        file.write(table.data)
+        file.write(rows.data)
 
 
-def read_ply(path: str | Path) -> dict[str, Float32]:
+def read_ply(path: str | Path) -> dict[str, Floats]:
     """The arrays of `write_ply`, read by property name; extra properties are ignored.
 
-    Files without normals and with fewer SH bands are accepted.
+    `means` is float64 if the file has double `x y z`; everything else is float32. Files without
+    normals and with fewer SH bands are accepted.
 
     Raises:
         RunFolderError: the file is missing, truncated, or not a binary little-endian PLY of
@@ -126,7 +137,7 @@ def _count(path: str | Path, word: str) -> int:
     return int(word)
 
 
-def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Float32]:
+def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     """The columns as arrays."""
     names = table.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
@@ -147,8 +158,11 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Float32]:
     # The file holds all of red, then green, then blue; here a coefficient's colours lie together.
     sh = [f"f_dc_{c}" for c in range(3)]
     sh += [f"f_rest_{c * (rest // 3) + k}" for k in range(rest // 3) for c in range(3)]
+    means: Floats = columns(["x", "y", "z"])
+    if any(table.dtype[name] == np.dtype("<f8") for name in "xyz"):
+        means = np.stack([table[name].astype(np.float64) for name in "xyz"], axis=1)
     return {
-        "means": columns(["x", "y", "z"]),
+        "means": means,
         "quats": columns([f"rot_{k}" for k in range(4)]),
         "log_scales": columns([f"scale_{k}" for k in range(3)]),
         "logit_opacities": columns(["opacity"])[:, 0],

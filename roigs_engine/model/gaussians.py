@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from ..formats.splat_ply import read_ply, write_ply
+from ..formats.splat_ply import Floats, read_ply, write_ply
+from .local_frame import LocalFrame
 from .roi import OrientedBox
 from .scene import Float64
 
@@ -108,15 +110,71 @@ class Gaussians:
         )
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.float32]]) -> Gaussians:
-        """The model of the arrays that `formats.splat_ply.read_ply` returns."""
-        return cls(**{name: torch.from_numpy(np.ascontiguousarray(arrays[name])) for name in NAMES})
+    def from_arrays(cls, arrays: Mapping[str, Floats]) -> Gaussians:
+        """The model of these arrays, by the names of the attributes."""
+        return cls(
+            **{
+                name: torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32))
+                for name in NAMES
+            }
+        )
 
-    def save_ply(self, path: Path) -> None:
-        """Write a standard 3DGS PLY, atomically."""
-        write_ply(path, {name: t.detach().cpu().numpy() for name, t in self.tensors().items()})
+    def save_ply(self, path: Path, frame: LocalFrame | None = None) -> None:
+        """Write a standard 3DGS PLY, atomically.
+
+        Args:
+            path: the file.
+            frame: of these Gaussians; the file is in the world's. None: they are in the world's.
+        """
+        arrays = {name: t.detach().cpu().numpy() for name, t in self.tensors().items()}
+        write_ply(path, arrays if frame is None else _to_world(arrays, frame))
 
     @classmethod
-    def load_ply(cls, path: Path) -> Gaussians:
-        """Read a 3DGS PLY; RunFolderError if the file is not one."""
-        return cls.from_arrays(read_ply(path))
+    def load_ply(cls, path: Path, frame: LocalFrame | None = None) -> Gaussians:
+        """Read a 3DGS PLY, into a frame if one is given.
+
+        Raises:
+            RunFolderError: the file is not one.
+        """
+        arrays = read_ply(path)
+        return cls.from_arrays(arrays if frame is None else _to_local(arrays, frame))
+
+    @classmethod
+    def load_framed(cls, path: Path, *, scaled: bool = True) -> tuple[Gaussians, LocalFrame]:
+        """Read a 3DGS PLY into a frame of its own; returns both.
+
+        Args:
+            path: the file.
+            scaled: False: the frame has the world's unit, so that all values stay bit for bit.
+
+        Raises:
+            RunFolderError: the file is not one.
+        """
+        arrays = read_ply(path)
+        frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))
+        if not scaled:
+            frame = replace(frame, scale=1.0)
+        return cls.from_arrays(_to_local(arrays, frame)), frame
+
+
+def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:
+    """The arrays of Gaussians in a frame -> in the world; far centres become float64."""
+    if frame.is_world:
+        return dict(arrays)
+    means = arrays["means"].astype(np.float64) / frame.scale + frame.origin
+    near = not frame.origin.any()
+    log_scales = arrays["log_scales"] - np.float32(np.log(frame.scale))
+    return {
+        **arrays,
+        "means": means.astype(np.float32) if near else means,
+        "log_scales": log_scales,
+    }
+
+
+def _to_local(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:
+    """The inverse of `_to_world`."""
+    if frame.is_world:
+        return dict(arrays)
+    means = frame.points(arrays["means"].astype(np.float64)).astype(np.float32)
+    log_scales = arrays["log_scales"] + np.float32(np.log(frame.scale))
+    return {**arrays, "means": means, "log_scales": log_scales}

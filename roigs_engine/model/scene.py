@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+USUAL_REACH = 3.0  # cameras farther than this (see `reaches`) do not count for the extent
+ONE_POSITION = 1e-5  # cameras this close together, in distances to the points, are at one position
+
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
@@ -107,6 +110,7 @@ class SfmScene:
         colors: (P, 3) uint8 sRGB.
         skipped: reason -> names of the skipped photos ('missing on disk', 'without a pose').
         has_tracks: False if the model stores no 2D-3D observations.
+        stray_points: number of points that were left out, being far from all cameras.
     """
 
     images: tuple[PosedImage, ...]
@@ -114,6 +118,7 @@ class SfmScene:
     colors: NDArray[np.uint8]
     skipped: dict[str, tuple[str, ...]] = field(default_factory=dict)
     has_tracks: bool = True
+    stray_points: int = 0
 
     def select(self, names: list[str] | tuple[str, ...] | set[str]) -> SfmScene:
         """The same scene with only the named photos, in the order of this scene."""
@@ -139,17 +144,20 @@ class SfmScene:
     def extent(self) -> float:
         """1.1 x the largest distance of a camera from the cameras' mean, world units (as in 3DGS).
 
-        If all cameras are at one position, that would be 0, and positions could not be trained:
-        then it is the median distance of the points from the cameras.
+        Cameras far from the others do not count. If all cameras are at one position, that would be
+        0, and positions could not be trained: then it is the median distance of the points from
+        the cameras.
         """
         centres = self.centres()
         if len(centres) == 0:
             return 0.0
+        centres = centres[reaches(centres) <= USUAL_REACH]
         middle = centres.mean(axis=0)
-        reach = float(1.1 * np.linalg.norm(centres - middle, axis=1).max())
-        if reach > 0 or len(self.points) == 0:
-            return reach
-        return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
+        extent = float(1.1 * np.linalg.norm(centres - middle, axis=1).max())
+        if len(self.points) == 0:
+            return extent
+        away = float(np.median(np.linalg.norm(self.points - middle, axis=1)))
+        return extent if extent > ONE_POSITION * away else away
 
     def digest(self) -> str:
         """Hash of all COLMAP data: photos' names, cameras, poses, points, tracks."""
@@ -159,3 +167,17 @@ class SfmScene:
             digest.update(image.world_to_camera.tobytes() + image.point_indices.tobytes())
         digest.update(self.points.tobytes() + self.colors.tobytes())
         return digest.hexdigest()
+
+
+def reaches(centres: Float64) -> Float64:
+    """(V, 3) camera centres -> (V,) distances from their median, in units of most of them.
+
+    The unit is the distance that nine tenths of the cameras do not exceed, so that no single camera
+    decides it. 0 if these are all at one position, except for the others: infinity.
+    """
+    distances = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    most = np.sort(distances)[int(0.9 * (len(distances) - 1))]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative: Float64 = distances / most
+    relative[distances == 0] = 0.0  # and not NaN where `most` is 0
+    return relative

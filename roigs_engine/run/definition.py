@@ -10,6 +10,7 @@ from typing import Any
 
 from ..context import QUIET, Context
 from ..errors import SceneError
+from ..model.local_frame import LocalFrame
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..selection.manual import usable_manual
@@ -23,17 +24,21 @@ class Run:
 
     Attributes:
         folder: the run folder.
-        scene: all photos, test photos included.
-        rois: the boxes.
+        scene: all photos, test photos included; in the local frame.
+        rois: the boxes, in the local frame.
         config: settings.
         test: names of the test photos, which only the evaluation uses.
         manual: box -> its photos, best first, for boxes with a manual selection.
+        frame: the local frame, in which everything is computed; files are in the world's.
+        inputs: the scene and the boxes for the manifest (`inputs_record`).
     """
 
     folder: Path
     scene: SfmScene
     rois: tuple[OrientedBox, ...]
     config: RunConfig
+    frame: LocalFrame
+    inputs: Mapping[str, Any]
     test: tuple[str, ...] = ()
     manual: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -44,20 +49,24 @@ class Run:
 
     @cached_property
     def extent(self) -> float:
-        """Extent of the training cameras, world units (`SfmScene.extent`)."""
+        """Extent of the training cameras, local units (`SfmScene.extent`)."""
         return self.train_scene.extent()
 
     def manifest(self) -> dict[str, Any]:
         """Everything that decides the results, except the photos' pixels; ready for JSON."""
-        images = self.scene.images
-        record = {
-            "config": self.config.to_dict(),
-            "rois": [roi.to_dict() for roi in self.rois],
-            "photos": len(images),
-            "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
-            "model": self.scene.digest()[:16],
-        }
+        record = {"config": self.config.to_dict(), **self.inputs}
         return record | ({"manual": dict(self.manual)} if self.manual else {})
+
+
+def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any]:
+    """A scene and its boxes, both in the world's frame, in a manifest."""
+    images = scene.images
+    return {
+        "rois": [roi.to_dict() for roi in rois],
+        "photos": len(images),
+        "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
+        "model": scene.digest()[:16],
+    }
 
 
 def define_run(
@@ -72,7 +81,8 @@ def define_run(
     """The run of these inputs; chooses its test photos.
 
     Args:
-        folder, scene, rois, config: see `Run`.
+        folder, config: see `Run`.
+        scene, rois: in the world's frame.
         manual: box -> photos, best first, for boxes with a manual selection.
         context: gets a warning for manual photos that cannot be used.
 
@@ -84,11 +94,20 @@ def define_run(
     """
     if len(scene.points) == 0:
         raise SceneError("The model has no 3D points.", "Triangulate it in COLMAP first.")
-    test = choose_test_views(scene, rois, config.test_every, context)
+    frame = LocalFrame.of_scene(scene)
+    local, boxes = frame.scene(scene), tuple(frame.box(roi) for roi in rois)
+    test = choose_test_views(local, boxes, config.test_every, context)
     usable = {
-        roi: usable_manual(names, scene, test, roi, context)
+        roi: usable_manual(names, local, test, roi, context)
         for roi, names in (manual or {}).items()
     }
     return Run(
-        folder=folder, scene=scene, rois=tuple(rois), config=config, test=test, manual=usable
+        folder=folder,
+        scene=local,
+        rois=boxes,
+        config=config,
+        test=test,
+        manual=usable,
+        frame=frame,
+        inputs=inputs_record(scene, rois),
     )

@@ -162,6 +162,7 @@ class Executor:
             name=stage.name,
             folder=self.run.folder / stage.name,
             fingerprint=stage.fingerprint,
+            frame=self.run.frame,
             update=self._update,
             preview=preview,
             preview_seconds=self._preview_seconds,
@@ -225,11 +226,11 @@ class Executor:
 
     def _write(self, output: Output) -> None:
         """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box."""
-        folder, rois = self.run.folder / output.folder, self.run.rois
+        folder, rois, frame = self.run.folder / output.folder, self.run.rois, self.run.frame
         result = self.gaussians(output.model.source)
         coarse = self.result(output.coarse).gaussians
-        result.save_ply(folder / run_files.RESULT)
-        background(result, rois).save_ply(folder / run_files.BACKGROUND)
+        result.save_ply(folder / run_files.RESULT, frame)
+        background(result, rois).save_ply(folder / run_files.BACKGROUND, frame)
         for roi in rois:
             for model, name in ((result, run_files.FINE), (coarse, run_files.COARSE)):
-                crop(model, roi, rois).save_ply(folder / name / f"{roi.name}.ply")
+                crop(model, roi, rois).save_ply(folder / name / f"{roi.name}.ply", frame)

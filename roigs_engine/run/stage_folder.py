@@ -19,6 +19,7 @@ from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import read_json, write_json
 from ..model.gaussians import Gaussians
+from ..model.local_frame import LocalFrame
 from ..training.callbacks import PeriodicCallback
 from ..training.checkpoint import (
     checkpoint_exists,
@@ -45,6 +46,7 @@ class StageResult:
         seconds: training time without checkpoints and evaluation.
         cpu_seconds: the same as CPU time of all threads of this process. Compare this one on a
             machine that is busy with other programs.
+        frame: of the model; the file is in the world's.
         trained: the model, if this process trained it.
     """
 
@@ -53,12 +55,13 @@ class StageResult:
     count: int
     seconds: float
     cpu_seconds: float
+    frame: LocalFrame
     trained: Gaussians | None = field(default=None, repr=False)
 
     @cached_property
     def gaussians(self) -> Gaussians:
         """The trained model; loaded from its file on first use."""
-        return self.trained or Gaussians.load_ply(self.model_path)
+        return self.trained or Gaussians.load_ply(self.model_path, self.frame)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +72,7 @@ class StageFolder:
         name: the stage's name, shown to the user.
         folder: the stage's folder.
         fingerprint: of the stage.
+        frame: that the stage is trained in; its PLYs are in the world's.
         update: archive a stage with another fingerprint instead of raising an error.
         preview: file for the preview of the current Gaussians; None: no preview.
         preview_seconds: seconds of training between two previews.
@@ -77,6 +81,7 @@ class StageFolder:
     name: str
     folder: Path
     fingerprint: str
+    frame: LocalFrame = field(default_factory=LocalFrame.world)
     update: bool = False
     preview: Path | None = None
     preview_seconds: float = 0.0
@@ -126,6 +131,7 @@ class StageFolder:
                 count=int(record["gaussians"]),
                 seconds=float(record["seconds"]),
                 cpu_seconds=float(record["cpu_seconds"]),
+                frame=self.frame,
             )
         except (KeyError, TypeError, ValueError) as error:
             raise RunFolderError(
@@ -207,7 +213,7 @@ class StageFolder:
         """Write the preview; skip it if the file is in use (on Windows, while it is read)."""
         assert self.preview is not None
         with suppress(RunFolderError):
-            trainer.gaussians.save_ply(self.preview)
+            trainer.gaussians.save_ply(self.preview, self.frame)
             context.emit(Preview(path=str(self.preview)))
 
     def _make_room(self, context: Context) -> None:
@@ -232,7 +238,7 @@ class StageFolder:
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached().to(CPU)
         path = self.folder / run_files.MODEL
-        model.save_ply(path)
+        model.save_ply(path, self.frame)
         record = {
             "fingerprint": self.fingerprint,
             "seconds": trainer.seconds,
@@ -249,5 +255,7 @@ class StageFolder:
             count=len(model),
             seconds=trainer.seconds,
             cpu_seconds=trainer.cpu_seconds,
-            trained=model,
+            frame=self.frame,
+            # The file rounds in another frame; a resumed run, which reads it, must go on the same.
+            trained=model if self.frame.is_world else None,
         )

@@ -14,6 +14,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.ownership import count_owned
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import Run, define_run
@@ -189,9 +190,9 @@ def test_every_stage_is_made_and_read_at_most_once(
         trained.append(folder.name)
         return train_stage(folder, *arguments)
 
-    def counted_load(path: Path) -> Gaussians:
+    def counted_load(path: Path, frame: LocalFrame) -> Gaussians:
         read.append(str(path.parent.relative_to(tmp_path)))
-        return load_ply(path)
+        return load_ply(path, frame)
 
     monkeypatch.setattr(StageFolder, "train", counted_train)
     monkeypatch.setattr(Gaussians, "load_ply", counted_load)

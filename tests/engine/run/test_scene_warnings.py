@@ -22,22 +22,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"), views=6)
 
 
-def moved(scene: SfmScene, offset: np.ndarray) -> SfmScene:
-    """The scene elsewhere in the world."""
-    back = np.eye(4)
-    back[:3, 3] = -offset
-    images = [replace(i, world_to_camera=i.world_to_camera @ back) for i in scene.images]
-    return replace(scene, images=tuple(images), points=scene.points + offset)
-
-
 def test_a_sound_scene_needs_none(scene: SfmScene) -> None:
     assert scene_warnings(scene, [BOX]) == []
-    assert scene_warnings(moved(scene, np.array([500.0, -300.0, 0.0])), []) == []
-
-
-def test_a_model_in_geographic_coordinates(scene: SfmScene) -> None:
-    (line,) = scene_warnings(moved(scene, np.array([5e5, 4.5e6, 200.0])), [])
-    assert "4.5e+06 units" in line and "model_transformer" in line
 
 
 def test_a_box_inside_another(scene: SfmScene) -> None:

@@ -1,0 +1,103 @@
+"""The frame that training and rendering compute in, whatever the units and the origin of a model.
+
+Constants with a length (the near plane, smallest scales) and the resolution of float32 would
+otherwise make a result depend on whether a scene is in millimetres, metres or map coordinates.
+Every trainer of splats normalises scenes for that reason. Here the change is exact: the scale is a
+power of 16, the origin a multiple of a power of two, and both are 1 and 0 for an ordinary model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .roi import OrientedBox
+from .scene import Float64, SfmScene
+
+BASE = 16.0  # a scene's extent in its local frame is from 1 to BASE
+FAR = 64.0  # the local frame's origin is a multiple of this many local units
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LocalFrame:
+    """local = (world - origin) * scale.
+
+    Attributes:
+        origin: (3,) world units.
+        scale: local units in a world unit.
+    """
+
+    origin: Float64
+    scale: float
+
+    @classmethod
+    def world(cls) -> LocalFrame:
+        """The frame in which local and world coordinates are the same."""
+        return cls(origin=np.zeros(3), scale=1.0)
+
+    @classmethod
+    def around(cls, points: Float64, extent: float) -> LocalFrame:
+        """The frame of points (N, 3) that are about `extent` apart, world units."""
+        if not (len(points) and 0 < extent < math.inf):
+            return cls.world()
+        exponent = (math.frexp(extent)[1] - 1) // 4  # floor of the logarithm to base 16
+        scale = BASE**-exponent
+        step = FAR / scale
+        return cls(origin=np.round(np.median(points, axis=0) / step) * step, scale=scale)
+
+    @classmethod
+    def of_scene(cls, scene: SfmScene) -> LocalFrame:
+        """The frame of a scene's cameras."""
+        return cls.around(scene.centres(), scene.extent())
+
+    @classmethod
+    def of_centres(cls, means: Float64) -> LocalFrame:
+        """The frame of Gaussians without cameras, from their centres (N, 3); ignores NaN, Inf."""
+        good = means[np.isfinite(means).all(axis=1)]
+        if len(good) == 0:
+            return cls.world()
+        distances = np.linalg.norm(good - np.median(good, axis=0), axis=1)
+        return cls.around(good, float(np.median(distances)))
+
+    @property
+    def is_world(self) -> bool:
+        """Whether local and world coordinates are the same."""
+        return self.scale == 1 and not self.origin.any()
+
+    def points(self, world: Float64) -> Float64:
+        """(N, 3) world positions -> local ones."""
+        local: Float64 = (world - self.origin) * self.scale
+        return local
+
+    def transform(self, rigid: Float64) -> Float64:
+        """(4, 4) rigid transform from the world (`world_to_camera`, `world_to_box`) -> from here.
+
+        Lengths on its other side become local units too.
+        """
+        if self.is_world:
+            return rigid
+        moved = rigid.copy()
+        moved[:3, 3] = (rigid[:3, :3] @ self.origin + rigid[:3, 3]) * self.scale
+        return moved
+
+    def box(self, roi: OrientedBox) -> OrientedBox:
+        """The box in this frame."""
+        if self.is_world:
+            return roi
+        return replace(
+            roi,
+            world_to_box=self.transform(roi.world_to_box),
+            half_extents=roi.half_extents * self.scale,
+        )
+
+    def scene(self, scene: SfmScene) -> SfmScene:
+        """The scene in this frame."""
+        if self.is_world:
+            return scene
+        images = tuple(
+            replace(image, world_to_camera=self.transform(image.world_to_camera))
+            for image in scene.images
+        )
+        return replace(scene, images=images, points=self.points(scene.points))
