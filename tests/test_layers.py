@@ -43,7 +43,7 @@ SHARED = ("errors", "formats")
 # Entries that must work, up to their first use of anything else, without torch.
 TORCH_FREE = (
     *("", "cli", "colmap", "context", "formats", "kernels.build", "kernels.library", "photos"),
-    *("run.config", "run.presets", "run.scene_warnings", "selection"),
+    *("run.config", "run.presets", "selection"),
 )
 # Where pycolmap may be imported: the one place that needs it.
 PYCOLMAP = {"colmap.undistort"}

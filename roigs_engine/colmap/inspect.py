@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
+from ..model.scene_warnings import few_photos, scene_warnings
 from ..model.visibility import observations
 
 FIRST_NAMES = 5
@@ -18,11 +19,16 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
     """The scene in numbers, as plain values for JSON.
 
     Keys: `photos`; `cameras` (distinct intrinsics); `smallest`, `largest` ([width, height] in
-    pixels, by area); `skipped` (reason -> {count, first}); `points`; `observations`;
-    `has_tracks`; `extent` (scene.extent(), world units); `bounds` ([low, high] corners of the
-    middle 98 % of the points); `rois`, one entry each (see `inspect_roi`).
+    pixels, by area); `skipped` (reason -> {count, first}); `points`; `stray_points` (left out, far
+    from all cameras); `observations`; `has_tracks`; `extent` (scene.extent(), world units);
+    `bounds` ([low, high] corners of the middle 98 % of the points); `rois`, one entry each (see
+    `inspect_roi`); `warnings` (sentences on what will train badly, usually none).
     """
     cameras = {image.camera for image in scene.images}
+    boxes = [inspect_roi(scene, roi) for roi in rois]
+    warnings = scene_warnings(scene, rois)
+    for box in boxes:
+        warnings += few_photos(box["name"], box["photos"])
     sizes = sorted({(c.width, c.height) for c in cameras}, key=lambda size: size[0] * size[1])
     bounds = np.percentile(scene.points, (1, 99), axis=0) if len(scene.points) else np.zeros((2, 3))
     return {
@@ -35,11 +41,13 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
             for reason, names in scene.skipped.items()
         },
         "points": len(scene.points),
+        "stray_points": scene.stray_points,
         "observations": sum(len(image.point_indices) for image in scene.images),
         "has_tracks": scene.has_tracks,
         "extent": scene.extent(),
         "bounds": bounds.tolist(),
-        "rois": [inspect_roi(scene, roi) for roi in rois],
+        "rois": boxes,
+        "warnings": warnings,
     }
 
 
@@ -74,7 +82,8 @@ def format_inspection(record: dict[str, Any]) -> str:
     size = " to ".join(dict.fromkeys(sizes)) + " pixels"
     lines = [
         f"photos   {record['photos']}, {_many(record['cameras'], 'camera')}, {size}",
-        f"points   {record['points']}, seen {record['observations']} times",
+        f"points   {record['points']}, seen {record['observations']} times"
+        + (f", {record['stray_points']} left out, far from all" if record["stray_points"] else ""),
         f"extent   {record['extent']:.4g} scene units",
     ]
     if not record["has_tracks"]:
@@ -92,6 +101,7 @@ def format_inspection(record: dict[str, Any]) -> str:
         )
         if roi["cameras_inside"]:
             lines.append(f"         {_many(roi['cameras_inside'], 'camera')} inside the box")
+    lines += [f"warning: {text}" for text in record["warnings"]]
     return "\n".join(lines)
 
 

@@ -19,6 +19,8 @@ from .strategies import plan_run
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
 LEFT = (0, 4, 7)  # columns of text
 
+WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
+
 
 def describe_plan(
     run: Run, compare: Sequence[str] = (), context: Context = QUIET, *, update: bool = False
@@ -40,10 +42,24 @@ def describe_plan(
     rows, seconds, saved = _stage_rows(run, plan, context)
     lines = [*_head(run, plan), "", *_table(rows), ""]
     lines += [message.text for message in memory.messages()]
+    lines.append(_time_line(seconds, saved, context))
+    return "\n".join([*lines, *_folder_note(run, update=update)])
+
+
+def expected_time(run: Run, plan: Plan, context: Context) -> str | None:
+    """One line with the minutes that a plan will take; None if that is little or nothing."""
+    executor = Executor(run, context)
+    missing = sum(s.config.steps for s in plan.stages if executor.finished(s) is None)
+    if missing < WORTH_SAYING:
+        return None
+    _, seconds, saved = _stage_rows(run, plan, context)
+    return _time_line(seconds, saved, context)
+
+
+def _time_line(seconds: float, saved: float, context: Context) -> str:
     threads = f"{library.threads()} threads" if context.device == "cpu" else context.device
     done = f"; {_minutes(saved)} are already done" if saved else ""
-    lines.append(f"Time: about {_minutes(seconds)} on this machine ({threads}){done}.")
-    return "\n".join([*lines, *_folder_note(run, update=update)])
+    return f"Time: about {_minutes(seconds)} on this machine ({threads}){done}."
 
 
 def _head(run: Run, plan: Plan) -> list[str]:

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from ..context import QUIET, Context
 from ..formats.files import write_json
 from ..formats.run_files import SPLIT
+from ..model.scene_warnings import scene_warnings
 from .definition import Run
+from .dry_run import expected_time
 from .executor import Executor, TrainedModel
 from .manifest import claim
 from .memory import run_memory
-from .scene_warnings import scene_warnings
 from .strategies import plan_run
 
 
@@ -54,6 +55,9 @@ def train_opened(
         As `plan_run` and `Executor.execute`.
     """
     plan = plan_run(run, compare, context)
+    time = expected_time(run, plan, context)
+    if time:
+        context.info(time)
     executor = Executor(run, context, update=update, preview_seconds=preview_seconds)
     return executor.execute(plan)
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
+from ..model.scene_warnings import few_photos
 from ..model.visibility import Candidates, find_candidates, visible_images
 from .baselines import order_fvs, order_random
 from .config import METHODS, SelectionConfig
@@ -116,8 +117,9 @@ def _order(
 
 def _count_flags(roi: OrientedBox, config: SelectionConfig, candidates: int) -> tuple[str, ...]:
     """Warnings about too few candidates."""
-    if candidates == 1:
-        return (f"Only one photo sees box '{roi.name}': that is too few to reconstruct an object.",)
+    few = few_photos(roi.name, candidates)
+    if few:
+        return tuple(few)
     if config.count is not None and candidates < config.count:
         return (
             f"Only {candidates} photos see box '{roi.name}', fewer than the {config.count}"

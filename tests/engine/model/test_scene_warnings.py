@@ -12,7 +12,7 @@ from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.scene_warnings import scene_warnings
+from roigs_engine.model.scene_warnings import FEW, few_photos, scene_warnings
 from tests.engine.runs import opened, tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -41,3 +41,10 @@ def test_a_run_says_so(scene: SfmScene, tmp_path: Path) -> None:
     opened(tmp_path, scene, [inner, BOX], tiny("joint"), context=Context(emit=heard.append))
     texts = [e.text for e in heard if isinstance(e, Message) and e.level == "warning"]
     assert [text for text in texts if "'inner' owns none" in text]
+
+
+def test_too_few_photos() -> None:
+    for count, words in {0: "No photo sees", 1: "Only one photo", FEW - 1: "Add photos"}.items():
+        (line,) = few_photos("vase", count)
+        assert words in line and "'vase'" in line
+    assert few_photos("vase", FEW) == []

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..model.ownership import nearest_owner
-from ..model.roi import OrientedBox
-from ..model.scene import SfmScene
+from .ownership import nearest_owner
+from .roi import OrientedBox
+from .scene import SfmScene
+
+FEW = 5  # photos of a box; with fewer, most of its surface is seen once or never
 
 
 def scene_warnings(scene: SfmScene, rois: Sequence[OrientedBox]) -> list[str]:
@@ -24,3 +26,18 @@ def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> li
                 f" of another box. Move the boxes apart, or train it alone (--only {roi.name})."
             )
     return found
+
+
+def few_photos(roi: str, count: int) -> list[str]:
+    """The warning about a box that `count` photos see, if these are too few."""
+    match count:
+        case 0:
+            return [f"No photo sees box '{roi}': move or enlarge it, or add photos of it."]
+        case 1:
+            return [f"Only one photo sees box '{roi}': that is too few to reconstruct an object."]
+        case _ if count < FEW:
+            return [
+                f"Only {count} photos see box '{roi}': it will look right only from their"
+                " directions. Add photos of it."
+            ]
+    return []
