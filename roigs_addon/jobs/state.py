@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..shared import events
 
 STOPPING = "Stopping …"
 STOPPED = "Stopped. Press 'Continue' to resume."
+MOST_WARNINGS = 4  # that a panel has room for; all are in the log
 
 
 @dataclass(kw_only=True)
@@ -21,6 +22,7 @@ class JobState:
         stage, step, total: where it is; `stage` is empty before the first and after the last one.
         loss, psnr, gaussians, seconds_left: as the engine last said; 0 if it did not.
         message: for the user, replaced by the next one.
+        warnings: for the user, the first few; they stay after the job.
         error: why the job failed; empty if it did not.
     """
 
@@ -35,6 +37,7 @@ class JobState:
     seconds_left: float = 0.0
     message: str = ""
     error: str = ""
+    warnings: list[str] = field(default_factory=list)
 
     def take(self, event: events.Record) -> None:
         """Follow an event of the engine."""
@@ -49,7 +52,13 @@ class JobState:
                 self.gaussians = event.get("gaussians", 0)
                 self.seconds_left = event.get("seconds_left", 0.0)
             case "message":
-                self.message = event.get("text", "")
+                self._hear(event.get("text", ""), event.get("level", ""))
+
+    def _hear(self, text: str, level: str) -> None:
+        if level != "warning":
+            self.message = text
+        elif text not in self.warnings and len(self.warnings) < MOST_WARNINGS:
+            self.warnings.append(text)
 
     def in_words(self) -> str:
         """One line: where the job is."""

@@ -72,12 +72,15 @@ def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def job(layout: bpy.types.UILayout, title: str) -> bool:
-    """The progress or the error of the job of this title; False if there is neither."""
+    """The progress or the error of the job of this title, and warnings; False without the first."""
     state = current.state()
     if state.title != title:
         return False
     if current.busy():
         progress(layout, state)
+    for text in state.warnings:
+        wrong(layout, text)
+    if current.busy():
         return True
     if state.error:
         wrong(layout, state.error)

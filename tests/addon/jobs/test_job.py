@@ -54,6 +54,21 @@ def test_progress_becomes_the_state(blender: ModuleType, spec, tmp_path: Path) -
     assert text == "joint 12 / 30, 21.5 dB, 1,234 Gaussians, 2 min 05 s left"
 
 
+def test_warnings_stay_in_the_panel(blender: ModuleType, spec, tmp_path: Path) -> None:
+    """Messages replace each other; what was warned of is still there when the job has ended."""
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.spec import TRAINING
+    from roigs_addon.ui.train import TrainPanel
+    from tests.addon.ui.test_panels import said
+
+    warning = "say(event='message', text='Only 3 photos see it', level='warning')"
+    code = f"{warning}; {warning}; say(event='message', text='Something', level='info')"
+    code += "; say(event='done', outputs={}, stopped=False)"
+    current.wait(current.start(fake(tmp_path, code), spec(title=TRAINING)))
+    assert current.state().warnings == ["Only 3 photos see it"]
+    assert any("Only 3 photos see it" in text for text in said(blender, TrainPanel))
+
+
 def test_a_job_is_seen_and_stopped_after_a_file_was_loaded(
     blender: ModuleType, spec, tmp_path: Path
 ) -> None:
