@@ -13,6 +13,7 @@ from itertools import count
 from pathlib import Path
 
 from ..errors import RunFolderError
+from ..formats.files import own_folder
 from ..formats.run_files import ARCHIVE
 
 PARTS = "results"
@@ -54,7 +55,7 @@ def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
 
 
 def _place(folder: Path, fingerprint: str) -> Path:
-    return folder.parent / ARCHIVE / f"{folder.name}-{fingerprint[:8]}"
+    return own_folder(folder.parent, ARCHIVE, f"{folder.name}-{fingerprint[:8]}")
 
 
 def _free(place: Path) -> Path:
