@@ -40,7 +40,7 @@ def claim(
     if not path.exists():
         write_json(path, now)
         return
-    before = read_json(path)
+    before = read_manifest(path)
     difference = manifest_difference(before, now)
     if not difference:
         return
@@ -54,6 +54,15 @@ def claim(
         restore_parts(home, RESULTS, manifest_digest(now))
     write_json(path, now)
     context.info(f"Updated {folder} to the new settings ({difference}).")
+
+
+def read_manifest(path: Path) -> Any:
+    """The manifest of a run folder; RunFolderError if it cannot be read."""
+    try:
+        return read_json(path)
+    except RunFolderError as error:
+        hint = "Delete it; finished stages that still fit are kept."
+        raise RunFolderError(error.message, hint) from error
 
 
 def check_version(folder: Path) -> None:

@@ -17,7 +17,6 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
-from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
@@ -268,15 +267,3 @@ def test_update_archives_the_results_of_the_other_strategy(scene: SfmScene, tmp_
     assert not compared.exists()  # it belongs to the box before
     train_run(opened(tmp_path, scene, [BOX], production(), update=True), update=True)
     assert compared.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "record", ['{"fingerprint": "F"}', '{"fingerprint": "F", "gaussians": {}}']
-)
-def test_a_damaged_stage_record_is_one_clear_line(tmp_path: Path, record: str) -> None:
-    (tmp_path / "stage.json").write_text(record, encoding="utf-8")
-    (tmp_path / "model.ply").touch()
-    folder = StageFolder(name="scene", folder=tmp_path, fingerprint="F")
-    assert folder.peek() is None
-    with pytest.raises(RunFolderError, match="damaged"):
-        folder.finished()
