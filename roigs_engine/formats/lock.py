@@ -30,7 +30,9 @@ def _say_nothing(text: str) -> None:
 
 
 @contextmanager
-def locked(folder: Path, warn: Callable[[str], None] = _say_nothing) -> Iterator[None]:
+def locked(
+    folder: Path, warn: Callable[[str], None] = _say_nothing, *, option: str = "--run-dir"
+) -> Iterator[None]:
     """Hold `folder`/run.lock while the block runs; `{"pid", "started", "events_from"}` is in it.
 
     `started` is in seconds since 1970; `events_from` is the size that events.jsonl had then. The
@@ -39,6 +41,7 @@ def locked(folder: Path, warn: Callable[[str], None] = _say_nothing) -> Iterator
     Args:
         folder: the run folder; created if it is missing.
         warn: told if the file system has no locks.
+        option: the one that names the folder, for the message.
 
     Raises:
         RunFolderError: another process holds it, or the folder cannot be written to.
@@ -47,7 +50,7 @@ def locked(folder: Path, warn: Callable[[str], None] = _say_nothing) -> Iterator
     try:
         file = _hold(path, warn)
     except BlockingIOError as error:
-        raise _in_use(path, error) from error
+        raise _in_use(path, option) from error
     except OSError as error:
         raise RunFolderError(
             f"Cannot write {path} ({error.strerror or error}).",
@@ -183,13 +186,13 @@ def _record(path: Path) -> dict[str, Any]:
     return {}
 
 
-def _in_use(path: Path, error: BlockingIOError) -> RunFolderError:
+def _in_use(path: Path, option: str) -> RunFolderError:
     """The error for a folder that another process uses."""
     record = _record(path)
     pid, host = process.pid_of(record), process.host_of(record)
     who = f", process {pid}" if pid else ""
     where = f" on {host}" if host else ""
-    hint = "Wait for it, stop it, or choose another run folder (--run-dir)."
+    hint = f"Wait for it, stop it, or choose another folder ({option})."
     if host:
         hint += f" If no engine is at work there, delete {path}."
     return RunFolderError(f"Another engine is at work in {path.parent}{who}{where}.", hint)

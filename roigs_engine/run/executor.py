@@ -11,6 +11,7 @@ from ..context import QUIET, Context
 from ..evaluation.views import EvaluatedModel
 from ..formats import run_files
 from ..formats.files import own_folder, write_json
+from ..formats.lock import check_held
 from ..model.compose import background, crop, merge
 from ..model.gaussians import Gaussians
 from ..model.ownership import count_owned
@@ -117,6 +118,7 @@ class Executor:
         """The stage's result: loaded if finished, else trained now."""
         if stage.name not in self._results:
             folder = self._folder(stage)
+            check_held(folder.folder)
             self._results[stage.name] = folder.finished(self.context) or self._train(stage, folder)
         return self._results[stage.name]
 
@@ -237,6 +239,7 @@ class Executor:
         folder, rois = own_folder(self.run.folder, output.folder), self.run.rois
         result = self.gaussians(output.model.source)
         coarse = self.result(output.coarse).gaussians
+        check_held(folder)
         result.save_ply(folder / run_files.RESULT)
         background(result, rois).save_ply(folder / run_files.BACKGROUND)
         for roi in rois:

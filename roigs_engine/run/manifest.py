@@ -10,7 +10,7 @@ from typing import Any
 from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats import run_files
-from ..formats.files import read_json, write_json
+from ..formats.files import own_folder, read_json, write_json
 from ..formats.run_files import MANIFEST
 from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
@@ -49,7 +49,7 @@ def claim(
             f"{folder} has another run ({difference}).",
             "Add --update to archive that run, or choose another run folder (--run-dir).",
         )
-    for home in (folder, *(folder / name for name in STRATEGIES)):  # the second: --compare
+    for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
         archive_parts(home, RESULTS, manifest_digest(before))
         restore_parts(home, RESULTS, manifest_digest(now))
     write_json(path, now)

@@ -18,6 +18,7 @@ from typing import Any
 from .. import __version__
 from ..errors import EngineError, RunFolderError, Stopped
 from ..formats.files import read_json, write_json
+from ..formats.lock import check_held
 from ..formats.run_files import PROVENANCE, STAGE
 from ..kernels import library
 from ..machine import machine_memory, processor_name
@@ -70,6 +71,7 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
         now["seconds"] = round(time.monotonic() - began, 1)
         now["stages"] = _stages(folder)
         with suppress(RunFolderError):  # the error that ended the block is more important
+            check_held(folder)
             # Not durable: a sync would also flush the checkpoint just written, and delay a stop.
             write_json(path, {"entries": [*entries, now]}, durable=False)
 

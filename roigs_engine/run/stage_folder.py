@@ -19,6 +19,7 @@ from ..errors import RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import sha256
+from ..formats.lock import check_held
 from ..model.gaussians import Gaussians
 from ..training.callbacks import PeriodicCallback
 from ..training.checkpoint import (
@@ -228,6 +229,7 @@ class StageFolder:
 
     def _save(self, trainer: Trainer) -> None:
         trainer.check()
+        check_held(self.folder)
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
 
     def _write_preview(self, trainer: Trainer, context: Context) -> None:
@@ -259,6 +261,7 @@ class StageFolder:
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached().to(CPU)
         path = self.folder / run_files.MODEL
+        check_held(self.folder)
         model.save_ply(path)
         record = StageRecord(
             fingerprint=self.fingerprint,

@@ -261,9 +261,26 @@ def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> No
 
 def test_update_archives_the_results_of_the_other_strategy(scene: SfmScene, tmp_path: Path) -> None:
     train_run(opened(tmp_path, scene, [BOX], production()), compare=("independent",))
-    compared = tmp_path / "independent" / "result.ply"
+    compared = tmp_path / "compare-independent" / "result.ply"
     before = compared.read_bytes()
     train_run(opened(tmp_path, scene, [MOVED], production(), update=True), update=True)
     assert not compared.exists()  # it belongs to the box before
     train_run(opened(tmp_path, scene, [BOX], production(), update=True), update=True)
     assert compared.read_bytes() == before
+
+
+def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    joint, independent = production(), production("independent")
+    train(tmp_path, scene, [BOX], joint)
+    before, made = written(tmp_path, "joint"), plys(tmp_path)
+    train(tmp_path, scene, [BOX], independent, ["joint"], update=True)
+    assert (tmp_path / "compare-joint" / "joint" / "model.ply").exists()
+    assert sorted(path.name for path in (tmp_path / "joint").iterdir()) == [
+        *("model.ply", "stage.json")
+    ]
+    train(tmp_path, scene, [MOVED], independent, ["joint"], update=True)
+    train(tmp_path, scene, [BOX], joint, update=True)
+    assert written(tmp_path, "joint") == before
+    assert {name: data for name, data in plys(tmp_path).items() if name in made} == made
