@@ -19,6 +19,7 @@ from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
 from .commands.options_file import with_options_file
+from .commands.output import claimed
 from .errors import ConfigError, EngineError, Stopped
 from .formats.events import Done, Failed
 
@@ -83,7 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parser.parse_args(argv)
         args = with_options_file(parser, commands[args.command], args, argv)
         console.watch()
-        outputs = COMMANDS[args.command].run(args, console)
+        with claimed(getattr(args, "out", None)):
+            outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
         return 0
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from ..shared import events
+from ..shared import events, files
 from .command import HIDDEN, Engine
 from .event_log import in_words, read_lines
 
@@ -179,8 +179,7 @@ class _Log:
         self._shown = -LOG_SECONDS
         self._file: IO[str] | None = None
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a", encoding="utf-8")
+            self._file = files.open_log(path)
 
     def take(self, event: events.Record) -> None:
         """An event in words; of progress, a line now and then."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..shared import lock, run_files
+from ..shared import EngineError, files, lock, run_files
 
 TrainedBox = tuple[Any, Any]
 """world_to_box and half_extents, as the file has them."""
@@ -66,7 +65,7 @@ def _age(path: Path) -> float:
 
 def _boxes(manifest: Path) -> dict[str, TrainedBox] | None:
     try:
-        records = json.loads(manifest.read_text(encoding="utf-8"))["rois"]
+        records = files.read_json(manifest)["rois"]
         return {str(r["name"]): (r["world_to_box"], r["half_extents"]) for r in records}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (EngineError, KeyError, TypeError):
         return None

@@ -8,7 +8,8 @@ from pathlib import Path
 import bpy
 
 from .. import blender, settings
-from ..errors import AddonError, writing
+from ..engine.writing import writing
+from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import importing, selections
 from . import run_folders

@@ -12,7 +12,7 @@ from pathlib import Path
 from ..engine.command import Engine
 from ..engine.process import EngineProcess, JobResult
 from ..errors import AddonError
-from ..shared import events
+from ..shared import EngineError, events
 from .spec import JobSpec, nothing
 from .state import STOPPED, STOPPING, JobState
 
@@ -52,7 +52,7 @@ class Job:
         self._preview: Path | None = None
         try:
             self.process = EngineProcess(engine, spec.arguments, log=spec.log)
-        except OSError as error:
+        except (OSError, EngineError) as error:
             raise AddonError(
                 f"The engine's Python cannot be started ({error}). See the add-on's preferences."
             ) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +9,11 @@ import bpy
 
 from .. import settings
 from ..engine import own_files
-from ..errors import AddonError, writing
+from ..engine.writing import made_folder, writing
+from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import rois
+from ..shared import files
 from . import run_folders
 
 
@@ -85,7 +86,7 @@ def _write(
     path = folder / name
     with writing(folder, "Run Folder"):
         values["rois"] = str(rois.write(folder, boxes, scene))
-        path.write_text(json.dumps(values, indent=1, ensure_ascii=False), encoding="utf-8")
+        files.write_json(path, values)
     return path
 
 
@@ -93,26 +94,20 @@ def own_folder(scene: bpy.types.Scene) -> Path:
     """The add-on's own folder in the scene's run folder, created if it is missing.
 
     Raises:
-        AddonError: it cannot be created.
+        AddonError: it cannot be created, or is a link.
     """
-    folder = run_folders.settle(scene) / own_files.OWN
-    with writing(folder, "Run Folder"):
-        folder.mkdir(exist_ok=True)
-    return folder
+    return made_folder(run_folders.settle(scene), own_files.OWN)
 
 
 def _write_selections(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
     """Write the photos of each box that has a list; the engine selects for the other boxes."""
-    folder = own_folder(scene) / own_files.MANUAL_SELECTION
+    folder = made_folder(own_folder(scene), own_files.MANUAL_SELECTION)
     with writing(folder, "Run Folder"):
-        folder.mkdir(exist_ok=True)
         for old in folder.glob("*.json"):
             old.unlink()
         for box in boxes:
             names = [item.name for item in object_props(box).selection]
             if names:
-                (folder / f"{rois.file_name(box)}.json").write_text(
-                    json.dumps({"roi": box.name, "names": names}, ensure_ascii=False),
-                    encoding="utf-8",
-                )
+                path = folder / f"{rois.file_name(box)}.json"
+                files.write_json(path, {"roi": box.name, "names": names})
     return folder

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import bpy
 
 from ..engine import own_files
-from ..errors import writing
+from ..engine.writing import made_folder, writing
 from ..scene.camera_path import camera_path
-from ..shared import run_files
+from ..shared import files, run_files
 from . import options_files, run_folders
 from .spec import RENDERING, JobSpec
 
@@ -28,12 +27,12 @@ def spec(scene: bpy.types.Scene, directory: str, *, animation: bool) -> JobSpec:
             be written to.
     """
     folder = run_folders.run_folder(scene)
-    out = Path(bpy.path.abspath(directory)) if directory else folder / own_files.RENDERS
-    path = folder / own_files.OWN / own_files.CAMERA_PATH
     cameras = camera_path(scene, animation=animation)
+    path = made_folder(folder, own_files.OWN) / own_files.CAMERA_PATH
     with writing(folder, "Run Folder"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({"cameras": cameras}), encoding="utf-8")
+        chosen = Path(bpy.path.abspath(directory)) if directory else None
+        out = chosen or files.own_folder(folder, own_files.RENDERS)
+        files.write_json(path, {"cameras": cameras})
 
     def load() -> None:
         picture = out / f"{cameras[0]['name']}.png"

@@ -18,7 +18,8 @@ import bpy
 
 from .. import settings
 from ..blender import persistent
-from ..errors import AddonError, writing
+from ..engine.writing import writing
+from ..errors import AddonError
 from ..properties import scene_props
 
 _settled: dict[int, str] = {}

@@ -6,6 +6,7 @@ import bpy
 
 from ..engine import own_files
 from ..engine.python import FOR_GAUSSIAN_PROCESS, FOR_READING
+from ..engine.writing import made_folder
 from ..properties import scene_props
 from ..scene import lookup, selections
 from . import options_files, run_folders
@@ -21,7 +22,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
         AddonError: something is missing, or the run folder cannot be written to.
     """
     options = options_files.write_select_options(scene, boxes)
-    out = options.parent / own_files.SELECTED
+    out = made_folder(options.parent, own_files.SELECTED)
     names, find = {box.name for box in boxes}, run_folders.finder(scene)
 
     def take() -> None:

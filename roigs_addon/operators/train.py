@@ -15,6 +15,7 @@ from ..facts import engine_ability, run_facts
 from ..jobs import current, run_folders, train_job
 from ..jobs.spec import JobSpec
 from ..scene import lookup
+from ..shared import files
 from .base import FRESH, EngineOperator, available, engine_problem, failed
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ class ShowLog(bpy.types.Operator):
         if path is None:
             return failed(self, f"{NO_LOG}.")
         text = bpy.data.texts.get(LOG) or bpy.data.texts.new(LOG)
-        text.from_string(path.read_text(encoding="utf-8", errors="replace"))
+        text.from_string(files.read_bytes(path).decode("utf-8", "replace"))
         if bpy.app.background:
             return {"FINISHED"}
         editor = next(blender.areas("TEXT_EDITOR"), None) or _new_editor()

@@ -17,7 +17,7 @@ from ..engine.own_files import ROIS
 from ..errors import AddonError
 from ..geometry.box import Box
 from ..properties import object_props, scene_props
-from ..shared import EngineError
+from ..shared import EngineError, files
 from ..shared import names as name_format
 from ..shared import rois as roi_format
 from . import lookup
@@ -194,7 +194,7 @@ def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -
     if taken is not None:
         raise AddonError(f"Two boxes are named '{taken}' (case does not count). Rename one.")
     records = [lookup.box(roi, scene).record(file_name(roi)) for roi in boxes]
-    path.write_text(roi_format.rois_document(records), encoding="utf-8")
+    files.write_text(path, roi_format.rois_document(records))
     return path
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import RunFolderError, SceneError
 from ..formats.events import StageStarted
+from ..formats.files import own_folder
 from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
 from ..model.scene import Camera, Float64, PosedImage
@@ -158,7 +159,7 @@ class PhotoLoader:
         """Image id -> photo; distorted photos are undistorted, or taken from the cache."""
         if not self._plans:
             return self.posed
-        folder = temporary_folder() if cache is None else _created(Path(cache) / "undistorted")
+        folder = temporary_folder() if cache is None else _created(own_folder(cache, "undistorted"))
         total = len(self._plans)
         made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
         context = replace(context, emit=QUIET.emit) if made else context

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 from ..context import Context
 from ..errors import RunFolderError
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
+from ..formats.files import open_log
 from ..formats.run_files import EVENTS
 
 if TYPE_CHECKING:
@@ -59,13 +60,7 @@ class Console:
         """
         path = folder / EVENTS
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with open(path, "a+b") as file:
-                size = file.seek(0, os.SEEK_END)
-                file.seek(max(size - 1, 0))
-                if size and file.read(1) != b"\n":  # a killed engine left half a line
-                    file.write(b"\n")
-            self._log = open(path, "a", encoding="utf-8")  # noqa: SIM115
+            self._log = open_log(path)
         except OSError as error:
             raise RunFolderError(
                 f"Cannot write {path} ({error.strerror or error}).", "Choose another folder."

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from ..errors import ConfigError
-from ..formats.files import read_json
+from ..formats.files import own_folder, read_json
+from ..formats.run_files import CACHE
 from .console import Console
 from .options import (
     add_device_option,
@@ -60,7 +61,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..model.local_frame import LocalFrame
     from ..selection.split import choose_test_views
 
-    rois, scene = boxes(args), load_scene(args, console, args.out / "cache")
+    rois, scene = boxes(args), load_scene(args, console, own_folder(args.out, CACHE))
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
     unknown = sorted(set(test) - {image.name for image in scene.images})
     if unknown:

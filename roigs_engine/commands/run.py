@@ -6,6 +6,7 @@ import argparse
 
 from ..errors import ConfigError
 from ..formats import run_files
+from ..formats.lock import check_held
 from ..run.config import COMPARISONS
 from . import train
 from .console import Console
@@ -54,6 +55,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         models = [model.evaluated().to(device) for model in trained]
         scene, rois = opened.scene, opened.rois
         evaluation = evaluate(models, scene, opened.test, rois, context=context)
+        check_held(args.run_dir)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
     console.print(format_markdown(evaluation))

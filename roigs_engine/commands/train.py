@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..context import Context
 from ..errors import ConfigError
 from ..formats import run_files
-from ..formats.files import remove_leftovers
+from ..formats.files import refuse_linked_folders, remove_leftovers
 from ..formats.lock import locked
 from ..selection.manual import load_manual
 from .console import Console
@@ -108,7 +108,8 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.provenance import recorded
 
     inputs = _inputs(args)
-    with locked(args.run_dir):
+    with locked(args.run_dir, console.context.warn):
+        refuse_linked_folders(args.run_dir)
         remove_leftovers(args.run_dir)
         context = _context(args, console)
         scene = load_scene(args, console, args.run_dir / run_files.CACHE)

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from ..context import QUIET, Context
+from ..formats.files import own_folder
 from ..formats.names import safe_name
+from ..formats.run_files import CROPS
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene
 from ..photos.decode import load_photo
@@ -66,7 +68,7 @@ def write_crops(
         by_name = {m.name: m for m in models if m.rois is None or roi.name in m.rois}
         panels = [(row, by_name[row.model]) for row in shown]
         chosen = choose_views(shown[-1], shown[0])
-        folder = Path(run_dir) / "crops" / safe_name(roi.name)
+        folder = own_folder(run_dir, CROPS, safe_name(roi.name))
         for name, label in chosen.items():
             context.check_cancelled()
             path = folder / f"{safe_name(name)}.png"

@@ -1,18 +1,145 @@
-"""Writing files so that a name never stands for half a file."""
+"""Files that a name never stands for half of, and that no link leads elsewhere.
+
+The rules for what is written below a run folder or `--out`:
+
+- A file appears under its name when it is complete. A link in its place is replaced.
+- A folder below it must not be a link. The folder itself may be one: the user names it.
+- What is read must be a regular file: a pipe or a device would be read for ever.
+"""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import json
 import os
 import re
+import secrets
+import stat
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TextIO
 
 from ..errors import RunFolderError
+from . import os_lock
 
-LEFTOVER = re.compile(r"^\..+\.\d+\.part$")  # what `atomic_write` calls its temporary files
+# What `atomic_write` calls its temporary files: the process, and a number of its own.
+LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.part")
+ABANDONED = 86400.0  # seconds without a change, where the file system has no locks
+JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has it there only
+
+
+# --- links ---
+
+
+def is_link(path: Path) -> bool:
+    """Whether a name is a link, or a junction of Windows; False if it does not exist."""
+    try:
+        status = os.lstat(path)
+    except OSError:
+        return False
+    return stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", 0) == JUNCTION
+
+
+def own_folder(root: Path, *names: str) -> Path:
+    """The folder `root`/`names`, where files may be written; it need not exist.
+
+    Args:
+        root: a run folder, or another one that the user has named.
+        names: folders below it; each may hold `/`.
+
+    Raises:
+        RunFolderError: one of them below `root` is a link.
+    """
+    folder = Path(root)
+    for name in Path(*names).parts:
+        folder /= name
+        if is_link(folder):
+            raise _linked(folder)
+    return folder
+
+
+def refuse_linked_folders(root: Path) -> None:
+    """Raise RunFolderError if there is a link to a folder anywhere below `root`."""
+    for parent, folders, _ in os.walk(root):
+        for name in sorted(folders):
+            if is_link(Path(parent, name)):
+                raise _linked(Path(parent, name))
+
+
+def _linked(folder: Path) -> RunFolderError:
+    return RunFolderError(
+        f"The folder {folder} is a link; results are not written through links.",
+        "Remove the link, or choose another folder.",
+    )
+
+
+# --- opening ---
+
+
+def regular(path: str, flags: int) -> int:
+    """The `opener` of everything that is read: OSError for a pipe, a device or a socket.
+
+    Opening one of these never waits.
+    """
+    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+    kind = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(kind):
+        os.close(descriptor)
+        is_folder = stat.S_ISDIR(kind)
+        raise OSError(
+            *((errno.EISDIR, "Is a directory") if is_folder else (errno.EINVAL, "Not a file")), path
+        )
+    return descriptor
+
+
+def unlinked(path: str, flags: int) -> int:
+    """The `opener` of what is changed in place: as `regular`, and OSError (ELOOP) for a link."""
+    if not hasattr(os, "O_NOFOLLOW") and is_link(Path(path)):
+        raise OSError(errno.ELOOP, "Is a link", path)
+    return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file; OSError if it cannot be read, or is not a regular file."""
+    with open(path, "rb", opener=regular) as file:
+        return file.read()
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 of a file, in hexadecimal digits; raises as `read_bytes`."""
+    with open(path, "rb", opener=regular) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def open_log(path: Path) -> TextIO:
+    """Open a file to append lines of UTF-8; completes a half line that a killed process has left.
+
+    A link in its place is replaced by an empty file, and one of several names of a file (a hard
+    link) by a copy.
+
+    Raises:
+        OSError: it cannot be written, or is not a regular file.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if is_link(path):
+        path.unlink()
+    elif path.exists() and path.stat().st_nlink > 1:
+        content = read_bytes(path)
+        with atomic_write(path) as copy:
+            copy.write(content)
+    with open(path, "a+b", opener=unlinked) as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 1, 0))
+        if size and file.read(1) != b"\n":
+            file.write(b"\n")
+    return open(path, "a", encoding="utf-8", opener=unlinked)
+
+
+# --- writing ---
 
 
 @contextmanager
@@ -32,16 +159,17 @@ def atomic_write(
         RunFolderError: the folder cannot be written to, or the disk is full.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary, owner = path, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as file:
+        temporary, file, owner = _temporary(path)
+        with file:
             yield file
             if durable:
                 file.flush()
                 os.fsync(file.fileno())
-        if before is not None and path.exists():
-            with open(path, "r+b") as earlier:
+        if before is not None and path.is_file() and not is_link(path):
+            with open(path, "r+b", opener=unlinked) as earlier:
                 os.fsync(earlier.fileno())
             os.replace(path, before)
         os.replace(temporary, path)
@@ -51,16 +179,52 @@ def atomic_write(
             "Free some space or choose another folder.",
         ) from error
     finally:
-        with suppress(OSError):
-            temporary.unlink()
+        if temporary != path:
+            with suppress(OSError):
+                temporary.unlink()
+        if owner is not None:
+            os.close(owner)
+
+
+def _temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
+    """A new file beside `path`, and the descriptor that holds its lock (`os_lock.keep`)."""
+    while True:
+        name = f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
+        temporary = path.with_name(name)
+        file = open(temporary, "wb", opener=_new)  # noqa: SIM115 - the caller closes it
+        owner = os_lock.keep(file)
+        # `remove_leftovers` of another process may have come before the lock.
+        if owner is None or temporary.exists():
+            return temporary, file, owner
+        file.close()
+        os.close(owner)
+
+
+def _new(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete the temporary files that a killed process has left; nobody else may write there."""
-    for path in folder.rglob(".*.part"):
-        if LEFTOVER.search(path.name):
-            with suppress(OSError):
-                path.unlink()
+    """Delete the temporary files that killed processes have left; those in use stay."""
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            if LEFTOVER.fullmatch(name):
+                with suppress(OSError):
+                    _remove_abandoned(Path(parent, name))
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Delete a temporary file unless its owner lives, who holds its lock."""
+    if sys.platform == "win32" or is_link(path):
+        path.unlink()  # on Windows this fails while it is open
+        return
+    with open(path, "r+b", opener=unlinked) as file:
+        try:
+            abandoned = os_lock.take(file)
+        except os_lock.NoLocksError:
+            abandoned = time.time() - os.fstat(file.fileno()).st_mtime > ABANDONED
+        if abandoned:
+            path.unlink()
 
 
 def write_text(path: Path, text: str, *, durable: bool = True) -> None:
@@ -82,7 +246,7 @@ def read_json(path: Path) -> Any:
         RunFolderError: the file is missing, unreadable or not JSON.
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
+        return json.loads(read_bytes(path).decode("utf-8"))
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).") from error
     except (ValueError, RecursionError) as error:

@@ -1,7 +1,8 @@
 """One engine at a time in a run folder, and a way for others to see that it is at work.
 
 The lock is the operating system's, so it ends with the process, however that ends. The file says
-who holds it, for people and for a Blender that was opened again.
+who holds it, for people and for a Blender that was opened again. On a file system without locks,
+the file itself is the lock, and is taken over if its process is dead (`process`).
 """
 
 from __future__ import annotations
@@ -10,143 +11,188 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from ..errors import RunFolderError
+from . import os_lock, process
+from .files import is_link, read_bytes, unlinked
 from .run_files import EVENTS, LOCK
 
-# Windows keeps others from reading what is locked, so a byte far behind the text is locked.
-LOCKED_BYTE = 1 << 30
+_held: dict[Path, BinaryIO] = {}
+"""Lock files that this process holds."""
+
+
+def _say_nothing(text: str) -> None:
+    """Drop the warning."""
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(
+    folder: Path, warn: Callable[[str], None] = _say_nothing, *, option: str = "--run-dir"
+) -> Iterator[None]:
     """Hold `folder`/run.lock while the block runs; `{"pid", "started", "events_from"}` is in it.
 
     `started` is in seconds since 1970; `events_from` is the size that events.jsonl had then. The
     file is removed at the end. One that a killed process has left is taken over.
 
+    Args:
+        folder: the run folder; created if it is missing.
+        warn: told if the file system has no locks.
+        option: the one that names the folder, for the message.
+
     Raises:
         RunFolderError: another process holds it, or the folder cannot be written to.
     """
-    path = folder / LOCK
+    path = Path(os.path.abspath(folder), LOCK)
     try:
-        file = _hold(path)
-        _write_record(file, folder / EVENTS)
+        file = _hold(path, warn)
     except BlockingIOError as error:
-        raise RunFolderError(
-            f"Another engine is at work in {folder}{_holder(path)}.",
-            "Wait for it, stop it, or choose another run folder (--run-dir).",
-        ) from error
+        raise _in_use(path, option) from error
     except OSError as error:
         raise RunFolderError(
             f"Cannot write {path} ({error.strerror or error}).",
             "Free some space or choose another folder.",
         ) from error
+    _held[path] = file
     try:
         yield
     finally:
-        if sys.platform == "win32":  # a file that is open cannot be removed there
-            file.close()
-        with suppress(OSError):
-            path.unlink()
-        file.close()
+        del _held[path]
+        _release(path, file)
         with suppress(OSError):  # nothing but the lock was ever in it
-            folder.rmdir()
+            path.parent.rmdir()
 
 
-def _hold(path: Path) -> BinaryIO:
-    """The locked file; BlockingIOError when another process has it."""
+def check_held(path: Path) -> None:
+    """Make sure that a lock of this process above `path` is still its own, if it has one.
+
+    Raises:
+        RunFolderError: somebody deleted or replaced the lock file, so another engine may be at
+            work in the folder.
+    """
+    place = Path(os.path.abspath(path))
+    for lock, file in _held.items():
+        if place.is_relative_to(lock.parent) and not _is_at(lock, file):
+            raise RunFolderError(
+                f"{lock} was deleted or replaced while this engine used it;"
+                " another engine may be at work in the folder.",
+                "Once no other engine is at work there, give the same command again to resume.",
+            )
+
+
+def holder(path: Path) -> int:
+    """The process that holds a lock file; 0 when nobody does, as after an engine was killed."""
+    try:
+        with open(path, "r+b", opener=unlinked) as file:
+            try:
+                taken = os_lock.is_taken(file)
+            except os_lock.NoLocksError:
+                taken = process.may_live(_record(path))
+            return process.pid_of(_record(path)) if taken else 0
+    except OSError:
+        return 0
+
+
+def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
+    """The file, locked and with its record; BlockingIOError if another process has it."""
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = open(path, "a+b")  # noqa: SIM115 - stays open as long as the lock is held
+        if is_link(path):
+            path.unlink()
+        file = open(path, "a+b", opener=unlinked)  # noqa: SIM115 - open while the lock is held
         try:
-            _lock(file)
-            # The last holder may have removed the file between the two lines above.
-            if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            if not os_lock.take(file):
+                raise BlockingIOError
+            names = os.fstat(file.fileno()).st_nlink
+            # The last holder may have removed the file between the lines above.
+            if _is_at(path, file) and names == 1:
+                _write_record(file, path.parent / EVENTS)
                 return file
-        except BaseException:
+            if names > 1 and _is_at(path, file):  # a hard link: what it names is not ours to write
+                _release(path, file)
+        except os_lock.NoLocksError:
             file.close()
+            return _hold_without_locks(path, warn)
+        except BaseException:
+            with suppress(OSError):  # what could not be written is tried again here
+                file.close()
             raise
         file.close()
 
 
-def _write_record(file: BinaryIO, log: Path) -> None:
+def _hold_without_locks(path: Path, warn: Callable[[str], None]) -> BinaryIO:
+    """The file, created by this process; BlockingIOError if the process of another one may live."""
+    warn(
+        f"The file system of {path.parent} has no locks. Make sure that only one computer uses"
+        " this folder at a time."
+    )
+    with suppress(FileNotFoundError):
+        if path.stat().st_size and process.may_live(_record(path)):
+            raise BlockingIOError
+        path.unlink()
+    try:
+        file = open(path, "x+b")  # noqa: SIM115 - open while the lock is held
+    except FileExistsError as error:
+        raise BlockingIOError from error
+    try:
+        _write_record(file, path.parent / EVENTS, process.identity())
+    except BaseException:
+        with suppress(OSError):
+            file.close()
+        raise
+    return file
+
+
+def _release(path: Path, file: BinaryIO) -> None:
+    """Remove the file, unless another process has put its own there; end the lock."""
+    ours = _is_at(path, file)
+    if sys.platform == "win32":  # a file that is open cannot be removed there
+        file.close()
+    if ours:
+        with suppress(OSError):
+            path.unlink()
+    file.close()
+
+
+def _is_at(path: Path, file: BinaryIO) -> bool:
+    """Whether the open file is the one of that name."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), os.lstat(path))
+    except OSError:
+        return False
+
+
+def _write_record(file: BinaryIO, log: Path, more: dict[str, Any] | None = None) -> None:
     """Say in the file who holds it."""
     record = {
         "pid": os.getpid(),
         "started": round(time.time(), 3),
         "events_from": log.stat().st_size if log.exists() else 0,
     }
-    try:
-        file.truncate(0)
-        file.seek(0)
-        file.write(json.dumps(record).encode() + b"\n")
-        file.flush()
-    except OSError:
-        with suppress(OSError):  # what could not be written is tried again here
-            file.close()
-        raise
+    file.truncate(0)
+    file.seek(0)
+    file.write(json.dumps(record | (more or {})).encode() + b"\n")
+    file.flush()
 
 
-def _lock(file: BinaryIO) -> None:
-    """Take the lock at once; BlockingIOError when another process has it."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        file.seek(LOCKED_BYTE)
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        except PermissionError as error:
-            raise BlockingIOError from error
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _record(path: Path) -> dict[str, Any]:
+    """What the file says; empty if it is damaged."""
+    with suppress(OSError, ValueError, RecursionError):
+        record = json.loads(read_bytes(path))
+        return record if isinstance(record, dict) else {}
+    return {}
 
 
-def holder(path: Path) -> int:
-    """The process that holds a lock file; 0 when nobody does, as after an engine was killed."""
-    try:
-        with open(path, "r+b") as file:
-            return _recorded(path) if _is_locked(file) else 0
-    except OSError:
-        return 0
-
-
-def _is_locked(file: BinaryIO) -> bool:
-    """Whether another process has the lock; if none has, it is taken and given back at once."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        try:
-            _lock(file)
-        except BlockingIOError:
-            return True
-        file.seek(LOCKED_BYTE)
-        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
-        return False
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
-
-
-def _recorded(path: Path) -> int:
-    """The process that the file names; 0 where it names none."""
-    with suppress(OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
-        return int(json.loads(path.read_text(encoding="utf-8"))["pid"])
-    return 0
-
-
-def _holder(path: Path) -> str:
-    """ ", process N", when the file says so."""
-    process = _recorded(path)
-    return f", process {process}" if process else ""
+def _in_use(path: Path, option: str) -> RunFolderError:
+    """The error for a folder that another process uses."""
+    record = _record(path)
+    pid, host = process.pid_of(record), process.host_of(record)
+    who = f", process {pid}" if pid else ""
+    where = f" on {host}" if host else ""
+    hint = f"Wait for it, stop it, or choose another folder ({option})."
+    if host:
+        hint += f" If no engine is at work there, delete {path}."
+    return RunFolderError(f"Another engine is at work in {path.parent}{who}{where}.", hint)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
+from .files import read_bytes
 from .names import MAX_NAME, first_taken, is_file_name
 
 Float64 = NDArray[np.float64]
@@ -122,7 +123,7 @@ def read_rois(path: Path) -> list[RoiRecord]:
         RoiError: the file is unreadable, holds no box, or two boxes share a name.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        document = json.loads(read_bytes(path).decode("utf-8"))
     except OSError as error:
         raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
     except (ValueError, RecursionError) as error:

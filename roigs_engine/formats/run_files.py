@@ -25,3 +25,18 @@ STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 """In a stage's folder: once it is done, and while it trains."""
 SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine", "object-"
 """Names of stages; the last is followed by the box's."""
+FULL_SCENE_STAGE, MATCHED_STAGE, FULL_OBJECT_STAGE = "full-scene", "matched-scene", "full-object-"
+"""Names of the baselines' stages; the last is followed by the box's."""
+COMPARED = "compare-"
+"""Followed by the name of another strategy: the folder of its run. No stage is called that."""
+
+_FILES = (MANIFEST, PROVENANCE, SPLIT, LOCK, EVENTS, RESULT, BACKGROUND, PREVIEW)
+_RESULTS = (FINE, COARSE, REPORT, REPORT_DATA, CROPS, SELECTION, ARCHIVE, CACHE)
+_STAGES = (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, FULL_SCENE_STAGE, MATCHED_STAGE)
+_NAMES = {*_FILES, *_RESULTS, *_STAGES}
+
+
+def is_own(name: str) -> bool:
+    """Whether a run writes a file or folder of that name; case does not count."""
+    name = name.casefold()
+    return name in _NAMES or name.startswith((OBJECT_STAGE, FULL_OBJECT_STAGE, COMPARED))

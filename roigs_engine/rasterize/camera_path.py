@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError
+from ..formats.files import read_bytes
 from ..formats.names import safe_name
 from ..model.scene import Camera, Float64
 
@@ -34,7 +35,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     """
     hint = "docs/files.md describes camera path files."
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        document = json.loads(read_bytes(path).decode("utf-8"))
     except OSError as error:
         raise ConfigError(f"Cannot read {path} ({error.strerror}).") from error
     except (ValueError, RecursionError) as error:

@@ -7,15 +7,17 @@ and nothing is deleted or trained twice.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
 from ..errors import RunFolderError
+from ..formats.files import own_folder
 from ..formats.run_files import ARCHIVE
 
-PARTS = "results"
+PARTS, DAMAGED = "results", "damaged"
 
 
 def archive(folder: Path, fingerprint: str) -> None:
@@ -33,6 +35,23 @@ def restore(folder: Path, fingerprint: str) -> None:
     place = _place(folder, fingerprint)
     if place.exists() and not folder.exists():
         _move(place, folder)
+
+
+def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
+    """Move the damaged files `names` of `folder` to the archive; returns where they are.
+
+    `folder` is removed if it is empty then.
+
+    Raises:
+        RunFolderError: one cannot be moved.
+    """
+    place = _free(_place(folder, DAMAGED))
+    for name in names:
+        if os.path.lexists(folder / name):
+            _move(folder / name, place / name)
+    with suppress(OSError):
+        folder.rmdir()
+    return place
 
 
 def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
@@ -54,7 +73,8 @@ def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
 
 
 def _place(folder: Path, fingerprint: str) -> Path:
-    return folder.parent / ARCHIVE / f"{folder.name}-{fingerprint[:8]}"
+    mark = re.sub(r"[^0-9A-Za-z]", "-", fingerprint[:8])  # a damaged record may hold any text
+    return own_folder(folder.parent, ARCHIVE, f"{folder.name}-{mark}")
 
 
 def _free(place: Path) -> Path:

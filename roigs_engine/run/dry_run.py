@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..context import QUIET, Context
-from ..formats.files import read_json
 from ..formats.run_files import MANIFEST
 from ..kernels import library
 from .definition import Run
 from .estimate import Estimator, StageEstimate, evaluation_seconds
 from .executor import Executor
-from .manifest import check_version, from_json, manifest_difference
+from .manifest import check_version, from_json, manifest_difference, read_manifest
 from .memory import run_memory
 from .plan import POINTS, Plan, Stage
 from .strategies import plan_run
@@ -142,7 +141,7 @@ def _folder_note(run: Run, *, update: bool) -> list[str]:
     path = run.folder / MANIFEST
     if not path.exists():
         return []
-    difference = manifest_difference(read_json(path), from_json(run.manifest()))
+    difference = manifest_difference(read_manifest(path), from_json(run.manifest()))
     if not difference:
         return []
     if update:

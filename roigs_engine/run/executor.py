@@ -10,7 +10,8 @@ import torch
 from ..context import QUIET, Context
 from ..evaluation.views import EvaluatedModel
 from ..formats import run_files
-from ..formats.files import write_json
+from ..formats.files import own_folder, write_json
+from ..formats.lock import check_held
 from ..model.compose import background, crop, merge
 from ..model.gaussians import Gaussians
 from ..model.ownership import count_owned
@@ -99,10 +100,11 @@ class Executor:
             RunFolderError: a stage's folder has other settings, or is damaged.
             TrainingError: a stage diverged twice.
         """
+        self._refuse_links(plan)
         for folder, selections in plan.selections.items():
             for chosen in selections:
-                path = self.run.folder / folder / run_files.SELECTION / f"{chosen.roi}.json"
-                write_json(path, chosen.to_dict())
+                place = own_folder(self.run.folder, folder, run_files.SELECTION)
+                write_json(place / f"{chosen.roi}.json", chosen.to_dict())
         models = []
         for planned in plan.models:
             models.append(self.model(planned))
@@ -116,6 +118,7 @@ class Executor:
         """The stage's result: loaded if finished, else trained now."""
         if stage.name not in self._results:
             folder = self._folder(stage)
+            check_held(folder.folder)
             self._results[stage.name] = folder.finished(self.context) or self._train(stage, folder)
         return self._results[stage.name]
 
@@ -160,13 +163,21 @@ class Executor:
         preview = self.run.folder / run_files.PREVIEW if self._preview_seconds else None
         return StageFolder(
             name=stage.name,
-            folder=self.run.folder / stage.name,
+            folder=own_folder(self.run.folder, stage.name),
             fingerprint=stage.fingerprint,
             frame=self.run.frame,
             update=self._update,
             preview=preview,
             preview_seconds=self._preview_seconds,
         )
+
+    def _refuse_links(self, plan: Plan) -> None:
+        """Before hours of training: RunFolderError if a result would be written through a link."""
+        for stage in plan.stages:
+            own_folder(self.run.folder, stage.name)
+        for output in plan.outputs:
+            for name in (run_files.FINE, run_files.COARSE):
+                own_folder(self.run.folder, output.folder, name)
 
     def _data(self, stage: Stage) -> StageData:
         """The stage's training data."""
@@ -226,11 +237,14 @@ class Executor:
 
     def _write(self, output: Output) -> None:
         """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box."""
-        folder, rois, frame = self.run.folder / output.folder, self.run.rois, self.run.frame
+        folder = own_folder(self.run.folder, output.folder)
+        rois, frame = self.run.rois, self.run.frame
         result = self.gaussians(output.model.source)
         coarse = self.result(output.coarse).gaussians
+        check_held(folder)
         result.save_ply(folder / run_files.RESULT, frame)
         background(result, rois).save_ply(folder / run_files.BACKGROUND, frame)
         for roi in rois:
             for model, name in ((result, run_files.FINE), (coarse, run_files.COARSE)):
-                crop(model, roi, rois).save_ply(folder / name / f"{roi.name}.ply", frame)
+                path = own_folder(folder, name) / f"{roi.name}.ply"
+                crop(model, roi, rois).save_ply(path, frame)

@@ -10,7 +10,7 @@ from typing import Any
 from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats import run_files
-from ..formats.files import read_json, write_json
+from ..formats.files import own_folder, read_json, write_json
 from ..formats.run_files import MANIFEST
 from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
@@ -40,7 +40,7 @@ def claim(
     if not path.exists():
         write_json(path, now)
         return
-    before = read_json(path)
+    before = read_manifest(path)
     difference = manifest_difference(before, now)
     if not difference:
         return
@@ -49,11 +49,20 @@ def claim(
             f"{folder} has another run ({difference}).",
             "Add --update to archive that run, or choose another run folder (--run-dir).",
         )
-    for home in (folder, *(folder / name for name in STRATEGIES)):  # the second: --compare
+    for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
         archive_parts(home, RESULTS, manifest_digest(before))
         restore_parts(home, RESULTS, manifest_digest(now))
     write_json(path, now)
     context.info(f"Updated {folder} to the new settings ({difference}).")
+
+
+def read_manifest(path: Path) -> Any:
+    """The manifest of a run folder; RunFolderError if it cannot be read."""
+    try:
+        return read_json(path)
+    except RunFolderError as error:
+        hint = "Delete it; finished stages that still fit are kept."
+        raise RunFolderError(error.message, hint) from error
 
 
 def check_version(folder: Path) -> None:

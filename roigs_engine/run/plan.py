@@ -52,7 +52,7 @@ class Stage:
     """One training stage.
 
     Attributes:
-        name: its folder below the run folder, for example `independent/scene`.
+        name: its folder below the run folder, for example `compare-joint/scene`.
         images: the photos, with cameras of the size used for training.
         config: settings.
         start: the Gaussians to start from.

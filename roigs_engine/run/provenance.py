@@ -18,9 +18,11 @@ from typing import Any
 from .. import __version__
 from ..errors import EngineError, RunFolderError, Stopped
 from ..formats.files import read_json, write_json
+from ..formats.lock import check_held
 from ..formats.run_files import PROVENANCE, STAGE
 from ..kernels import library
 from ..machine import machine_memory, processor_name
+from .stage_record import DamagedError, read_record
 
 PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
 
@@ -69,6 +71,7 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
         now["seconds"] = round(time.monotonic() - began, 1)
         now["stages"] = _stages(folder)
         with suppress(RunFolderError):  # the error that ended the block is more important
+            check_held(folder)
             # Not durable: a sync would also flush the checkpoint just written, and delay a stop.
             write_json(path, {"entries": [*entries, now]}, durable=False)
 
@@ -76,11 +79,13 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
 def _earlier(path: Path) -> list[Any]:
     if not path.exists():
         return []
-    record = read_json(path)
+    hint = "Delete it, or choose another folder."
+    try:
+        record = read_json(path)
+    except RunFolderError as error:
+        raise RunFolderError(error.message, hint) from error
     if not isinstance(record, dict) or not isinstance(record.get("entries"), list):
-        raise RunFolderError(
-            f"{path} is not a provenance file.", "Delete it, or choose another folder."
-        )
+        raise RunFolderError(f"{path} is not a provenance file.", hint)
     return list(record["entries"])
 
 
@@ -94,6 +99,8 @@ def _stages(folder: Path) -> dict[str, float]:
     """Finished stage -> its seconds of training."""
     found = {}
     for path in sorted(folder.glob(f"*/{STAGE}")):
-        with suppress(RunFolderError, KeyError, TypeError, ValueError):
-            found[path.parent.name] = round(float(read_json(path)["seconds"]), 1)
+        with suppress(RunFolderError, DamagedError):
+            record = read_record(path)
+            if record is not None:
+                found[path.parent.name] = round(record.seconds, 1)
     return found

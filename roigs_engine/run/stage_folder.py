@@ -1,7 +1,8 @@
 """The folder of a stage: trains the stage there, resumes it, or loads its finished result.
 
 The folder has `checkpoint.bin` while the stage trains, and `model.ply` and `stage.json` when it is
-finished. Both states carry a fingerprint: a hash of everything that decides the stage's result.
+finished. Both states carry a fingerprint: a hash of everything that decides the stage's result. A
+finished stage is verified by its checksums when its result is taken.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ..cuda.device import CPU
 from ..errors import RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
-from ..formats.files import read_json, write_json
+from ..formats.files import sha256
+from ..formats.lock import check_held
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..training.callbacks import PeriodicCallback
@@ -30,7 +32,8 @@ from ..training.checkpoint import (
 )
 from ..training.config import TrainConfig
 from ..training.trainer import StageData, Trainer
-from .archive import archive, restore
+from .archive import archive, archive_damaged, restore
+from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record
 
 CHECKPOINT_SECONDS = 60.0
 
@@ -96,47 +99,72 @@ class StageFolder:
 
     def peek(self) -> StageResult | None:
         """The stage's result if it is finished, or None; changes nothing."""
-        with suppress(RunFolderError):
-            return self._finished() if (self.folder / run_files.MODEL).exists() else None
+        with suppress(RunFolderError, DamagedError):
+            record = read_record(self._record)
+            return None if record is None else self._verified(record)
         return None
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
         """The stage's result if it is finished, or None; `update` archives another stage first.
 
+        A result that is damaged is archived, with a warning, and counts as missing.
+
         Raises:
-            RunFolderError: the folder has other settings, or is damaged.
+            RunFolderError: the folder has other settings, or cannot be read.
         """
         if self.update:
             self._make_room(context)
-        result = self._finished()
-        if result is not None:
-            remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
-            context.info(f"{self.name}: already finished, {result.count} Gaussians.")
+        record = self._usable_record(context)
+        if record is None:
+            return None
+        try:
+            result = self._verified(record)
+        except DamagedError as error:
+            self._archive_damaged(error, context)
+            return None
+        remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
+        context.info(f"{self.name}: already finished, {result.count} Gaussians.")
         return result
 
-    def _finished(self) -> StageResult | None:
-        if not self._record.exists():
+    def _usable_record(self, context: Context) -> StageRecord | None:
+        """The record of a finished stage; one that is damaged is archived, with its model."""
+        try:
+            return read_record(self._record)
+        except DamagedError as error:
+            self._archive_damaged(error, context)
             return None
-        record = read_json(self._record)
-        if not isinstance(record, dict) or record.get("fingerprint") != self.fingerprint:
+
+    def _archive_damaged(self, error: DamagedError, context: Context) -> None:
+        names = (run_files.STAGE, run_files.MODEL)
+        place = archive_damaged(self.folder, names)
+        again = "resumed from its checkpoint" if checkpoint_exists(self._checkpoint) else "repeated"
+        context.warn(
+            f"{self.name}: {error}. The stage is {again}; its damaged files are in {place}."
+        )
+
+    def _verified(self, record: StageRecord) -> StageResult:
+        """The result of a finished stage, whose model is as it was trained.
+
+        Raises:
+            RunFolderError: it is of another stage, or cannot be read.
+            DamagedError: the model is damaged or missing.
+        """
+        if record.fingerprint != self.fingerprint:
             raise RunFolderError(
                 f"{self.folder} was trained with other settings or photos.",
                 "Add --update to archive it and train again, or choose another run folder"
                 " (--run-dir).",
             )
-        try:
-            return StageResult(
-                name=self.name,
-                model_path=self.folder / run_files.MODEL,
-                count=int(record["gaussians"]),
-                seconds=float(record["seconds"]),
-                cpu_seconds=float(record["cpu_seconds"]),
-                frame=self.frame,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise RunFolderError(
-                f"{self._record} is damaged.", f"Delete {self.folder} to train the stage again."
-            ) from error
+        path = self.folder / run_files.MODEL
+        check_model(path, record)
+        return StageResult(
+            name=self.name,
+            model_path=path,
+            count=record.gaussians,
+            seconds=record.seconds,
+            cpu_seconds=record.cpu_seconds,
+            frame=self.frame,
+        )
 
     def train(
         self,
@@ -207,6 +235,7 @@ class StageFolder:
 
     def _save(self, trainer: Trainer) -> None:
         trainer.check()
+        check_held(self.folder)
         save_checkpoint(self._checkpoint, trainer.state_dict(), self.fingerprint)
 
     def _write_preview(self, trainer: Trainer, context: Context) -> None:
@@ -218,7 +247,7 @@ class StageFolder:
 
     def _make_room(self, context: Context) -> None:
         """Archive a stage with another fingerprint; restore this one from the archive."""
-        present = self._present_fingerprint()
+        present = self._present_fingerprint(context)
         if present == self.fingerprint:
             return
         if present is not None:
@@ -226,11 +255,11 @@ class StageFolder:
             context.info(f"{self.name}: archived the stage of other settings or photos.")
         restore(self.folder, self.fingerprint)
 
-    def _present_fingerprint(self) -> str | None:
+    def _present_fingerprint(self, context: Context) -> str | None:
         """The fingerprint of the stage in the folder, finished or not; None: no stage."""
-        if self._record.exists():
-            record = read_json(self._record)
-            return str(record.get("fingerprint")) if isinstance(record, dict) else "damaged"
+        record = self._usable_record(context)
+        if record is not None:
+            return record.fingerprint
         if checkpoint_exists(self._checkpoint):
             return checkpoint_fingerprint(self._checkpoint)
         return None
@@ -238,16 +267,18 @@ class StageFolder:
     def _finish(self, trainer: Trainer) -> StageResult:
         model = trainer.gaussians.detached().to(CPU)
         path = self.folder / run_files.MODEL
+        check_held(self.folder)
         model.save_ply(path, self.frame)
-        record = {
-            "fingerprint": self.fingerprint,
-            "seconds": trainer.seconds,
-            "cpu_seconds": trainer.cpu_seconds,
-            "steps": trainer.step,
-            "gaussians": len(model),
-            "device": trainer.data.device.type,
-        }
-        write_json(self._record, record)
+        record = StageRecord(
+            fingerprint=self.fingerprint,
+            seconds=trainer.seconds,
+            cpu_seconds=trainer.cpu_seconds,
+            steps=trainer.step,
+            gaussians=len(model),
+            device=trainer.data.device.type,
+            model_sha256=sha256(path),
+        )
+        write_record(self._record, record)
         remove_checkpoint(self._checkpoint)
         return StageResult(
             name=self.name,

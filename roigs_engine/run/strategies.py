@@ -47,14 +47,14 @@ def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) ->
     for name in STRATEGIES:
         if name in compare and name != run.config.strategy:
             other = replace(run, config=in_strategy(run.config, name))
-            plan += strategy(PhotoSets(other, context), folder=name)
+            plan += strategy(PhotoSets(other, context), folder=run_files.COMPARED + name)
     return plan + strategy(photos)
 
 
 def full_scene(photos: PhotoSets) -> Plan:
     """Baseline: standard 3DGS on all training photos, for the steps of both stages."""
     config = stage_configs.baseline(photos.run.config)
-    stage = _stage("full-scene", photos, photos.images, config)
+    stage = _stage(run_files.FULL_SCENE_STAGE, photos, photos.images, config)
     return Plan(models=(PlannedModel.of_stage(BASELINE, stage),))
 
 
@@ -63,7 +63,7 @@ def full_objects(photos: PhotoSets) -> Plan:
     config = stage_configs.baseline(photos.run.config)
     models = []
     for roi in photos.run.rois:
-        stage = _stage(f"full-object-{roi.name}", photos, photos.seen(roi), config)
+        stage = _stage(f"{run_files.FULL_OBJECT_STAGE}{roi.name}", photos, photos.seen(roi), config)
         models.append(PlannedModel.of_stage("Full Object", stage, roi.name))
     return Plan(models=tuple(models))
 
@@ -76,7 +76,7 @@ def matched(photos: PhotoSets, ours: PlannedModel) -> Plan:
     """
     run = photos.run
     config = stage_configs.matched_baseline(run.config)
-    stage = _stage("matched-scene", photos, photos.images, config, rois=run.rois)
+    stage = _stage(run_files.MATCHED_STAGE, photos, photos.images, config, rois=run.rois)
     stage = replace(stage, matched=ours.source)
     return Plan(models=(PlannedModel.of_stage("Matched", stage),))
 

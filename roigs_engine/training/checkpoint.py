@@ -28,7 +28,7 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..errors import RunFolderError
-from ..formats.files import atomic_write
+from ..formats.files import atomic_write, regular
 
 MAGIC = b"ROIGSck3"
 PREFIX = struct.Struct("<8sQI")
@@ -99,7 +99,7 @@ def checkpoint_fingerprint(path: Path) -> str:
     problems = []
     for name in _present(path):
         try:
-            with open(name, "rb") as file:
+            with open(name, "rb", opener=regular) as file:
                 return str(_header(file)["fingerprint"])
         except (OSError, _DamagedError) as error:
             problems.append(f"The checkpoint {name} {_because(error)}.")
@@ -137,7 +137,7 @@ def _because(error: Exception) -> str:
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and state of a file."""
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             header = _header(file)
             tensors: list[Tensor] = []
             state = _restored(header["state"], tensors)

@@ -149,7 +149,7 @@ def timeless(value: Any) -> Any:
         return {
             k: timeless(v)
             for k, v in value.items()
-            if k not in ("seconds", "cpu_seconds", "stages")
+            if k not in ("seconds", "cpu_seconds", "stages", "checksum")
         }
     return [timeless(item) for item in value] if isinstance(value, list) else value
 

@@ -12,6 +12,7 @@ import pytest
 from tests.addon.scenes import add_box, imported
 
 pytestmark = pytest.mark.blender
+UNWRITABLE = "(Cannot write|cannot be created or written to) .*Run Folder"
 
 
 def test_runs_of_unsaved_files_outlive_the_extension(
@@ -191,16 +192,16 @@ def test_an_unusable_folder_gives_one_line(
     for name in ("rois.json", "train.json", "path.json"):
         (tmp_path / "run" / "blender" / name).mkdir()
     for name in ("rois.json", "train.json"):
-        with pytest.raises(AddonError, match=r"cannot be created or written to .*Run Folder"):
+        with pytest.raises(AddonError, match=UNWRITABLE):
             options_files.write_train_options(scene, lookup.rois(scene), 0.0)
         (tmp_path / "run" / "blender" / name).rmdir()
     (tmp_path / "run" / "blender" / "selection").touch()
     lookup.rois(scene)[0].roigs.selection.add().name = "photo 0.png"
-    with pytest.raises(AddonError, match=r"cannot be created or written to .*Run Folder"):
+    with pytest.raises(AddonError, match=UNWRITABLE):
         options_files.write_train_options(scene, lookup.rois(scene), 0.0)
     (tmp_path / "run" / "result.ply").touch()
     scene.camera = next(iter(lookup.cameras(scene).values()))
-    with pytest.raises(AddonError, match=r"cannot be created or written to .*Run Folder"):
+    with pytest.raises(AddonError, match=UNWRITABLE):
         render_job.spec(scene, "", animation=False)
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file" / "run", tmp_path / ("x" * 300)):
@@ -223,3 +224,42 @@ def test_an_unusable_cache_gives_one_line(
     assert run_folders.run_folder(blender.context.scene)
     with pytest.raises(RuntimeError, match=r"cannot be created or written to .*Cache Folder"):
         blender.ops.roigs.import_colmap(directory=str(project))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_links_are_not_written_through(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.engine.own_files import log_file
+    from roigs_addon.engine.process import _Log
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import options_files, render_job
+    from roigs_addon.scene import lookup
+
+    scene, run = boxed(blender, project), tmp_path / "run"
+    scene.roigs.run_dir = str(run)
+    scene.camera = next(iter(lookup.cameras(scene).values()))
+    lookup.rois(scene)[0].roigs.selection.add().name = "photo 0.png"
+    mine = tmp_path / "mine"
+    mine.write_text("mine")
+    own = ("rois.json", "train.json", "path.json", "selection/thing.json", "engine.log")
+    for name in own:
+        (run / "blender" / name).parent.mkdir(parents=True, exist_ok=True)
+        (run / "blender" / name).symlink_to(mine)
+    options_files.write_train_options(scene, lookup.rois(scene), 0.0)
+    render_job.spec(scene, "", animation=False)
+    log = _Log(log_file(run))
+    log.write("a line")
+    log.close()
+    assert mine.read_text() == "mine"
+    assert not any((run / "blender" / name).is_symlink() for name in own)
+    shutil.rmtree(run)
+    run.mkdir()
+    (run / "blender").symlink_to(tmp_path)
+    for write in (
+        lambda: options_files.write_train_options(scene, lookup.rois(scene), 0.0),
+        lambda: options_files.write_select_options(scene, lookup.rois(scene)),
+        lambda: render_job.spec(scene, "", animation=False),
+    ):
+        with pytest.raises(AddonError, match="is a link"):
+            write()

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from roigs_engine.errors import RunFolderError
-from roigs_engine.formats.files import atomic_write, read_json, write_json, write_text
+from roigs_engine.formats.files import (
+    ABANDONED,
+    atomic_write,
+    read_json,
+    remove_leftovers,
+    write_json,
+    write_text,
+)
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def names(folder: Path) -> list[str]:
@@ -70,3 +87,80 @@ def test_names_on_disk_that_are_no_utf8(tmp_path: Path) -> None:
     """They come with lone surrogates, which JSON can hold and UTF-8 cannot."""
     write_json(tmp_path / "a.json", {"name": "caf\udce9"})
     assert read_json(tmp_path / "a.json") == {"name": "caf\udce9"}
+
+
+# --- temporary files of other processes ---
+
+HALF = """
+import sys, time
+from pathlib import Path
+from roigs_engine.formats.files import atomic_write
+with atomic_write(Path(sys.argv[1])) as file:
+    file.write(b"half")
+    file.flush()
+    print("half", flush=True)
+    sys.stdin.read()
+    file.write(b" and half")
+"""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that is half done with a file, until its standard input closes."""
+    command, pipe = [sys.executable, "-c", HALF, str(path)], subprocess.PIPE
+    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "half\n"
+        yield process
+
+
+def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
+    path = tmp_path / "nest" / "renders" / "a.png"
+    with writing(path):
+        remove_leftovers(tmp_path)
+        assert len(names(path.parent)) == 1
+    assert path.read_bytes() == b"half and half"
+    assert names(path.parent) == ["a.png"]
+
+
+def test_what_a_killed_process_has_left_goes(tmp_path: Path) -> None:
+    path = tmp_path / "nest" / "a.png"
+    with writing(path) as process:
+        process.kill()
+    assert len(names(path.parent)) == 1
+    (tmp_path / ".notes.12.part").touch()  # not one of ours
+    remove_leftovers(tmp_path)
+    assert names(path.parent) == [] and names(tmp_path) == [".notes.12.part", "nest"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has its locks everywhere")
+def test_leftovers_without_locks_go_by_their_age(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    with writing(tmp_path / "a.png") as process:
+        process.kill()
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    write_text(tmp_path / "b.txt", "writing needs no locks")
+    remove_leftovers(tmp_path)
+    assert len(names(tmp_path)) == 2
+    left = next(tmp_path.glob(".*"))
+    os.utime(left, (time.time() - 2 * ABANDONED,) * 2)
+    remove_leftovers(tmp_path)
+    assert names(tmp_path) == ["b.txt"]
+
+
+def test_threads_that_write_the_same_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+
+    def write(number: int) -> None:
+        with atomic_write(path, durable=False) as file:
+            file.write(bytes([number]) * 1000)
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(64)))
+    assert len(set(path.read_bytes())) == 1 and names(tmp_path) == ["a.bin"]

@@ -113,9 +113,11 @@ def test_a_second_engine_in_a_folder(request_: Request, tmp_path: Path) -> None:
 def test_a_log_that_cannot_be_written_ends_and_nothing_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "events.jsonl").symlink_to("/dev/full")
     console = Console(json_lines=False)
     console.log_to(tmp_path)
+    assert console._log is not None
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        os.dup2(full.fileno(), console._log.fileno())
     for text in ("one", "two"):
         console.emit(Message(text=text))
     lines = capsys.readouterr().err.splitlines()

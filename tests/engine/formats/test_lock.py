@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from roigs_engine.errors import RunFolderError
-from roigs_engine.formats.lock import holder, locked
+from roigs_engine.formats import process
+from roigs_engine.formats.lock import check_held, holder, locked
 
 ROOT = Path(__file__).resolve().parents[3]
 HOLD = """
@@ -43,15 +47,21 @@ def test_a_folder_that_stays_empty_goes_too(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
+@contextmanager
+def engine_in(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the lock until it is killed or its input closes."""
+    command, pipe = [sys.executable, "-c", HOLD, str(folder)], subprocess.PIPE
+    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, text=True) as engine:
+        assert engine.stdout is not None
+        assert engine.stdout.readline() == "held\n"
+        yield engine
+
+
 def test_another_process_is_kept_out_until_it_dies(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", HOLD, str(tmp_path)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, text=True) as holder:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == "held\n"
-        with pytest.raises(RunFolderError, match=f"process {holder.pid}"), locked(tmp_path):
+    with engine_in(tmp_path) as engine:
+        with pytest.raises(RunFolderError, match=f"process {engine.pid}"), locked(tmp_path):
             pass
-        holder.kill()
+        engine.kill()
     assert (tmp_path / "run.lock").exists()
     with locked(tmp_path):
         assert json.loads((tmp_path / "run.lock").read_text(encoding="utf-8"))["pid"] == os.getpid()
@@ -71,3 +81,105 @@ def test_others_see_who_holds_it(tmp_path: Path) -> None:
     tmp_path.mkdir(exist_ok=True)
     path.write_text("nobody", encoding="utf-8")  # as a killed engine leaves it
     assert holder(path) == 0
+
+
+# --- a lock that is lost ---
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows does not delete what is open")
+def test_a_deleted_lock_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "run.lock"
+    with locked(tmp_path):
+        check_held(tmp_path / "scene")
+        path.unlink()
+        check_held(tmp_path.parent)  # of another folder
+        with pytest.raises(RunFolderError, match="deleted or replaced"):
+            check_held(tmp_path / "scene")
+        with engine_in(tmp_path) as engine:
+            with pytest.raises(RunFolderError, match="deleted or replaced"):
+                check_held(tmp_path)
+            assert holder(path) == engine.pid
+    check_held(tmp_path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows does not delete what is open")
+def test_the_end_does_not_delete_the_lock_of_another(tmp_path: Path) -> None:
+    path = tmp_path / "run.lock"
+    with locked(tmp_path):
+        path.unlink()
+        with engine_in(tmp_path) as engine:
+            with locked(tmp_path / "other"):
+                pass
+            engine.kill()
+        left = path.read_bytes()
+    assert path.read_bytes() == left
+
+
+# --- file systems without locks ---
+
+
+@pytest.fixture(params=[errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def no_locks(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_: object) -> None:
+        raise OSError(request.param, os.strerror(request.param))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+
+
+def left_by(folder: Path, **record: object) -> Path:
+    """The lock file of an engine of this computer that has ended, with other values."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    folder.mkdir(exist_ok=True)
+    values = {"pid": ended.pid, "started": 1.8e9, **process.identity(), **record}
+    (folder / "run.lock").write_text(json.dumps(values), encoding="utf-8")
+    return folder / "run.lock"
+
+
+@pytest.mark.usefixtures("no_locks")
+def test_without_locks_the_file_is_the_lock(tmp_path: Path) -> None:
+    texts: list[str] = []
+    path = tmp_path / "run" / "run.lock"
+    with locked(tmp_path / "run", texts.append):
+        assert len(texts) == 1 and "no locks" in texts[0] and "\n" not in texts[0]
+        assert json.loads(path.read_text(encoding="utf-8"))["pid"] == os.getpid()
+        assert holder(path) == os.getpid()
+        refused = pytest.raises(RunFolderError, match=f"process {os.getpid()}")
+        with refused, locked(tmp_path / "run"):
+            pass
+        check_held(tmp_path / "run")
+    assert not path.parent.exists()
+
+
+@pytest.mark.usefixtures("no_locks")
+def test_without_locks_a_dead_process_is_followed(tmp_path: Path) -> None:
+    for record in ({}, {"pid": os.getpid(), "start": "another start"}):
+        path = left_by(tmp_path, **record)
+        assert holder(path) == 0
+        with locked(tmp_path):
+            assert json.loads(path.read_text(encoding="utf-8"))["pid"] == os.getpid()
+        assert not path.exists()
+
+
+@pytest.mark.usefixtures("no_locks")
+@pytest.mark.parametrize("record", [{"host": "another"}, {"pid": "x"}, {"pid": -1}, {"pid": True}])
+def test_without_locks_what_may_live_is_refused_with_a_way_out(
+    tmp_path: Path, record: dict[str, object]
+) -> None:
+    path = left_by(tmp_path, **record)
+    before = path.read_bytes()
+    with pytest.raises(RunFolderError) as caught, locked(tmp_path):
+        pass
+    assert f"delete {path}" in caught.value.hint
+    assert str(record.get("host", "")) in caught.value.message
+    assert path.read_bytes() == before
+
+
+@pytest.mark.usefixtures("no_locks")
+def test_without_locks_a_lost_lock_is_noticed(tmp_path: Path) -> None:
+    with locked(tmp_path):
+        (tmp_path / "run.lock").unlink()
+        with pytest.raises(RunFolderError, match="deleted or replaced"):
+            check_held(tmp_path)

@@ -13,6 +13,7 @@ import torch
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
+from roigs_engine.formats.run_files import is_own
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.ownership import count_owned
@@ -73,7 +74,7 @@ def test_the_other_strategy_stands_in_the_same_table(scene: SfmScene, tmp_path: 
     ours = ["Scene-GS (joint)", "Joint"]
     theirs = ["Scene-GS", "Object-GS", "Composition", "Composition, refined"]
     assert names == theirs + ours
-    assert (tmp_path / "independent" / "result.ply").exists()
+    assert (tmp_path / "compare-independent" / "result.ply").exists()
 
 
 def test_a_refined_composition_takes_no_more_steps_and_no_more_gaussians(
@@ -156,7 +157,7 @@ def test_a_plan_is_made_without_training(scene: SfmScene, tmp_path: Path) -> Non
         *("full-scene", "full-object-thing", "scene", "joint")
     ]
     assert stage_names(run, "independent") == [
-        *("independent/scene", "independent/object-thing", "independent/refine"),
+        *(f"compare-independent/{name}" for name in ("scene", "object-thing", "refine")),
         *("scene", "joint"),
     ]
     refined = define_run(tmp_path / "run", scene, [BOX], tiny("independent", refine_share=0.2))
@@ -209,6 +210,7 @@ def test_every_stage_is_made_and_read_at_most_once(
     assert sorted(read) == sorted(names)
     done = [e.text for e in events if isinstance(e, Message) and "already finished" in e.text]
     assert len(done) == len(names)
+    assert all(is_own(path.name) for path in tmp_path.iterdir())
 
 
 def test_the_matched_baseline_gets_our_number_of_gaussians(scene: SfmScene, tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
-from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
@@ -262,7 +261,7 @@ def test_every_selection_stops(scene: SfmScene, method: str, tracks: bool) -> No
 
 def test_update_archives_the_results_of_the_other_strategy(scene: SfmScene, tmp_path: Path) -> None:
     train_run(opened(tmp_path, scene, [BOX], production()), compare=("independent",))
-    compared = tmp_path / "independent" / "result.ply"
+    compared = tmp_path / "compare-independent" / "result.ply"
     before = compared.read_bytes()
     train_run(opened(tmp_path, scene, [MOVED], production(), update=True), update=True)
     assert not compared.exists()  # it belongs to the box before
@@ -270,13 +269,18 @@ def test_update_archives_the_results_of_the_other_strategy(scene: SfmScene, tmp_
     assert compared.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    "record", ['{"fingerprint": "F"}', '{"fingerprint": "F", "gaussians": {}}']
-)
-def test_a_damaged_stage_record_is_one_clear_line(tmp_path: Path, record: str) -> None:
-    (tmp_path / "stage.json").write_text(record, encoding="utf-8")
-    (tmp_path / "model.ply").touch()
-    folder = StageFolder(name="scene", folder=tmp_path, fingerprint="F")
-    assert folder.peek() is None
-    with pytest.raises(RunFolderError, match="damaged"):
-        folder.finished()
+def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    joint, independent = production(), production("independent")
+    train(tmp_path, scene, [BOX], joint)
+    before, made = written(tmp_path, "joint"), plys(tmp_path)
+    train(tmp_path, scene, [BOX], independent, ["joint"], update=True)
+    assert (tmp_path / "compare-joint" / "joint" / "model.ply").exists()
+    assert sorted(path.name for path in (tmp_path / "joint").iterdir()) == [
+        *("model.ply", "stage.json")
+    ]
+    train(tmp_path, scene, [MOVED], independent, ["joint"], update=True)
+    train(tmp_path, scene, [BOX], joint, update=True)
+    assert written(tmp_path, "joint") == before
+    assert {name: data for name, data in plys(tmp_path).items() if name in made} == made

@@ -1,0 +1,153 @@
+"""Finished stages whose files were damaged: made again with a warning, never silently used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.context import Context
+from roigs_engine.errors import RunFolderError
+from roigs_engine.formats.events import Event, Message
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.run import stage_folder
+from roigs_engine.run.archive import archive
+from roigs_engine.run.definition import define_run
+from roigs_engine.run.dry_run import describe_plan
+from roigs_engine.run.executor import Executor
+from roigs_engine.run.manifest import claim
+from roigs_engine.run.stage_record import DamagedError, read_record
+from roigs_engine.run.strategies import plan_run
+from tests.engine.killing import Request, contents, engine
+from tests.engine.runs import plys, tiny, train
+from tests.engine.synthetic_scene import BOX, make_scene
+
+Damage = Callable[[Path], None]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def flipped(path: Path, at: int = -5) -> None:
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(data)
+
+
+def changed(path: Path, **values: object) -> None:
+    """A record with other values; those that are None are missing."""
+    record = json.loads(path.read_text(encoding="utf-8")) | values
+    path.write_text(
+        json.dumps({k: v for k, v in record.items() if v is not None}), encoding="utf-8"
+    )
+
+
+DAMAGES: dict[str, Damage] = {
+    "a bit of the model": lambda folder: flipped(folder / "model.ply"),
+    "a short model": lambda folder: (folder / "model.ply").write_bytes(b"ply\n"),
+    "no model": lambda folder: (folder / "model.ply").unlink(),
+    "no seconds": lambda folder: changed(folder / "stage.json", seconds=None),
+    "words for seconds": lambda folder: changed(folder / "stage.json", seconds="ten"),
+    "another fingerprint": lambda folder: changed(folder / "stage.json", fingerprint="../../x"),
+    "no checksum": lambda folder: changed(folder / "stage.json", checksum=None),
+    "an empty record": lambda folder: (folder / "stage.json").write_bytes(b""),
+    "a list": lambda folder: (folder / "stage.json").write_text("[]"),
+    "no text": lambda folder: (folder / "stage.json").write_bytes(b"\xff\xfe\0"),
+    "a deep record": lambda folder: (folder / "stage.json").write_text("[" * 200_000),
+}
+
+
+def retrained(folder: Path, scene: SfmScene, *, update: bool = False) -> list[str]:
+    """The warnings of a run on the folder."""
+    events: list[Event] = []
+    context = Context(emit=events.append)
+    train(folder, scene, [BOX], tiny("joint"), update=update, context=context)
+    return [e.text for e in events if isinstance(e, Message) and e.level == "warning"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "update"),
+    [*((name, False) for name in DAMAGES), ("a bit of the model", True), ("a list", True)],
+)
+def test_a_damaged_stage_is_made_again(
+    scene: SfmScene, tmp_path: Path, damage: str, update: bool
+) -> None:
+    quiet = retrained(tmp_path, scene)
+    whole = plys(tmp_path)
+    DAMAGES[damage](tmp_path / "joint")
+    texts = [text for text in retrained(tmp_path, scene, update=update) if text not in quiet]
+    assert len(texts) == 1, texts
+    assert str(tmp_path / "joint") in texts[0] and "repeated" in texts[0]
+    assert {name: whole[name] for name in whole} == {
+        name: data for name, data in plys(tmp_path).items() if not name.startswith("archive")
+    }
+    assert list((tmp_path / "archive" / "joint-damaged").iterdir())
+    assert retrained(tmp_path, scene, update=update) == quiet
+
+
+def test_a_damaged_stage_in_the_archive(scene: SfmScene, tmp_path: Path) -> None:
+    quiet = retrained(tmp_path, scene)
+    whole = plys(tmp_path)
+    record = read_record(tmp_path / "joint" / "stage.json")
+    assert record is not None
+    archive(tmp_path / "joint", record.fingerprint)
+    (place,) = (tmp_path / "archive").iterdir()
+    flipped(place / "model.ply")
+    texts = [text for text in retrained(tmp_path, scene, update=True) if text not in quiet]
+    assert len(texts) == 1 and "model.ply is damaged" in texts[0]
+    assert {name: plys(tmp_path)[name] for name in whole} == whole
+
+
+def test_a_plan_of_damaged_stages_changes_nothing(scene: SfmScene, tmp_path: Path) -> None:
+    train(tmp_path, scene, [BOX], tiny("joint"))
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    assert describe_plan(run).count("  done") == 2
+    flipped(tmp_path / "joint" / "model.ply")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert describe_plan(run).count("  done") == 1
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_a_stage_is_verified_once(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(tmp_path, scene, [BOX], tiny("joint"))
+    verified: list[Path] = []
+    monkeypatch.setattr(stage_folder, "check_model", lambda path, _: verified.append(path))
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    executor = Executor(run)
+    for _ in range(2):
+        executor.execute(plan_run(run))
+    assert sorted(path.parent.name for path in verified) == ["joint", "scene"]
+
+
+def test_a_stage_killed_at_its_end_resumes_from_its_checkpoint(tmp_path: Path) -> None:
+    request = Request(tmp_path)
+    run = tmp_path / "run"
+    engine(request.arguments(run), request.moment("^scene: after stage.json"))
+    flipped(run / "scene" / "model.ply")
+    ended = engine(request.arguments(run))
+    assert ended.status == 0
+    assert "resumed from its checkpoint" in ended.errors
+    assert "scene: resumes at step" in ended.errors
+    whole, made = contents(request.whole), contents(run)
+    assert {k: v for k, v in made.items() if not k.startswith("archive")} == whole
+
+
+def test_a_record_of_no_finite_times(tmp_path: Path) -> None:
+    (tmp_path / "stage.json").write_text('{"seconds": NaN}', encoding="utf-8")
+    with pytest.raises(DamagedError):
+        read_record(tmp_path / "stage.json")
+
+
+@pytest.mark.parametrize("content", [b"", b"[1]", b"{", b"\xff"])
+def test_a_damaged_manifest_is_one_line_with_a_way_out(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "manifest.json").write_bytes(content)
+    with pytest.raises(RunFolderError) as caught:
+        claim(tmp_path, {"a": 1}, update=False)
+    assert caught.value.hint and "\n" not in str(caught.value)
+    assert (tmp_path / "manifest.json").read_bytes() == content
