@@ -41,6 +41,7 @@ class Stream(io.TextIOBase):
         self.encoding = encoding
         self.lost: OSError | None = None
         self.gone = False
+        self.replaced: Any = None  # kept, for it would close `raw` when it is deleted
         self._raw, self._stop = raw, stop
         self._torn = False
         self._patience = PATIENCE
@@ -113,7 +114,9 @@ def _stream(stream: Any, number: int, stop: StopRequest) -> Stream:
     """A stream in the place of Python's own, which is None if it was closed."""
     if stream is None:
         return Stream(io.FileIO(number, "w", closefd=False), "utf-8", stop)
-    return Stream(getattr(stream.buffer, "raw", stream.buffer), stream.encoding, stop)
+    safe = Stream(getattr(stream.buffer, "raw", stream.buffer), stream.encoding, stop)
+    safe.replaced = stream
+    return safe
 
 
 def _reader_is_gone(error: OSError) -> bool:
