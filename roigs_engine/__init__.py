@@ -16,11 +16,14 @@ modules: `roigs_engine.rasterize.rasterize`, `roigs_engine.evaluation.evaluate.e
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # not from `typing`: a Ctrl-C during that import would be a traceback
 
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from .colmap.project import load_colmap
     from .errors import EngineError
     from .model.gaussians import Gaussians

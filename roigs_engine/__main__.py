@@ -1,6 +1,25 @@
 """`python -m roigs_engine COMMAND`: the engine's command line."""
 
-from .cli import entry
+from __future__ import annotations
+
+import signal
+
+from . import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .commands.stopping import StopRequest
+
+
+def _main(stop: StopRequest) -> int:
+    """The command line, imported once signals are watched: that takes a while."""
+    from .cli import main
+
+    return main(stop=stop)
+
 
 if __name__ == "__main__":
-    entry()
+    # Python's own answer to Ctrl-C, a traceback, would come out of the next import.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from .commands.process import run_process
+
+    run_process(_main)

@@ -1,17 +1,15 @@
 """The command line: chooses the command, prints errors, and sets the exit status.
 
 Exit status: 0 done; 2 an `EngineError`, wrong options included (one line on standard error);
-3 stopped on request, with a checkpoint written; 130 interrupted at once.
+3 stopped on request, with a checkpoint written. `commands.process` adds 130 and 141.
 """
 
 from __future__ import annotations
 
 import argparse
-import atexit
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -19,7 +17,8 @@ from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
 from .commands.options_file import with_options_file
-from .commands.output import claimed
+from .commands.out_folder import claimed
+from .commands.stopping import INTERRUPTED, StopRequest
 from .errors import ConfigError, EngineError, Stopped
 from .formats.events import Done, Failed
 
@@ -74,16 +73,17 @@ def build_parser() -> tuple[Parser, dict[str, Parser]]:
     return parser, commands
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> int:
+    """Run one command and return its exit status; `stop` is watched, and asked by signals."""
     argv = sys.argv[1:] if argv is None else list(argv)
     parser, commands = build_parser()
-    console = Console(json_lines="--events" in argv)
+    console = Console(json_lines="--events" in argv, stop=stop)
 
     def work() -> int:
         args = parser.parse_args(argv)
         args = with_options_file(parser, commands[args.command], args, argv)
         console.watch()
+        console.context.check_cancelled()
         with claimed(getattr(args, "out", None)):
             outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
@@ -122,7 +122,7 @@ def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
         console.emit(Done(outputs={}, stopped=True))
         return STOPPED
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
     finally:
         console.close_bar()
 
@@ -137,17 +137,3 @@ def _system_failure(error: Exception) -> Failed | None:
         hint = "Use smaller photos (--max-side), or a computer with more memory."
         return Failed(message="There is not enough memory for this.", hint=hint)
     return None
-
-
-def entry() -> None:
-    """Run the command line and end the process; `python -m roigs_engine` calls this.
-
-    The process ends at once: cleaning up Python, torch and a large scene takes most of a second,
-    and a user who stops a run would wait for it.
-    """
-    status = main()
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):  # the reader is gone
-            stream.flush()
-    os._exit(status)

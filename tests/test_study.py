@@ -18,6 +18,7 @@ from benchmarks.study.results import Results, Stat, load_records, mean_of
 from benchmarks.study.rows import all_rows, changed, parse_variant, wanted
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.cli import STOPPED
+from roigs_engine.commands.stopping import SIGNALS
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
 from roigs_engine.run import presets
@@ -50,14 +51,14 @@ def tiny() -> RunConfig:
 def small_world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """A scene without COLMAP files, a preset of a few steps, and Ctrl-C as it was before."""
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=10)
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(number) for number in SIGNALS]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "load_colmap", lambda *args, **options: scene)
         patch.setitem(presets.PRESETS, "tiny", tiny)
         patch.setattr(TrainConfig, "grad_threshold", 9.0)  # the baselines' own would densify it
         yield
     library.set_threads(None)
-    for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+    for number, handler in zip(SIGNALS, before, strict=True):
         signal.signal(number, handler)
 
 

@@ -21,6 +21,8 @@ from benchmarks.study.tables import Study, command_line
 from benchmarks.study.work import Work
 from roigs_engine.cli import exit_status_of
 from roigs_engine.commands.console import Console
+from roigs_engine.commands.process import run_process
+from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.errors import ConfigError
 from roigs_engine.formats.events import Failed
 from roigs_engine.formats.files import read_json, write_json, write_text
@@ -29,11 +31,11 @@ from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.training.trainer import one_torch_thread
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, stop: StopRequest | None = None) -> int:
     """Measure what is missing, then write the tables; the exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = _options(given)
-    console = Console(json_lines=False)
+    console = Console(json_lines=False, stop=stop)
 
     def work() -> int:
         console.watch()
@@ -201,4 +203,4 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(lambda stop: main(stop=stop))

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, TextIO
 
 from ..context import Context
@@ -17,6 +15,8 @@ from ..errors import RunFolderError
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 from ..formats.files import open_log
 from ..formats.run_files import EVENTS
+from .stopping import StopRequest
+from .streams import Stream
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -28,24 +28,26 @@ class Console:
     Args:
         json_lines: write one JSON line per event to standard output, and stop at the line 'stop' or
             the end of standard input; otherwise show a progress bar on standard error.
+        stop: where stop requests are recorded.
     """
 
-    def __init__(self, *, json_lines: bool) -> None:
+    def __init__(self, *, json_lines: bool, stop: StopRequest | None = None) -> None:
         self._json_lines = json_lines
-        self._stop = threading.Event()
+        self._stop = stop or StopRequest()
+        if json_lines and isinstance(sys.stdout, Stream):
+            sys.stdout.encoding = "utf-8"  # escapes for what a locale lacks would not be JSON
         self._bar: tqdm[None] | None = None
         self._log: TextIO | None = None
 
     def watch(self) -> None:
-        """Start to watch for stop requests: Ctrl-C, SIGTERM, and standard input (JSON lines)."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._interrupted)
+        """Start to watch for stop requests: signals, and standard input (JSON lines)."""
+        self._stop.watch_signals()
         if self._json_lines:
             threading.Thread(target=self._read_input, daemon=True).start()
 
     def should_stop(self) -> bool:
         """Whether a stop was requested."""
-        return self._stop.is_set()
+        return self._stop.asked
 
     @property
     def context(self) -> Context:
@@ -71,7 +73,7 @@ class Console:
         if self._log is not None:
             self._append(to_json(event), self._log)
         if self._json_lines:
-            self._write(to_json(event), sys.stdout)
+            _write(to_json(event), sys.stdout)
         else:
             self._show(event)
 
@@ -89,26 +91,13 @@ class Console:
     def print(self, text: str) -> None:
         """Print the command's answer: to standard output, but to standard error beside JSON."""
         self.close_bar()
-        self._write(text, sys.stderr if self._json_lines else sys.stdout)
+        _write(text, sys.stderr if self._json_lines else sys.stdout)
 
     def close_bar(self) -> None:
         """End the progress bar, if there is one."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None
-
-    def _write(self, text: str, stream: TextIO) -> None:
-        """Write one line. If the reader is gone, stop, as at the end of standard input."""
-        # A file name may have characters that the encoding lacks, or bytes that are no characters.
-        encoding = getattr(stream, "encoding", None) or "utf-8"
-        text = text.encode(encoding, "backslashreplace").decode(encoding)
-        try:
-            print(text, file=stream, flush=True)
-        except OSError:
-            self._stop.set()
-            # Keep Python's flush at exit from failing again.
-            with open(os.devnull, "wb") as nowhere:
-                os.dup2(nowhere.fileno(), stream.fileno())
 
     def _show(self, event: Event) -> None:
         match event:
@@ -122,7 +111,7 @@ class Console:
                 self._line(f"warning: {text}" if level == "warning" else text)
             case Failed(message=message, hint=hint):
                 self.close_bar()
-                self._write(f"error: {message} {hint}".rstrip(), sys.stderr)
+                _write(f"error: {message} {hint}".rstrip(), sys.stderr)
             case Done(stopped=True):
                 self._line("Stopped. The same command resumes from here.")
             case Done():
@@ -154,13 +143,7 @@ class Console:
         if self._bar is not None:
             self._bar.write(text, file=sys.stderr)
         else:
-            self._write(text, sys.stderr)
-
-    def _interrupted(self, number: int, frame: FrameType | None) -> None:
-        if self._stop.is_set():
-            raise KeyboardInterrupt
-        self._stop.set()
-        self._line("Stopping after this step. Press Ctrl-C again to quit at once.")
+            _write(text, sys.stderr)
 
     def _read_input(self) -> None:
         """Read lines until 'stop' or the end; bypasses `sys.stdin`, whose lock would delay exit."""
@@ -173,4 +156,10 @@ class Console:
             *lines, rest = (rest + read).split(b"\n")
             if not read or any(line.strip() == b"stop" for line in lines):
                 break
-        self._stop.set()
+        self._stop.asked = True
+
+
+def _write(text: str, stream: TextIO) -> None:
+    """Write a line in one piece."""
+    stream.write(f"{text}\n")
+    stream.flush()

@@ -1,4 +1,4 @@
-"""An engine that dies, or finds the disk full, at the moment that a test wants.
+"""An engine that is killed, stopped or hindered at the moment that a test wants.
 
 A moment is a training step, an edit of the Gaussians, a question whether to stop (between photos,
 picks and pictures) or a place within the writing of a file: half written, not yet renamed, just
@@ -7,8 +7,6 @@ renamed. It is named after the stage and what goes on: 'scene: half of checkpoin
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import functools
 import io
 import json
@@ -16,7 +14,6 @@ import multiprocessing
 import os
 import random
 import re
-import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -26,11 +23,14 @@ from typing import Any
 
 from roigs_engine import cli
 from roigs_engine.commands.console import Console
+from roigs_engine.commands.process import run_process
+from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.formats import files
 from roigs_engine.run import presets, stage_folder
 from roigs_engine.run.config import RunConfig
 from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
+from tests.engine.faults import FAULTS, WITH_EVENTS, connect
 from tests.engine.synthetic_colmap import camera, write_project
 
 CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
@@ -44,14 +44,11 @@ SECRET = "s3cr3t-0f-th3-sh3ll"  # in every engine's environment
 
 @dataclass(frozen=True)
 class Moment:
-    """The n-th moment, from 1, whose name the pattern is found in; what happens then.
-
-    The engine is killed with SIGKILL, or (`full`) what it writes or renames fails: no space left.
-    """
+    """The n-th moment, from 1, whose name the pattern is found in; which of `FAULTS` comes then."""
 
     pattern: str
     number: int
-    full: bool = False
+    fault: str = "killed"
 
 
 @dataclass(frozen=True)
@@ -61,6 +58,11 @@ class Ended:
     status: int
     errors: str
     moments: list[str]
+
+    @property
+    def steps(self) -> int:
+        """Training steps begun; an engine that was killed tells of none."""
+        return sum(moment.endswith(": step") for moment in self.moments)
 
 
 def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
@@ -109,7 +111,7 @@ class Request:
         self._scene, self.whole = folder / "scene", folder / "whole"
         ended = engine(self.arguments(self.whole))
         assert ended.status == 0, ended.errors
-        self.moments = ended.moments
+        self.moments, self.steps = ended.moments, ended.steps
 
     def arguments(self, run: Path, threads: int = 2) -> list[object]:
         """Of the command line."""
@@ -117,19 +119,20 @@ class Request:
         request = ["run", self._scene, "--roi", box, "--preset", "tiny"]
         return [*request, "--run-dir", run, "--threads", threads]
 
-    def moment(self, place: str, *, full: bool = False) -> Moment:
+    def moment(self, place: str, fault: str = "killed") -> Moment:
         """One of the moments at a place, drawn from the seed."""
         number = sum(bool(re.search(place, name)) for name in self.moments)
         assert number, f"nothing happens at '{place}'"
-        return Moment(place, random.Random(f"{SEED} {place}").randint(1, number), full)
+        return Moment(place, random.Random(f"{SEED} {place}").randint(1, number), fault)
 
-    def finish(self, run: Path) -> None:
+    def finish(self, run: Path) -> Ended:
         """Go on with a run to its end, and compare it with the whole one."""
         ended = engine(self.arguments(run))
         assert ended.status == 0, ended.errors
         assert contents(run) == contents(self.whole)
         for line in (run / "events.jsonl").read_text(encoding="utf-8").splitlines():
             assert json.loads(line)
+        return ended
 
 
 def contents(run: Path) -> dict[str, Any]:
@@ -168,15 +171,16 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     files.open = clock.open  # type: ignore[attr-defined]
     rename = os.replace
     files.os = _OS(clock, rename)  # type: ignore[assignment]
-    with (
-        open(os.devnull, "w", encoding="utf-8") as nowhere,
-        open(folder / "errors", "w", encoding="utf-8") as errors,
-        contextlib.redirect_stdout(nowhere),
-        contextlib.redirect_stderr(errors),
-    ):
-        status = cli.main(arguments)
-    (folder / "moments").write_text(json.dumps(clock.names), encoding="utf-8")
-    sys.exit(status)
+    if at is not None and at.fault in WITH_EVENTS:
+        arguments = [*arguments, "--events"]
+
+    def work(stop: StopRequest) -> int:
+        status = cli.main(arguments, stop)
+        (folder / "moments").write_text(json.dumps(clock.names), encoding="utf-8")
+        return status
+
+    connect(folder / "errors")
+    run_process(work)
 
 
 class _Clock:
@@ -192,10 +196,8 @@ class _Clock:
         if self._at is None or not re.search(self._at.pattern, name):
             return
         self._found += 1
-        if self._found == self._at.number and self._at.full:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if self._found == self._at.number:
-            os.kill(os.getpid(), signal.SIGKILL)
+            FAULTS[self._at.fault]()
 
     def watch(self, event: Any) -> None:
         self._stage = getattr(event, "stage", self._stage)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from roigs_engine.commands.stopping import SIGNALS
 from tests.engine.synthetic_colmap import Project, write_project
 
 
@@ -18,9 +19,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
-    """Commands take Ctrl-C and SIGTERM over; give them back."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
+    """Commands take Ctrl-C and other signals over; give them back."""
+    before = [signal.getsignal(number) for number in SIGNALS]
     yield
-    for number, handler in zip(numbers, before, strict=True):
+    for number, handler in zip(SIGNALS, before, strict=True):
         signal.signal(number, handler)

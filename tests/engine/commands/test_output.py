@@ -1,76 +1,191 @@
-"""`--out` into a run folder: not while an engine is at work there."""
+"""Output that fails: no traceback, a documented exit status, and no harm to the work."""
 
 from __future__ import annotations
 
+import errno
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
-from roigs_engine.cli import main
-from roigs_engine.commands.output import claimed
-from roigs_engine.errors import RunFolderError
-from roigs_engine.formats.lock import locked
-from tests.addon.colmap_project import write_project
+from roigs_engine.commands.stopping import StopRequest
+from roigs_engine.commands.streams import Stream
+from tests.engine.commands.command_line import BOX, ROOT, start
+from tests.engine.synthetic_colmap import Project
 
-BOX = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
-OWN = (
-    *("", "selection", "result.ply", "Crops", "scene", "object-a b/x", "cache/undistorted"),
-    *("compare-joint/result.ply", "full-object-vase", "archive/results-1234"),
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="a POSIX shell")
+NEEDS_FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux's full device")
+CLOSED = (">&-", "2>&-", "<&-", ">&- 2>&- <&-", ">&- <&-")
+
+
+def shell(text: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """A line for a shell in which `engine` stands for the command line with these arguments."""
+    command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
+    return subprocess.run(
+        ["sh", "-c", text.replace("engine", '"$@"'), "sh", *command],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def fine(result: subprocess.CompletedProcess[str]) -> bool:
+    """Whether nothing was said that people do not understand."""
+    return not any(word in result.stderr for word in ("Traceback", "ignored", "Errno"))
+
+
+@pytest.mark.parametrize("options", [[], ["--json"], ["--events"], ["--help"]])
+def test_a_reader_that_goes_away(project: Project, options: list[str]) -> None:
+    process = start("inspect", project.folder, *options)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 141
+
+
+@pytest.mark.parametrize("closed", CLOSED)
+def test_streams_that_are_closed_from_the_start(project: Project, closed: str) -> None:
+    result = shell(f"engine {closed}", "inspect", project.folder)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert bool(result.stdout) == (closed in ("2>&-", "<&-"))
+
+
+@NEEDS_FULL
+def test_a_full_disk_behind_an_answer(project: Project) -> None:
+    for options in ([], ["--help"]):
+        result = shell("engine > /dev/full", "inspect", project.folder, *options)
+        assert result.returncode == 2 and fine(result)
+        assert result.stderr.startswith("error: Cannot write standard output (No space left")
+    assert shell("engine 2> /dev/full", "inspect", project.folder).returncode == 0
+
+
+def training(project: Project, folder: Path) -> list[object]:
+    """Arguments of a run of some seconds."""
+    request = ["train", project.folder, "--roi", BOX, "--run-dir", folder, "--test-every", 3]
+    return [*request, "--threads", 1]
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        ">&- 2>&- <&-",
+        pytest.param("> /dev/full 2>&1", marks=NEEDS_FULL),
+        *(pytest.param(ends, marks=pytest.mark.slow) for ends in (">&-", "2>&-", "<&-")),
+    ],
 )
-FREE = ("renders", "evaluation/crops", "mine.ply", "nest/renders")
+def test_training_goes_on_without_output(project: Project, tmp_path: Path, ends: str) -> None:
+    result = shell(f"engine {ends}", *training(project, tmp_path), "--steps-factor", 0.002)
+    assert result.returncode == 0 and fine(result)
+    assert (tmp_path / "result.ply").exists()
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "manifest.json").write_text("{}")
-    return tmp_path / "run"
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_what_a_run_in_use_writes_is_refused(run: Path, name: str) -> None:
-    with locked(run):
-        refused = pytest.raises(RunFolderError, match="Another engine")
-        with refused as caught, claimed(run / name):
-            pass
-        assert "--out" in caught.value.hint
-        assert (run / "run.lock").exists()
-    with claimed(run / name):
-        assert (run / "run.lock").exists()
-    assert not (run / "run.lock").exists()
-
-
-@pytest.mark.parametrize("name", FREE)
-def test_other_places_in_a_run_folder_are_free(run: Path, name: str) -> None:
-    with locked(run), claimed(run / name):
-        pass
-    with claimed(run / name):
-        assert not (run / "run.lock").exists()
-
-
-def test_a_folder_that_is_no_run_gets_no_lock(tmp_path: Path) -> None:
-    with claimed(tmp_path / "scene"), claimed(None):
-        assert not list(tmp_path.iterdir())
-
-
-def test_the_commands_refuse_in_one_line(
-    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("ctrl_c", [True, False])
+def test_a_progress_bar_whose_reader_goes_away(
+    project: Project, tmp_path: Path, ctrl_c: bool
 ) -> None:
-    scene = str(write_project(tmp_path / "scene"))
-    select = ["select", scene, "--roi", BOX, "--out"]
-    compose = ["compose", "a.ply", "--roi", BOX, "--object", "thing=b.ply"]
-    for command in (
-        [*select, str(run / "selection")],
-        ["export", scene, "--out", str(run)],
-        [*compose, "--out", str(run / "result.ply")],
-        ["evaluate", scene, "--roi", BOX, "--model", "A=a.ply", "--out", str(run)],
-        ["render", "a.ply", "--scene", scene, "--out", str(run / "crops" / "thing")],
-    ):
-        with locked(run):
-            assert main(command) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert "Another engine is at work" in line
-    with locked(run):
-        assert main([*select, str(run / "chosen")]) == 0
-    assert main([*select, str(run / "selection")]) == 0
-    assert (run / "selection" / "thing.json").exists()
+    """As `run ... 2>&1 | tee log`: Ctrl-C ends tee first."""
+    process = start(*training(project, tmp_path))
+    assert process.stderr is not None
+    while "loss" not in process.stderr.read(64):
+        assert process.poll() is None
+    process.stderr.close()
+    if ctrl_c:
+        process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 3
+    assert (tmp_path / "scene" / "checkpoint.bin").exists()
+
+
+def piped(stop: StopRequest, encoding: str = "utf-8") -> tuple[Stream, int]:
+    """A stream into a pipe, and the end to read from."""
+    source, sink = os.pipe()
+    return Stream(io.FileIO(sink, "w"), encoding, stop), source
+
+
+def test_text_arrives_in_any_encoding() -> None:
+    stream, source = piped(StopRequest(), "ascii")
+    print("väse \udce9", file=stream, flush=True)
+    assert os.read(source, 99) == b"v\\xe4se \\udce9\n"
+    os.close(source)
+
+
+def test_a_reader_that_is_slow_gets_everything_and_one_that_sleeps_cannot_hinder_a_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stop = StopRequest()
+    stream, source = piped(stop)
+    os.set_blocking(stream.fileno(), False)  # as some programs leave a pipe
+    got: list[bytes] = []
+    reader = threading.Thread(target=lambda: got.extend(iter(lambda: os.read(source, 9999), b"!")))
+    reader.start()
+    stream.write("a" * 300_000)
+    while sum(map(len, got)) < 300_000:
+        time.sleep(0.01)
+    stream.write("!")
+    reader.join(10)
+    monkeypatch.setattr(stream, "_patience", 0)
+    stop.asked = True
+    stream.write("b" * 300_000)
+    assert stream.lost is not None and stream.lost.errno == errno.ETIMEDOUT and stream.gone
+    stream.write("c")
+    os.close(source)
+
+
+@NEEDS_FULL
+def test_a_disk_that_is_full_for_a_while_tears_one_line() -> None:
+    stop = StopRequest()
+    stream, source = piped(stop)
+    with open("/dev/full", "wb") as full:
+        place = os.dup(stream.fileno())
+        os.dup2(full.fileno(), stream.fileno())
+        stream.write("one\n")
+        os.dup2(place, stream.fileno())
+        os.close(place)
+    stream.write("two\n")
+    stream.write("three\n")
+    assert os.read(source, 99) == b"\ntwo\nthree\n"
+    assert stream.lost is not None and not stream.gone and not stop.asked
+    os.close(source)
+
+
+def test_a_run_behind_nohup_outlives_its_terminal() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    stop = StopRequest()
+    stop.watch_signals()
+    os.kill(os.getpid(), signal.SIGHUP)
+    assert not stop.asked
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.mark.parametrize("presses", [1, 2, 4])
+def test_ctrl_c_while_the_engine_starts(project: Project, presses: int) -> None:
+    """Pressed from the first line of its own on; before that, it is Python's."""
+    code = f"""
+import os, signal, sys, threading, time
+def press():
+    for _ in range({presses}):
+        time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+sys.argv = ["roigs_engine", "inspect", {str(project.folder)!r}]
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+from roigs_engine.__main__ import _main
+from roigs_engine.commands import process
+finished = process._finished
+def begin(*arguments):
+    threading.Thread(target=press, daemon=True).start()
+    return finished(*arguments)
+process._finished = begin
+process.run_process(_main)
+"""
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert "Traceback" not in result.stderr and "ignored" not in result.stderr
+    lines = result.stderr.splitlines()
+    assert lines[0].startswith("Stopping") and lines[1].startswith("Stopped.")
+    assert len(lines) == 2 and result.returncode == (3 if presses == 1 else 130)

@@ -42,7 +42,7 @@ def test_a_disk_that_is_full_for_a_while(request_: Request, tmp_path: Path) -> N
         "^object-thing: half of model",
         "evaluate: half of",
     ):
-        ended = engine(request_.arguments(tmp_path), request_.moment(place, full=True))
+        ended = engine(request_.arguments(tmp_path), request_.moment(place, "full"))
         refused(ended, FULL, str(tmp_path), "Free some space")
         assert not list(tmp_path.rglob("*.part"))
     request_.finish(tmp_path)

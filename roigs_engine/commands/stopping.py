@@ -1,0 +1,78 @@
+"""Stop requests: signals, and whatever else asks a command to end.
+
+Standard library only, and little of it: signals are watched before anything else is imported.
+"""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import time
+from contextlib import suppress
+from types import FrameType
+
+INTERRUPTED = 130
+"""Exit status after a second Ctrl-C."""
+LEAVING_SECONDS = 1.0
+"""How long a second Ctrl-C leaves for tidying up."""
+# A closed terminal sends SIGHUP; Windows sends SIGBREAK for Ctrl-Break and a closed console.
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
+
+
+class StopRequest:
+    """Whether the command shall end, with a checkpoint (`asked`) or at once (`leaving`).
+
+    Plain attributes, set by one assignment: a signal handler may run between any two instructions,
+    and a lock could wait for itself.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self.leaving = False
+        self._interrupts = 0
+
+    def watch_signals(self) -> None:
+        """Make signals ask for a stop, and a second Ctrl-C end the command at once.
+
+        Only Ctrl-C counts: `timeout` sends SIGTERM twice, a closed terminal SIGHUP. Where SIGHUP
+        is ignored (`nohup`), it stays so.
+        """
+        for number in SIGNALS:
+            if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._take)
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGINT:
+            self._interrupts += 1
+        if self._interrupts > 1:
+            self._leave()
+        if not self.asked:
+            self.asked = True
+            _say("Stopping after this step. Press Ctrl-C again to quit at once.")
+
+    def _leave(self) -> None:
+        """Raise KeyboardInterrupt, so that temporary files and locks are removed; once.
+
+        Whatever hinders that, and a further Ctrl-C, ends the process.
+        """
+        if self.leaving:
+            os._exit(INTERRUPTED)
+        _say("Stopped.")
+        self.leaving = True
+        # Not a `Thread`: its locks may be held by what the signal has interrupted.
+        _thread.start_new_thread(_end_soon, ())
+        raise KeyboardInterrupt
+
+
+def _end_soon() -> None:
+    time.sleep(LEAVING_SECONDS)
+    os._exit(INTERRUPTED)
+
+
+def _say(text: str) -> None:
+    """Write a line on standard error, below a progress bar that may be there."""
+    with suppress(OSError, RuntimeError):  # a plain stream refuses to be entered twice
+        sys.stderr.write(f"\n{text}\n" if sys.stderr.isatty() else f"{text}\n")
