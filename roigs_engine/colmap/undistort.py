@@ -35,24 +35,50 @@ PINHOLE_AT_ZERO = {
 }
 # Photos are undistorted at full size, or at this multiple of a much smaller target size.
 OVERSAMPLING = 2.0
-CACHE_VERSION = 1  # part of each cached photo's name: increase it if the pixels change
+_again = threading.Lock()
+CACHE_VERSION = 2  # part of each cached photo's name: increase it if the pixels change
+# Bytes that one undistortion takes (docs/reliability.md): for a pixel of the photo's file while it
+# is decoded, of its copy at `source`'s size, and of this copy while it is undistorted.
+PER_FILE_PIXEL, PER_RESAMPLED, PER_SOURCE_PIXEL = 7, 12, 13
 
 
 @dataclass(frozen=True, kw_only=True)
 class UndistortionPlan:
-    """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`."""
+    """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`.
+
+    Attributes:
+        photo: the file.
+        size: its (width, height).
+        source, target: the distorted camera, and its pinhole.
+        digest: hash of the file; known before the photo is undistorted.
+    """
 
     photo: Path
+    size: tuple[int, int]
     source: ModelCamera
     target: Camera
+    digest: str = ""
 
-    def file_name(self) -> str:
-        """The cached photo's name: a hash of everything that decides its pixels."""
-        status = self.photo.stat()
+    def key(self) -> str:
+        """Hash of everything that decides the undistorted photo's pixels."""
         size = (self.target.width, self.target.height)
-        facts = (CACHE_VERSION, str(self.photo.resolve()), status.st_mtime_ns, status.st_size)
-        text = repr((facts, self.source, size))
-        return hashlib.sha256(text.encode("utf-8", errors="replace")).hexdigest()[:32] + ".png"
+        text = repr((CACHE_VERSION, self.digest, self.source, size))
+        return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
+
+    def memory(self) -> int:
+        """Most bytes that `undistort` takes."""
+        file, source = self.size[0] * self.size[1], self.source.width * self.source.height
+        decoding = PER_FILE_PIXEL * file + (0 if source == file else PER_RESAMPLED * source)
+        return max(decoding, PER_SOURCE_PIXEL * source)
+
+    def fitting_side(self, memory: int) -> int:
+        """The longest side of a smaller target that needs no more memory; 0: there is none."""
+        file = self.size[0] * self.size[1]
+        left = memory - PER_FILE_PIXEL * file
+        source = min(left / PER_RESAMPLED, memory / PER_SOURCE_PIXEL)
+        if source < 1:
+            return 0
+        return int(max(self.size) * (source / file) ** 0.5 / OVERSAMPLING)
 
 
 def as_pinhole(camera: ModelCamera) -> Camera | None:
@@ -113,7 +139,7 @@ def plan_undistortion(
         source = _resized(camera, round(size[0] * share), round(size[1] * share))
         # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
-    return UndistortionPlan(photo=photo, source=source, target=target)
+    return UndistortionPlan(photo=photo, size=size, source=source, target=target)
 
 
 def undistort(plan: UndistortionPlan, folder: Path) -> Path:
@@ -123,9 +149,20 @@ def undistort(plan: UndistortionPlan, folder: Path) -> Path:
         PhotoError: the photo cannot be decoded.
         RunFolderError: the cache folder cannot be written.
     """
-    path = folder / plan.file_name()
-    if path.is_file():
-        return path
+    path = folder / f"{plan.key()}.png"
+    if not path.is_file():
+        _write(plan, path)
+    return path
+
+
+def undistort_again(plan: UndistortionPlan, folder: Path) -> None:
+    """Replace a damaged or lost photo in the cache; raises as `undistort`."""
+    with _again:  # two threads may find the damage at the same time
+        _write(plan, folder / f"{plan.key()}.png")
+
+
+def _write(plan: UndistortionPlan, path: Path) -> None:
+    """Undistort the photo to a PNG."""
     from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode
@@ -141,7 +178,6 @@ def undistort(plan: UndistortionPlan, folder: Path) -> Path:
         result = result.resize(size, Image.Resampling.LANCZOS)
     with atomic_write(path) as file:
         result.save(file, format="PNG", compress_level=1)
-    return path
 
 
 @lru_cache(maxsize=1024)

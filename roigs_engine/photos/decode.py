@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..model.scene import PosedImage
-from .headers import open_photo, unreadable
+from .headers import PhotoError, open_photo, unreadable
 
 Pixels = NDArray[np.uint8]
 
@@ -49,10 +49,20 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
 def load_photo(image: PosedImage) -> Pixels:
     """(H, W, 3) uint8 sRGB of a posed photo at its camera's size.
 
+    A damaged file that the engine made is made again.
+
     Raises:
         PhotoError: the file is missing or cannot be decoded; names it.
+        RunFolderError: a file of the engine cannot be made again.
     """
-    return decode(image.path, (image.camera.width, image.camera.height))
+    size = (image.camera.width, image.camera.height)
+    try:
+        return decode(image.path, size)
+    except PhotoError:
+        if image.remake is None:
+            raise
+    image.remake()
+    return decode(image.path, size)
 
 
 def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:

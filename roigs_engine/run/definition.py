@@ -16,6 +16,8 @@ from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
 from .config import RunConfig
 
+MANIFEST_VERSION = 2  # increase it if an older run folder cannot be resumed
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
@@ -48,14 +50,16 @@ class Run:
         return self.train_scene.extent()
 
     def manifest(self) -> dict[str, Any]:
-        """Everything that decides the results, except the photos' pixels; ready for JSON."""
+        """Everything that decides the results; ready for JSON."""
         images = self.scene.images
         record = {
+            "version": MANIFEST_VERSION,
             "config": self.config.to_dict(),
             "rois": [roi.to_dict() for roi in self.rois],
             "photos": len(images),
             "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
             "model": self.scene.digest()[:16],
+            "contents": {image.name: image.digest for image in images},
         }
         return record | ({"manual": dict(self.manual)} if self.manual else {})
 
