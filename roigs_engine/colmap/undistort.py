@@ -19,6 +19,7 @@ import numpy as np
 from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write
 from ..model.scene import Camera
+from ..photos.parallel import decoding_bytes
 from .records import ONE_FOCAL, ModelCamera
 
 # Models that are a pinhole if their distortion is zero (a fisheye is not), and the index of their
@@ -35,11 +36,12 @@ PINHOLE_AT_ZERO = {
 }
 # Photos are undistorted at full size, or at this multiple of a much smaller target size.
 OVERSAMPLING = 2.0
+FULL_FROM = 0.75  # share of the full size from which on it is the full size
 _again = threading.Lock()
 CACHE_VERSION = 2  # part of each cached photo's name: increase it if the pixels change
-# Bytes that one undistortion takes (docs/reliability.md): for a pixel of the photo's file while it
-# is decoded, of its copy at `source`'s size, and of this copy while it is undistorted.
-PER_FILE_PIXEL, PER_RESAMPLED, PER_SOURCE_PIXEL = 7, 12, 13
+# Measured bytes (docs/reliability.md) of a pixel of the photo's copy at `source`'s size: while it
+# is resampled, beside those of decoding, and while it is undistorted.
+PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,17 +70,19 @@ class UndistortionPlan:
     def memory(self) -> int:
         """Most bytes that `undistort` takes."""
         file, source = self.size[0] * self.size[1], self.source.width * self.source.height
-        decoding = PER_FILE_PIXEL * file + (0 if source == file else PER_RESAMPLED * source)
-        return max(decoding, PER_SOURCE_PIXEL * source)
+        resampling = 0 if source == file else PER_RESAMPLED * source
+        return max(decoding_bytes(self.photo, self.size) + resampling, PER_SOURCE_PIXEL * source)
 
     def fitting_side(self, memory: int) -> int:
         """The longest side of a smaller target that needs no more memory; 0: there is none."""
         file = self.size[0] * self.size[1]
-        left = memory - PER_FILE_PIXEL * file
+        left = memory - decoding_bytes(self.photo, self.size)
         source = min(left / PER_RESAMPLED, memory / PER_SOURCE_PIXEL)
         if source < 1:
             return 0
-        return int(max(self.size) * (source / file) ** 0.5 / OVERSAMPLING)
+        share = min((source / file) ** 0.5, 0.9 * FULL_FROM)
+        pinhole = undistorted_camera(_resized(self.source, *self.size))
+        return max(1, int(0.99 * max(pinhole.width, pinhole.height) * share / OVERSAMPLING))
 
 
 def as_pinhole(camera: ModelCamera) -> Camera | None:
@@ -135,7 +139,7 @@ def plan_undistortion(
     pinhole = undistorted_camera(source)
     target = pinhole.resized(*shrink(pinhole.width, pinhole.height))
     share = OVERSAMPLING * max(target.width / pinhole.width, target.height / pinhole.height)
-    if share < 0.75:
+    if share < FULL_FROM:
         source = _resized(camera, round(size[0] * share), round(size[1] * share))
         # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)

@@ -19,13 +19,12 @@ from ..errors import RunFolderError
 from ..formats.events import StageStarted
 from ..formats.files import read_json, write_json
 from .headers import PhotoError, photo_size
-from .parallel import in_parallel, threads_for
+from .parallel import decoding_bytes, in_parallel, threads_for
 
 FILE = "photos.json"
 VERSION = 1  # increase it if what is found of a photo changes
 STAGE = "photos"
 WRITE_SECONDS = 60.0
-PER_PIXEL = 16  # bytes to check a photo: a JPEG 2000, the most of all formats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,10 +139,9 @@ def _read(path: Path, check: bool, context: Context) -> Content:
 def _memory(path: Path) -> int:
     """Most bytes that `_read` takes."""
     try:
-        width, height = photo_size(path) or (0, 0)
+        return decoding_bytes(path, photo_size(path) or (0, 0))
     except PhotoError:
         return 0
-    return PER_PIXEL * width * height
 
 
 def _remembered(path: Path) -> dict[str, Content]:

@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from .decode import Pixels, decode
+from .decode import Pixels, to_rgb
 from .headers import PhotoError, jpeg_segments, open_photo, unreadable
 
 NOISE = np.random.default_rng(0).integers(1, 255, 1 << 15, dtype=np.uint8).tobytes()
@@ -34,7 +34,8 @@ def check_whole(path: Path) -> None:
             if kind == "PNG":
                 photo.verify()  # the checksums of all its parts; decoding checks those of pixels
         if kind not in ("JPEG", "MPO"):
-            decode(path)
+            with open_photo(path) as photo:
+                to_rgb(photo)
             return
         with open(path, "rb") as file:
             whole = not _flat_corner(_eighth(file)) or not _ends_early(file)

@@ -34,7 +34,7 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
             if size is not None:
                 photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
             shrink = _draft_factor(full, photo.size)
-            rgb = _to_rgb(photo)
+            rgb = to_rgb(photo)
     except MemoryError:
         raise
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
@@ -70,8 +70,8 @@ def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
     return next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == drafted[0]), 1)
 
 
-def _to_rgb(photo: Image.Image) -> Image.Image:
-    """The photo as 8-bit RGB."""
+def to_rgb(photo: Image.Image) -> Image.Image:
+    """The photo, decoded, as 8-bit RGB; on damaged files Pillow raises many kinds of errors."""
     if photo.mode == "I" or photo.mode.startswith("I;16"):
         values = np.asarray(photo)
         grey = values >> 8 if values.max(initial=0) > 255 else values
