@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+ENGINE = 260 << 20  # bytes of Python, torch and the kernels, see `run/memory.py`
 FALLBACK_MEMORY = 8 << 30  # bytes, if the machine's memory is unknown
 
 

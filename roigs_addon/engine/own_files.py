@@ -11,7 +11,7 @@ from ..shared import run_files
 
 RENDERS = "renders"
 
-UNDISTORT = "undistort"
+CHECK, UNDISTORT = "photos", "undistort"
 
 OWN = "blender"
 """The add-on's own folder in it; all that follows is in there."""
@@ -28,6 +28,7 @@ def stage_in_words(stage: str) -> str:
         run_files.SCENE_STAGE: "whole scene",
         run_files.JOINT_STAGE: "all boxes",
         run_files.REFINE_STAGE: "refining",
+        CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
     }
     if stage.startswith(run_files.OBJECT_STAGE):

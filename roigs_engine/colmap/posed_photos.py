@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections import defaultdict
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..context import QUIET, Context
-from ..errors import RunFolderError, SceneError
-from ..formats.events import StageStarted
-from ..formats.files import own_folder
+from ..errors import SceneError
 from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
-from ..model.scene import Camera, Float64, PosedImage
+from ..model.scene import Camera, Float64, PosedImage, SfmScene
+from ..photos.contents import FILE as CONTENTS
+from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
-from ..photos.headers import PhotoError, check_complete, photo_size
+from ..photos.headers import check_complete, photo_size
 from .records import NO_IDS, Model, ModelCamera, ModelImage
 from .undistort import (
     UndistortionPlan,
     as_pinhole,
     has_pycolmap,
     plan_undistortion,
-    temporary_folder,
-    undistort,
+    undistort_again,
     without_distortion,
 )
+from .undistorted_photos import undistort_all
 
 MISSING = "missing on disk"
 UNPOSED = "without a pose"
@@ -155,46 +153,68 @@ class PhotoLoader:
         self._plans[image.image_id] = plan
         return plan.target
 
-    def undistorted(self, cache: Path | None, context: Context = QUIET) -> dict[int, PosedImage]:
-        """Image id -> photo; distorted photos are undistorted, or taken from the cache."""
-        if not self._plans:
-            return self.posed
-        folder = temporary_folder() if cache is None else _created(own_folder(cache, "undistorted"))
-        total = len(self._plans)
-        made = all((folder / plan.file_name()).is_file() for plan in self._plans.values())
-        context = replace(context, emit=QUIET.emit) if made else context
-        context.emit(StageStarted(stage="undistort", total=total))
-        started = time.monotonic()
-        pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1), thread_name_prefix="undistort")
-        try:
-            jobs = {key: pool.submit(undistort, plan, folder) for key, plan in self._plans.items()}
-            for step, (key, job) in enumerate(jobs.items(), start=1):
-                image = self.posed[key]
-                try:
-                    self.posed[key] = replace(image, path=_wait_for(job, context), distorted=False)
-                except PhotoError:
-                    self.skipped[UNREADABLE].append(image.name)
-                    del self.posed[key]
-                context.progress("undistort", step, total, started)
-        finally:
-            pool.shutdown(cancel_futures=True)
+    def load(self, cache: Path | None, context: Context = QUIET) -> dict[int, PosedImage]:
+        """Image id -> photo; with `pixels` none is damaged, and distorted ones are undistorted.
+
+        Args:
+            cache: see `load_colmap`.
+            context: gets the progress; checked for cancellation.
+
+        Raises:
+            As `undistort_all`.
+        """
+        if self._pixels or cache is not None:
+            self._identify(cache, context)
+        if self._pixels:
+            self._undistort(cache, context)
         return self.posed
 
+    def _identify(self, cache: Path | None, context: Context) -> None:
+        """Give the photos their digests; skip those that are damaged."""
+        contents = Contents(cache and cache / CONTENTS)
+        photos = {image.name: image.path for image in self.posed.values()}
+        found = contents.read(photos, context, check=self._pixels)
+        for key, image in list(self.posed.items()):
+            content = found[image.name]
+            if content.whole is False:
+                self.skipped[UNREADABLE].append(image.name)
+                del self.posed[key]
+                self._plans.pop(key, None)
+                continue
+            digest = content.digest
+            if key in self._plans:
+                self._plans[key] = replace(self._plans[key], digest=digest)
+                digest = self._plans[key].key()
+            self.posed[key] = replace(image, digest=digest)
 
-def _wait_for(job: Future[Path], context: Context) -> Path:
-    """The job's result; checks for cancellation while waiting."""
-    while not wait([job], timeout=0.2).done:
-        context.check_cancelled()
-    context.check_cancelled()
-    return job.result()
+    def _undistort(self, cache: Path | None, context: Context) -> None:
+        """Undistort distorted photos, or take them from the cache, see `undistort_all`."""
+        if not self._plans:
+            return
+        made = undistort_all(self._plans.values(), cache, context)
+        for key, plan in self._plans.items():
+            image, path = self.posed[key], made.get(plan.key())
+            if path is None:
+                self.skipped[UNREADABLE].append(image.name)
+                del self.posed[key]
+                continue
+            remake = partial(undistort_again, plan, path.parent)
+            self.posed[key] = replace(image, path=path, remake=remake, distorted=False)
 
 
-def _created(folder: Path) -> Path:
-    """The folder, created if it does not exist."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunFolderError(
-            f"Cannot write to {folder} ({error.strerror}).", "Choose another folder."
-        ) from error
-    return folder
+def without_damaged(scene: SfmScene, context: Context = QUIET) -> SfmScene:
+    """A scene that was loaded without pixels, without its damaged photos; decodes all photos.
+
+    Raises:
+        SceneError: all photos are damaged.
+    """
+    found = Contents().read({image.name: image.path for image in scene.images}, context)
+    damaged = tuple(name for name, content in found.items() if not content.whole)
+    if len(damaged) == len(scene.images):
+        raise SceneError(f"All {len(damaged)} photos are damaged.", "Restore the files.")
+    if not damaged:
+        return scene
+    skipped = scene.skipped | {
+        UNREADABLE: tuple(sorted((*scene.skipped.get(UNREADABLE, ()), *damaged)))
+    }
+    return replace(scene.without(damaged), skipped=skipped)

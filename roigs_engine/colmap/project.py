@@ -35,11 +35,13 @@ def load_colmap(
         path: project folder with `sparse/0` or `sparse`, or the model's own folder.
         images: the photos' folder; default: the first of the project's folders `images`,
             `images_2`, `images_4` and `images_8` that has any of the model's photos.
-        cache: folder that keeps undistorted photos between loads; default: a temporary folder.
+        cache: folder that keeps undistorted photos between loads, and what was found of photos;
+            default: a temporary folder.
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
-        pixels: False if only cameras are needed: the cameras are the same, but nothing is
-            undistorted (it takes seconds), and `path` names the distorted photo. Needs numpy alone;
+        pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
+            or undistorted, damaged photos are not all found, and `path` names the distorted photo.
+            Photos have digests only with a `cache`, which is not written. Needs numpy alone;
             without pycolmap, lens distortion is ignored, with a warning.
         context: receives messages; checked for cancellation between files and photos.
 
@@ -57,7 +59,7 @@ def load_colmap(
     if loader.approximate:
         text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
         context.warn(text)
-    posed = loader.undistorted(cache, context) if pixels else loader.posed
+    posed = loader.load(cache, context)
     if not posed:
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])

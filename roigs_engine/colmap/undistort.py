@@ -19,6 +19,7 @@ import numpy as np
 from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write
 from ..model.scene import Camera
+from ..photos.parallel import decoding_bytes
 from .records import ONE_FOCAL, ModelCamera
 
 # Models that are a pinhole if their distortion is zero (a fisheye is not), and the index of their
@@ -35,24 +36,53 @@ PINHOLE_AT_ZERO = {
 }
 # Photos are undistorted at full size, or at this multiple of a much smaller target size.
 OVERSAMPLING = 2.0
-CACHE_VERSION = 1  # part of each cached photo's name: increase it if the pixels change
+FULL_FROM = 0.75  # share of the full size from which on it is the full size
+_again = threading.Lock()
+CACHE_VERSION = 2  # part of each cached photo's name: increase it if the pixels change
+# Measured bytes (docs/reliability.md) of a pixel of the photo's copy at `source`'s size: while it
+# is resampled, beside those of decoding, and while it is undistorted.
+PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
 
 
 @dataclass(frozen=True, kw_only=True)
 class UndistortionPlan:
-    """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`."""
+    """How one photo is undistorted: decode to `source`'s size, undistort, resample to `target`.
+
+    Attributes:
+        photo: the file.
+        size: its (width, height).
+        source, target: the distorted camera, and its pinhole.
+        digest: hash of the file; known before the photo is undistorted.
+    """
 
     photo: Path
+    size: tuple[int, int]
     source: ModelCamera
     target: Camera
+    digest: str = ""
 
-    def file_name(self) -> str:
-        """The cached photo's name: a hash of everything that decides its pixels."""
-        status = self.photo.stat()
+    def key(self) -> str:
+        """Hash of everything that decides the undistorted photo's pixels."""
         size = (self.target.width, self.target.height)
-        facts = (CACHE_VERSION, str(self.photo.resolve()), status.st_mtime_ns, status.st_size)
-        text = repr((facts, self.source, size))
-        return hashlib.sha256(text.encode("utf-8", errors="replace")).hexdigest()[:32] + ".png"
+        text = repr((CACHE_VERSION, self.digest, self.source, size))
+        return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
+
+    def memory(self) -> int:
+        """Most bytes that `undistort` takes."""
+        file, source = self.size[0] * self.size[1], self.source.width * self.source.height
+        resampling = 0 if source == file else PER_RESAMPLED * source
+        return max(decoding_bytes(self.photo, self.size) + resampling, PER_SOURCE_PIXEL * source)
+
+    def fitting_side(self, memory: int) -> int:
+        """The longest side of a smaller target that needs no more memory; 0: there is none."""
+        file = self.size[0] * self.size[1]
+        left = memory - decoding_bytes(self.photo, self.size)
+        source = min(left / PER_RESAMPLED, memory / PER_SOURCE_PIXEL)
+        if source < 1:
+            return 0
+        share = min((source / file) ** 0.5, 0.9 * FULL_FROM)
+        pinhole = undistorted_camera(_resized(self.source, *self.size))
+        return max(1, int(0.99 * max(pinhole.width, pinhole.height) * share / OVERSAMPLING))
 
 
 def as_pinhole(camera: ModelCamera) -> Camera | None:
@@ -109,11 +139,11 @@ def plan_undistortion(
     pinhole = undistorted_camera(source)
     target = pinhole.resized(*shrink(pinhole.width, pinhole.height))
     share = OVERSAMPLING * max(target.width / pinhole.width, target.height / pinhole.height)
-    if share < 0.75:
+    if share < FULL_FROM:
         source = _resized(camera, round(size[0] * share), round(size[1] * share))
         # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
-    return UndistortionPlan(photo=photo, source=source, target=target)
+    return UndistortionPlan(photo=photo, size=size, source=source, target=target)
 
 
 def undistort(plan: UndistortionPlan, folder: Path) -> Path:
@@ -123,9 +153,20 @@ def undistort(plan: UndistortionPlan, folder: Path) -> Path:
         PhotoError: the photo cannot be decoded.
         RunFolderError: the cache folder cannot be written.
     """
-    path = folder / plan.file_name()
-    if path.is_file():
-        return path
+    path = folder / f"{plan.key()}.png"
+    if not path.is_file():
+        _write(plan, path)
+    return path
+
+
+def undistort_again(plan: UndistortionPlan, folder: Path) -> None:
+    """Replace a damaged or lost photo in the cache; raises as `undistort`."""
+    with _again:  # two threads may find the damage at the same time
+        _write(plan, folder / f"{plan.key()}.png")
+
+
+def _write(plan: UndistortionPlan, path: Path) -> None:
+    """Undistort the photo to a PNG."""
     from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode
@@ -141,7 +182,6 @@ def undistort(plan: UndistortionPlan, folder: Path) -> Path:
         result = result.resize(size, Image.Resampling.LANCZOS)
     with atomic_write(path) as file:
         result.save(file, format="PNG", compress_level=1)
-    return path
 
 
 @lru_cache(maxsize=1024)

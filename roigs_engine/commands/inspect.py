@@ -6,6 +6,7 @@ import argparse
 import json
 
 from ..colmap.inspect import format_inspection, inspect_scene
+from ..colmap.posed_photos import without_damaged
 from .console import Console
 from .options import add_roi_options, add_scene_options, boxes, load_scene
 
@@ -19,12 +20,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
     add_roi_options(parser)
+    parser.add_argument(
+        "--check-photos", action="store_true", help="decode every photo, and skip damaged ones"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Load the scene, inspect it and print the result."""
     rois = boxes(args, required=False)
-    report = inspect_scene(load_scene(args, console), rois)
+    scene = load_scene(args, console)
+    if args.check_photos:
+        scene = without_damaged(scene, console.context)
+    report = inspect_scene(scene, rois)
     console.print(json.dumps(report, indent=1) if args.json else format_inspection(report))
     return {}

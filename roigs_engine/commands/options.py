@@ -104,12 +104,15 @@ def context_on_device(args: argparse.Namespace, console: Console) -> Context:
     return replace(context, device=str(choose_device(args.device, context)))
 
 
-def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = None) -> SfmScene:
+def load_scene(
+    args: argparse.Namespace, console: Console, cache: Path | None = None, *, pixels: bool = True
+) -> SfmScene:
     """The scene of `add_scene_options`.
 
     Args:
         args, console: of the command.
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
+        pixels: False if only cameras, and what `cache` knows of the photos, are needed.
     """
     from ..colmap.project import load_colmap
     from ..kernels.library import set_threads
@@ -122,7 +125,7 @@ def load_scene(args: argparse.Namespace, console: Console, cache: Path | None = 
         cache=cache,
         downscale=args.downscale,
         max_side=args.max_side,
-        pixels=cache is not None,
+        pixels=pixels and cache is not None,
         context=console.context,
     )
 

@@ -102,19 +102,23 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
 
     Events are also written to the folder.
     """
+    from ..colmap.undistorted_photos import remove_unused
     from ..run.definition import define_run
     from ..run.folder import open_folder
+    from ..run.manifest import check_version
     from ..run.memory import run_memory
     from ..run.provenance import recorded
 
     inputs = _inputs(args)
     with locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
+        check_version(args.run_dir)
         remove_leftovers(args.run_dir)
         context = _context(args, console)
         scene = load_scene(args, console, args.run_dir / run_files.CACHE)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
+        remove_unused(args.run_dir / run_files.CACHE, scene.images)
         console.log_to(args.run_dir)
         for message in run_memory(run, context).messages():
             console.emit(message)
@@ -131,7 +135,9 @@ def show_plan(
 
     inputs = _inputs(args)
     context = _context(args, console)
-    scene = load_scene(args, console)  # without pixels: nothing is undistorted
+    # What is in the photos matters only if there are results to compare them with.
+    cache = args.run_dir / run_files.CACHE if (args.run_dir / run_files.MANIFEST).exists() else None
+    scene = load_scene(args, console, cache, pixels=False)
     run = define_run(args.run_dir, scene, context=context, **inputs)
     console.print(describe_plan(run, compare, context, update=args.update))
     return {}

@@ -7,7 +7,8 @@ result over the baseline, so that the choice is fair. Files: `crops/ROI/PHOTO.pn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..formats.run_files import CROPS
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene
 from ..photos.decode import load_photo
+from ..photos.headers import PhotoError
 from ..rasterize.image_files import save_png, to_uint8
 from ..rasterize.view import render_view
 from .box_lines import box_lines
@@ -71,14 +73,23 @@ def write_crops(
         folder = own_folder(run_dir, CROPS, safe_name(roi.name))
         for name, label in chosen.items():
             context.check_cancelled()
-            path = folder / f"{safe_name(name)}.png"
-            save_png(path, _side_by_side(scene.image(name), roi, panels, label))
-            written.append(path)
+            picture = partial(_side_by_side, scene.image(name), roi, panels, label)
+            written += _saved(folder / f"{safe_name(name)}.png", picture, context)
         context.check_cancelled()
         median = list(chosen)[len(chosen) // 2]
-        save_png(folder / "overview.png", _overview(scene.image(median), roi, panels[-1][1]))
-        written.append(folder / "overview.png")
+        picture = partial(_overview, scene.image(median), roi, panels[-1][1])
+        written += _saved(folder / "overview.png", picture, context)
     return written
+
+
+def _saved(path: Path, picture: Callable[[], NDArray[np.uint8]], context: Context) -> list[Path]:
+    """The path of the picture, or nothing if its photo is lost since it was evaluated."""
+    try:
+        save_png(path, picture())
+    except PhotoError as error:
+        context.warn(f"{error.message} There is no {path.name} of it.")
+        return []
+    return [path]
 
 
 def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:

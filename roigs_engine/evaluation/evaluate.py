@@ -21,6 +21,7 @@ from ..formats.events import StageStarted
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage, SfmScene
+from ..photos.headers import PhotoError
 from . import metrics
 from .scores import (
     MIN_OBJECT,
@@ -61,18 +62,41 @@ def evaluate(
             one. Use the same model in evaluations that are compared.
 
     Raises:
-        SceneError: there is no test photo, or one is not in the scene.
+        SceneError: there is no test photo, none can be read, or one is not in the scene.
         ConfigError: there is no model, two models of a box share a name, or a box has no model
             `object_mask_from`.
     """
     images = _checked(models, scene, test)
     plans = [plan_views(roi, images, models, object_mask_from, context) for roi in rois]
+    samples, image_views = _measure(models, images, plans, context)
+    names = tuple(image.name for image in images if image.name in image_views[models[0]])
+    if not names:
+        raise SceneError("No test photo can be read.", "Restore the photos' files.")
+    plans = [plan.only(names) for plan in plans]
+    tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
+    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables))
+
+
+def _measure(
+    models: Sequence[EvaluatedModel],
+    images: Sequence[PosedImage],
+    plans: Sequence[BoxPlan],
+    context: Context,
+) -> tuple[list[dict[str, Sample]], dict[EvaluatedModel, dict[str, float]]]:
+    """The samples of each box by photo, and the PSNR of each model's whole images by photo.
+
+    Photos that cannot be read any more are left out, with a warning.
+    """
     samples: list[dict[str, Sample]] = [{} for _ in plans]
     image_views: dict[EvaluatedModel, dict[str, float]] = {model: {} for model in models}
     context.emit(StageStarted(stage="evaluate", total=len(images)))
     started = time.monotonic()
     for step, image in enumerate(images, start=1):
-        whole, measured = measure_view(models, image, plans, context)
+        try:
+            whole, measured = measure_view(models, image, plans, context)
+        except PhotoError as error:  # it was good when the run began
+            context.warn(f"{error.message} The evaluation leaves it out.")
+            continue
         for model, value in whole.items():
             image_views[model][image.name] = value
         for store, sample in zip(samples, measured, strict=True):
@@ -86,9 +110,7 @@ def evaluate(
             psnr=max(whole.values()),
             gaussians=max(len(model.gaussians) for model in models),
         )
-    tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
-    names = tuple(image.name for image in images)
-    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables))
+    return samples, image_views
 
 
 def ply_bytes(gaussians: Gaussians) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,6 +64,14 @@ class BoxPlan:
     left_out: tuple[str, ...]
     models: tuple[EvaluatedModel, ...]
     mask_from: int | None
+
+    def only(self, names: Collection[str]) -> BoxPlan:
+        """The same plan with these test views alone."""
+        return dataclasses.replace(
+            self,
+            views={name: view for name, view in self.views.items() if name in names},
+            left_out=tuple(name for name in self.left_out if name in names),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forwar
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -69,6 +70,8 @@ class PosedImage:
         camera: pinhole intrinsics at the resolution used for training.
         world_to_camera: (4, 4) rigid transform, COLMAP's `cam_from_world`.
         point_indices: (M,) rows of `SfmScene.points` that this photo observes, unique, ascending.
+        digest: hash of all that decides the photo's pixels, except its size; empty: not known.
+        remake: makes the file at `path` again, if the engine made it from the photo.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
     """
@@ -78,6 +81,8 @@ class PosedImage:
     camera: Camera
     world_to_camera: Float64
     point_indices: Int64
+    digest: str = ""
+    remake: Callable[[], None] | None = None
     distorted: bool = False
 
     @property

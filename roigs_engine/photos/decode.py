@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..model.scene import PosedImage
-from .headers import open_photo, unreadable
+from .headers import PhotoError, open_photo, unreadable
 
 Pixels = NDArray[np.uint8]
 
@@ -34,7 +34,7 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
             if size is not None:
                 photo.draft("RGB", (round(size[0] * GAP), round(size[1] * GAP)))
             shrink = _draft_factor(full, photo.size)
-            rgb = _to_rgb(photo)
+            rgb = to_rgb(photo)
     except MemoryError:
         raise
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
@@ -49,10 +49,20 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
 def load_photo(image: PosedImage) -> Pixels:
     """(H, W, 3) uint8 sRGB of a posed photo at its camera's size.
 
+    A damaged file that the engine made is made again.
+
     Raises:
         PhotoError: the file is missing or cannot be decoded; names it.
+        RunFolderError: a file of the engine cannot be made again.
     """
-    return decode(image.path, (image.camera.width, image.camera.height))
+    size = (image.camera.width, image.camera.height)
+    try:
+        return decode(image.path, size)
+    except PhotoError:
+        if image.remake is None:
+            raise
+    image.remake()
+    return decode(image.path, size)
 
 
 def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
@@ -60,8 +70,8 @@ def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
     return next((n for n in (1, 2, 4, 8) if -(-full[0] // n) == drafted[0]), 1)
 
 
-def _to_rgb(photo: Image.Image) -> Image.Image:
-    """The photo as 8-bit RGB."""
+def to_rgb(photo: Image.Image) -> Image.Image:
+    """The photo, decoded, as 8-bit RGB; on damaged files Pillow raises many kinds of errors."""
     if photo.mode == "I" or photo.mode.startswith("I;16"):
         values = np.asarray(photo)
         grey = values >> 8 if values.max(initial=0) > 255 else values

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -59,10 +60,10 @@ def photo_size(path: Path) -> tuple[int, int] | None:
 
 
 def check_complete(path: Path) -> None:
-    """Check that the file is complete, by its JPEG or PNG end marker.
+    """Check quickly that the file is complete, by its JPEG or PNG end marker.
 
     If the marker is not near the end of the file, Pillow decides, if it is installed: a phone may
-    have appended a film. Other formats are not checked.
+    have appended a film. Other formats are not checked. `damage.check_whole` decodes the photo.
 
     Raises:
         PhotoError: the file is incomplete.
@@ -70,9 +71,11 @@ def check_complete(path: Path) -> None:
     try:
         with open(path, "rb") as file:
             start = file.read(len(PNG))
-            file.seek(max(0, file.seek(0, os.SEEK_END) - TAIL))
+            # The headers of a JPEG may hold a small copy of the photo, with its own end marker.
+            headers = _jpeg_headers(file) if start.startswith(b"\xff\xd8") else 0
+            file.seek(max(headers, file.seek(0, os.SEEK_END) - TAIL))
             tail = file.read()
-    except OSError as error:
+    except (OSError, ValueError, struct.error) as error:
         raise unreadable(path, error) from error
     mark = PNG_END if start == PNG else JPEG_END if start.startswith(b"\xff\xd8") else b""
     if mark in tail:
@@ -110,6 +113,22 @@ def unreadable(path: Path, error: Exception) -> PhotoError:
 
 def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
     """The size in the frame header; ValueError or struct.error if there is none."""
+    for marker in jpeg_segments(file):
+        if marker in FRAMES:
+            height, width = struct.unpack(">3xHH", file.read(7))
+            return width, height
+    raise ValueError("a JPEG without a frame header")
+
+
+def _jpeg_headers(file: BinaryIO) -> int:
+    """Where the image data begin, in bytes; ValueError or struct.error if there are none."""
+    for _ in jpeg_segments(file):
+        pass
+    return file.tell()
+
+
+def jpeg_segments(file: BinaryIO) -> Iterator[int]:
+    """The markers of the headers, with the file at the segment's length; ends at the image data."""
     file.seek(2)
     while True:
         (lead, marker) = struct.unpack(">BB", file.read(2))
@@ -119,11 +138,11 @@ def _jpeg_size(file: BinaryIO) -> tuple[int, int]:
             (marker,) = file.read(1) or (0,)
         if marker in BARE:
             continue
-        if marker in FRAMES:
-            height, width = struct.unpack(">3xHH", file.read(7))
-            return width, height
-        if marker in (0xD9, 0xDA):  # the pixels, or the end
-            raise ValueError("a JPEG without a frame header")
+        if marker in (0xD9, 0xDA):  # the end, or the pixels
+            return
+        at = file.tell()
+        yield marker
+        file.seek(at)
         (length,) = struct.unpack(">H", file.read(2))
         if length < 2:
             raise ValueError("a damaged JPEG header")

@@ -17,6 +17,8 @@ from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
 from .config import RunConfig
 
+MANIFEST_VERSION = 2  # increase it if an older run folder cannot be resumed
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
@@ -53,8 +55,9 @@ class Run:
         return self.train_scene.extent()
 
     def manifest(self) -> dict[str, Any]:
-        """Everything that decides the results, except the photos' pixels; ready for JSON."""
-        record = {"config": self.config.to_dict(), **self.inputs}
+        """Everything that decides the results; ready for JSON."""
+        config = self.config.to_dict()
+        record = {"version": MANIFEST_VERSION, "config": config, **self.inputs}
         return record | ({"manual": dict(self.manual)} if self.manual else {})
 
 
@@ -66,6 +69,7 @@ def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any
         "photos": len(images),
         "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
         "model": scene.digest()[:16],
+        "contents": {image.name: image.digest for image in images},
     }
 
 

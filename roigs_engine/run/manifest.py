@@ -16,6 +16,7 @@ from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
 
 FORMER_NAME = "request.json"  # until 0.1.0
+CONTENTS = "contents"  # the key of the photos' digests
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.
 RESULTS = (
@@ -67,7 +68,10 @@ def read_manifest(path: Path) -> Any:
 
 def check_version(folder: Path) -> None:
     """Raise RunFolderError if an earlier version of the engine made the folder."""
-    if (folder / FORMER_NAME).exists() and not (folder / MANIFEST).exists():
+    path = folder / MANIFEST
+    record = read_json(path) if path.exists() else None
+    older = isinstance(record, dict) and "config" in record and "version" not in record
+    if older or (record is None and (folder / FORMER_NAME).exists()):
         raise RunFolderError(
             f"{folder} was made by an earlier version; this version cannot resume it.",
             "Choose another run folder (--run-dir); the results in this one stay as they are.",
@@ -85,7 +89,15 @@ def manifest_digest(manifest: Any) -> str:
 
 
 def manifest_difference(before: Any, now: Any, path: str = "") -> str:
-    """The first difference of two JSON values as text; empty if they are equal."""
+    """The first difference of two manifests, or of parts of them, as text; empty: they are equal.
+
+    Args:
+        before, now: JSON values.
+        path: the keys that lead to these parts.
+    """
+    if path == CONTENTS and isinstance(before, dict) and isinstance(now, dict):
+        names = sorted(before.keys() | now.keys())
+        return _count([name for name in names if before.get(name) != now.get(name)])
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(k for k in now if k not in before)]:
             found = manifest_difference(
@@ -98,3 +110,12 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return ""
     text = f"{path} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{path} changed"
+
+
+def _count(changed: list[str]) -> str:
+    """How many photos changed, in words; empty if none."""
+    if not changed:
+        return ""
+    if len(changed) == 1:
+        return f"the photo {changed[0]} changed"
+    return f"{len(changed)} photos changed, the first is {changed[0]}"

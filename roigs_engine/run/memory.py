@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.events import Message
-from ..machine import machine_memory
+from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage
 from ..training.config import TrainConfig
 from .config import RunConfig
 from .definition import Run
 
-ENGINE = 260 << 20  # bytes of Python, torch and the kernels
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
 PER_PIXEL = 80  # bytes: the render, its gradient and the loss's images, of the largest photo
 PER_DENSIFICATION = 30_000  # Gaussians that one adds, on average; the largest of four scenes

@@ -82,7 +82,10 @@ class Stage:
         """Hash of everything that decides the stage's result."""
         record = {
             "config": asdict(self.config),
-            "images": [(i.name, asdict(i.camera), i.world_to_camera.tolist()) for i in self.images],
+            "images": [
+                (i.name, i.digest, asdict(i.camera), i.world_to_camera.tolist())
+                for i in self.images
+            ],
             "rois": [roi.to_dict() for roi in self.rois],
             "budgets": self.budgets,
             "matched": self.matched and self.matched.fingerprint,

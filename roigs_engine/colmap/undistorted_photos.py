@@ -1,0 +1,99 @@
+"""Undistorts all photos of a scene in parallel, and keeps their folder tidy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from ..context import QUIET, Context
+from ..errors import RunFolderError, SceneError
+from ..formats.events import StageStarted
+from ..formats.files import own_folder
+from ..machine import ENGINE, machine_memory
+from ..model.scene import PosedImage
+from ..photos.headers import PhotoError
+from ..photos.parallel import in_parallel, threads_for
+from .undistort import UndistortionPlan, temporary_folder, undistort
+
+FOLDER = "undistorted"
+STAGE = "undistort"
+
+
+def undistort_all(
+    plans: Iterable[UndistortionPlan], cache: Path | None, context: Context = QUIET
+) -> dict[str, Path]:
+    """The undistorted photos by their plans' keys; the damaged ones are left out.
+
+    Args:
+        plans: of the photos; equal ones are undistorted once.
+        cache: their folder `undistorted` keeps the photos; None: a temporary folder.
+        context: gets the progress; checked for cancellation.
+
+    Raises:
+        SceneError: the machine has too little memory for one of them.
+        RunFolderError: the cache cannot be written.
+        Stopped: on request.
+    """
+    folder = temporary_folder() if cache is None else _created(own_folder(cache, FOLDER))
+    by_key = {plan.key(): plan for plan in plans}
+    paths = {key: folder / f"{key}.png" for key in by_key}
+    missing = [plan for key, plan in by_key.items() if not paths[key].is_file()]
+    if not missing:
+        return paths
+    threads = _threads(missing, context)
+    context.emit(StageStarted(stage=STAGE, total=len(missing)))
+    started = time.monotonic()
+    work = in_parallel(lambda plan: undistort(plan, folder), missing, threads, context)
+    for step, (plan, job) in enumerate(work, start=1):
+        try:
+            job.result()
+        except PhotoError:
+            del paths[plan.key()]
+        context.progress(STAGE, step, len(missing), started)
+    return paths
+
+
+def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:
+    """Delete the undistorted photos in `cache` that `images` do not use."""
+    used = {image.path.name for image in images}
+    for path in own_folder(cache, FOLDER).glob("*.png"):
+        if path.name not in used:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _threads(plans: Sequence[UndistortionPlan], context: Context) -> int:
+    """The number of threads that fit into the memory; tells the user what they take."""
+    largest = max(plans, key=UndistortionPlan.memory)
+    needed, machine = largest.memory(), machine_memory()
+    if needed + ENGINE > machine:
+        pixels = largest.size[0] * largest.size[1]
+        side = largest.fitting_side(machine - ENGINE)
+        raise SceneError(
+            f"Undistorting a photo of {pixels / 1e6:.1f} megapixels needs"
+            f" {_gb(needed + ENGINE)} of memory; this machine has {_gb(machine)}.",
+            f"Use --max-side {side} or less." if side else "Use smaller photos (--images).",
+        )
+    threads = min(threads_for(needed), len(plans))
+    context.info(
+        f"Memory: up to about {_gb(threads * needed + ENGINE)} of {_gb(machine)} while photos are"
+        f" undistorted, {threads} at a time."
+    )
+    return threads
+
+
+def _gb(size: int) -> str:
+    return f"{size / 1e9:.1f} GB"
+
+
+def _created(folder: Path) -> Path:
+    """The folder, created if it does not exist."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(
+            f"Cannot write to {folder} ({error.strerror}).", "Choose another folder."
+        ) from error
+    return folder

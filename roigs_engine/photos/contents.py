@@ -1,0 +1,167 @@
+"""What the photos' files hold: a hash of each, and whether it is whole.
+
+Both are remembered in a small file with the size and times of the photo's file. So a photo is read
+for them only once, and again when its file has changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from ..context import QUIET, Context
+from ..errors import RunFolderError
+from ..formats.events import StageStarted
+from ..formats.files import read_json, write_json
+from .headers import PhotoError, photo_size
+from .parallel import decoding_bytes, in_parallel, threads_for
+
+FILE = "photos.json"
+VERSION = 1  # increase it if what is found of a photo changes
+STAGE = "photos"
+WRITE_SECONDS = 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """What a photo's file holds.
+
+    Attributes:
+        size, modified, changed: of the file: bytes, and two times in ns.
+        digest: hash of its bytes, 32 hexadecimal digits; empty: they cannot be read.
+        whole: whether the photo can be decoded and is complete; None: not known.
+    """
+
+    size: int
+    modified: int
+    changed: int
+    digest: str = ""
+    whole: bool | None = None
+
+
+class Contents:
+    """What is known of the files of photos, by their names in the scene.
+
+    Attributes:
+        path: where it is remembered; None: nowhere.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        """Read what is remembered; a missing or damaged file counts as nothing."""
+        self.path = path
+        self._known = _remembered(path) if path is not None else {}
+
+    def read(
+        self, photos: Mapping[str, Path], context: Context = QUIET, *, check: bool = True
+    ) -> dict[str, Content]:
+        """The content of photos, by name; reads the files that are not known.
+
+        Args:
+            photos: name -> file.
+            context: gets the progress; checked for cancellation.
+            check: decode the photos too; otherwise `whole` may stay unknown, and nothing is
+                remembered.
+
+        Raises:
+            Stopped: on request; what was found until then is remembered.
+        """
+        found = {name: self._current(name, path, check) for name, path in photos.items()}
+        missing = [name for name, content in found.items() if content is None]
+        self._known = {name: content for name, content in found.items() if content is not None}
+        if missing and check:
+            context.emit(StageStarted(stage=STAGE, total=len(missing)))
+        started = last = time.monotonic()
+        threads = threads_for(max((_memory(photos[name]) for name in missing), default=0))
+        work = in_parallel(lambda n: _read(photos[n], check, context), missing, threads, context)
+        try:
+            for step, (name, job) in enumerate(work, start=1):
+                found[name] = self._known[name] = job.result()
+                if check:
+                    context.progress(STAGE, step, len(missing), started)
+                if check and time.monotonic() - last > WRITE_SECONDS:
+                    last = time.monotonic()
+                    self._write()
+        finally:
+            if missing and check:
+                self._write()
+        return {name: content for name, content in found.items() if content is not None}
+
+    def _current(self, name: str, path: Path, check: bool) -> Content | None:
+        """What is known, if the file is still the same."""
+        known = self._known.get(name)
+        if known is None or (check and known.whole is None):
+            return None
+        with suppress(OSError):
+            if _stamp(path) == replace(known, digest="", whole=None):
+                return known
+        return None
+
+    def _write(self) -> None:
+        """Remember it. It only saves time, so a full disk is no reason to stop here."""
+        if self.path is not None:
+            with suppress(RunFolderError):
+                files = {name: asdict(content) for name, content in sorted(self._known.items())}
+                write_json(self.path, {"version": VERSION, "photos": files}, durable=False)
+
+
+def _stamp(path: Path) -> Content:
+    """What tells that the file is still the same; OSError if there is none."""
+    status = path.stat()
+    return Content(size=status.st_size, modified=status.st_mtime_ns, changed=status.st_ctime_ns)
+
+
+def _read(path: Path, check: bool, context: Context) -> Content:
+    """Hash the file, and decode the photo if `check`."""
+    from .damage import check_whole  # needs Pillow, which reading cameras does not
+
+    context.check_cancelled()
+    try:
+        stamp = _stamp(path)
+        with open(path, "rb") as file:
+            digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16))
+    except OSError:
+        return Content(size=0, modified=0, changed=0, whole=False)
+    content = replace(stamp, digest=digest.hexdigest())
+    if not check:
+        return content
+    try:
+        check_whole(path)
+    except PhotoError:
+        return replace(content, whole=False)
+    return replace(content, whole=True)
+
+
+def _memory(path: Path) -> int:
+    """Most bytes that `_read` takes."""
+    try:
+        return decoding_bytes(path, photo_size(path) or (0, 0))
+    except PhotoError:
+        return 0
+
+
+def _remembered(path: Path) -> dict[str, Content]:
+    """Name -> content, from the file; nothing if it is missing or damaged."""
+    try:
+        record = read_json(path)
+    except RunFolderError:
+        return {}
+    if not isinstance(record, dict) or record.get("version") != VERSION:
+        return {}
+    photos = record.get("photos")
+    records = photos if isinstance(photos, dict) else {}
+    found = {name: _content(value) for name, value in records.items()}
+    return {name: content for name, content in found.items() if content is not None}
+
+
+def _content(value: Any) -> Content | None:
+    """The content of a JSON record; None: it is none."""
+    if not isinstance(value, dict) or value.keys() != {f.name for f in fields(Content)}:
+        return None
+    numbers = (value["size"], value["modified"], value["changed"])
+    good = all(isinstance(number, int) for number in numbers) and isinstance(value["digest"], str)
+    return Content(**value) if good and isinstance(value["whole"], bool) else None

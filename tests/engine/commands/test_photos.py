@@ -1,0 +1,174 @@
+"""Photos that are damaged, change or get lost, before a run and between two."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from PIL import Image, ImageOps
+
+from roigs_engine.cli import main
+from roigs_engine.evaluation import evaluate
+from roigs_engine.formats import run_files
+from tests.engine.commands.command_line import BOX, refused
+from tests.engine.runs import plys
+from tests.engine.synthetic_colmap import Project, camera, write_project
+
+LENS = camera("SIMPLE_RADIAL", 96, 72, [100.0, 48.0, 36.0, 0.05])
+
+
+def scene(folder: Path, *, distorted: bool = False, suffix: str = "jpg") -> Project:
+    names = [f"{k}.{suffix}" for k in range(10)]
+    cameras = [LENS] if distorted else []
+    return write_project(folder / "scene", names=names, dots=True, cameras=cameras)
+
+
+def arguments(project: Project, run: Path, *more: str) -> list[str]:
+    tiny = ["--steps-factor", "0.003", "--test-every", "4", "--device", "cpu", "--compare"]
+    return ["run", str(project.folder), "--roi", BOX, "--run-dir", str(run), *tiny, *more]
+
+
+def split_of(run: Path) -> list[str]:
+    record = json.loads((run / run_files.SPLIT).read_text(encoding="utf-8"))
+    return [str(name) for name in record["test"]]
+
+
+@pytest.mark.parametrize("distorted", [False, True])
+def test_a_damaged_test_photo_is_left_out_before_the_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], *, distorted: bool
+) -> None:
+    """Its file ends with an end marker, so only decoding finds the damage."""
+    project, run = scene(tmp_path, distorted=distorted), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    lost = split_of(run)[0]
+    path = project.folder / "images" / lost
+    path.write_bytes(path.read_bytes()[:-200] + b"\xff\xd9")
+    capsys.readouterr()
+    assert main(arguments(project, tmp_path / "again")) == 0
+    assert f"Skipped 1 photos, unreadable: {lost}." in capsys.readouterr().err
+    assert lost not in split_of(tmp_path / "again")
+    table = json.loads((tmp_path / "again" / run_files.REPORT_DATA).read_text(encoding="utf-8"))
+    assert lost not in table["test_views"] and table["test_views"]
+    inspect = ["inspect", str(project.folder)]
+    assert main([*inspect, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["skipped"] == {}  # its end marker is there
+    assert main([*inspect, "--json", "--check-photos"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["skipped"] == {"unreadable": {"count": 1, "first": [lost]}}
+    assert report["photos"] == 9
+
+
+def test_when_all_photos_are_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    project = scene(tmp_path)
+    for path in (project.folder / "images").iterdir():
+        path.write_bytes(path.read_bytes()[:-200] + b"\xff\xd9")
+    assert main(arguments(project, tmp_path / "run")) == 2
+    assert "(10 unreadable)" in capsys.readouterr().err.splitlines()[-1]
+    assert main(["inspect", str(project.folder), "--check-photos"]) == 2
+    assert "All 10 photos are damaged" in capsys.readouterr().err
+
+
+def test_a_test_photo_lost_in_training_costs_only_its_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, run = scene(tmp_path), tmp_path / "run"
+    measure = evaluate.plan_views
+
+    def late(*given: object) -> object:
+        (project.folder / "images" / split_of(run)[0]).unlink(missing_ok=True)
+        return measure(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(evaluate, "plan_views", late)
+    assert main(arguments(project, run)) == 0
+    said = capsys.readouterr().err
+    lost, *rest = split_of(run)
+    assert lost in said and "The evaluation leaves it out." in said
+    table = json.loads((run / run_files.REPORT_DATA).read_text(encoding="utf-8"))
+    assert table["test_views"] == rest and rest
+
+
+def test_changed_photos_are_refused_or_trained_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = scene(tmp_path, suffix="bmp"), tmp_path / "run"
+    photos = sorted((project.folder / "images").iterdir())
+    assert main(arguments(project, run)) == 0
+    before = plys(run)
+    for path in photos:
+        path.touch()
+    capsys.readouterr()
+    assert main(arguments(project, run)) == 0
+    assert "already finished" in capsys.readouterr().err
+    kept = {path: path.read_bytes() for path in photos}
+    for path in photos:  # as many bytes under the same times
+        status = path.stat()
+        ImageOps.invert(Image.open(path).convert("RGB")).save(path)
+        assert path.stat().st_size == status.st_size
+        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert main(arguments(project, run)) == 2
+    errors = [li for li in capsys.readouterr().err.splitlines() if li.startswith("error")]
+    assert len(errors) == 1 and "10 photos changed, the first is 0.bmp" in errors[0]
+    assert "--update" in errors[0]
+    assert plys(run) == before
+    assert main(arguments(project, run, "--dry-run")) == 0
+    assert "10 photos changed" in capsys.readouterr().out
+    assert main(arguments(project, run, "--update")) == 0
+    said = capsys.readouterr().err
+    assert "already finished" not in said and "10 photos changed" in said
+    assert all(data != before[name] for name, data in plys(run).items() if name in before)
+    for path, data in kept.items():
+        path.write_bytes(data)
+    assert main(arguments(project, run, "--update")) == 0
+    assert "already finished" in capsys.readouterr().err
+    assert {name: data for name, data in plys(run).items() if "archive" not in name} == before
+
+
+def test_one_changed_photo_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    project, run = scene(tmp_path, distorted=True), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    path = project.folder / "images/3.jpg"
+    ImageOps.invert(Image.open(path)).save(path)
+    capsys.readouterr()
+    assert main(arguments(project, run)) == 2
+    assert "(the photo 3.jpg changed)" in capsys.readouterr().err
+    # Nothing was lost by the refusal: the photos of the earlier run are still there.
+    assert len(list((run / "cache/undistorted").glob("*.png"))) == 11
+
+
+def test_undistorted_photos_are_made_again_and_tidied_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = scene(tmp_path, distorted=True), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    made = {path: path.read_bytes() for path in (run / "cache/undistorted").iterdir()}
+    assert len(made) == 10
+    before = plys(run)
+    for path, damage in zip(made, (b"", made[next(iter(made))][:-50], b"text"), strict=False):
+        path.write_bytes(damage)
+    for stage in run.glob("*/stage.json"):
+        stage.unlink()
+    for path in (project.folder / "images").iterdir():
+        path.touch()
+    assert main(arguments(project, run)) == 0
+    assert plys(run) == before
+    assert {p: p.read_bytes() for p in (run / "cache/undistorted").iterdir()} == made
+    assert main(arguments(project, run, "--max-side", "60", "--update")) == 0
+    other = list((run / "cache/undistorted").iterdir())
+    assert len(other) == 10 and not made.keys() & set(other)
+
+
+def test_a_run_folder_of_an_earlier_version(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its stages know nothing of what is in the photos."""
+    project, run = scene(tmp_path), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    path = run / run_files.MANIFEST
+    record = json.loads(path.read_text(encoding="utf-8"))
+    del record["version"], record["contents"]
+    path.write_text(json.dumps(record), encoding="utf-8")
+    capsys.readouterr()
+    for more in ([], ["--dry-run"], ["--update"]):
+        assert "made by an earlier version" in refused(capsys, *arguments(project, run, *more))
