@@ -15,7 +15,7 @@ from ..model.scene import Float64, Int64, SfmScene
 from ..photos.files import PhotoFolder, find_photos
 from .model_files import count_images, model_suffix, read_model
 from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
-from .records import MAX_SIDE, NO_IDS, Model
+from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 
 
 def load_colmap(
@@ -125,10 +125,12 @@ def _children(folder: Path) -> list[Path]:
 
 def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
     """The function from a photo's (width, height) to the requested ones."""
-    if downscale is not None and not 1 <= downscale < 1e6:
-        raise ConfigError(f"downscale is {downscale:g}.", "Use a number of at least 1.")
+    if downscale is not None and not 1 <= downscale <= MAX_DOWNSCALE:
+        raise ConfigError(
+            f"downscale is {downscale:g}.", f"Use a number from 1 to {MAX_DOWNSCALE:,}."
+        )
     if max_side is not None and not 1 <= max_side <= MAX_SIDE:
-        raise ConfigError(f"max_side is {max_side}.", f"Use 1 to {MAX_SIDE} pixels.")
+        raise ConfigError(f"max_side is {max_side}.", f"Use 1 to {MAX_SIDE:,} pixels.")
 
     def shrink(width: int, height: int) -> tuple[int, int]:
         scale = 1 / (downscale or 1)

@@ -9,6 +9,7 @@ from ..errors import ConfigError
 from ..formats.files import read_json
 from .console import Console
 from .options import (
+    TEST_EVERY,
     add_device_option,
     add_roi_options,
     add_scene_options,
@@ -16,6 +17,7 @@ from .options import (
     context_on_device,
     load_scene,
 )
+from .values import NAME, PATH, named_file
 
 HELP = "compare PLYs on test photos, in each box and on the whole image"
 EXAMPLES = """\
@@ -33,19 +35,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         action="append",
         required=True,
+        type=NAME,
         metavar="NAME=FILE.ply",
         help="a row of the table; gains are relative to the first one; repeatable",
     )
     tests = parser.add_mutually_exclusive_group()
-    tests.add_argument("--split", type=Path, metavar="FILE", help="split.json of a run")
+    tests.add_argument("--split", type=PATH, metavar="FILE", help="split.json of a run")
     tests.add_argument(
         "--test-every",
-        type=int,
+        type=TEST_EVERY,
         default=8,
         metavar="N",
         help="test on every n-th photo that sees a box (default: 8)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -67,12 +70,13 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             f"{args.split} names '{unknown[0]}', which is not in the scene.",
             "Use the split.json of a run on this scene.",
         )
-    context, models = context_on_device(args, console), []
+    context = context_on_device(args, console)
+    models: list[EvaluatedModel] = []
     for text in args.model:
-        name, separator, path = text.partition("=")
-        if not separator:
-            raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
-        loaded = Gaussians.load_ply(Path(path)).to(torch.device(context.device))
+        name, path = named_file("--model", text, "NAME=FILE.ply")
+        if name in {model.name for model in models}:
+            raise ConfigError(f"--model names '{name}' twice.", "Give each model its own name.")
+        loaded = Gaussians.load_ply(path).to(torch.device(context.device))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
         models,
@@ -89,7 +93,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
 
 def _split(path: Path) -> list[str]:
-    record = read_json(path)
+    record = read_json(path, ConfigError, "Use a run's split.json.")
     names = record.get("test") if isinstance(record, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"{path} has no list 'test' of photo names.", "Use a run's split.json.")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from .console import Console
 from .options import add_scene_options, load_scene
+from .values import PATH
 
 HELP = "write the cameras and points of a COLMAP model as JSON and NumPy files"
 EXAMPLES = """\
@@ -17,7 +17,7 @@ EXAMPLES = """\
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:

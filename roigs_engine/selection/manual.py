@@ -25,8 +25,8 @@ def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[st
     Reads only the list `names` of a file; a photo that is named twice counts once.
 
     Raises:
-        ConfigError: the folder has no file for any of these boxes, or a file has no names.
-        RunFolderError: a file cannot be read.
+        ConfigError: the folder has no file for any of these boxes, or a file cannot be read or has
+            no names.
     """
     files = {roi.name: folder / f"{roi.name}.json" for roi in rois}
     found = {name: path for name, path in files.items() if path.is_file()}
@@ -35,14 +35,12 @@ def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[st
             f"{folder} has no selection for these boxes.",
             f"Add one or more of: {', '.join(path.name for path in files.values())}.",
         )
-    selections = {}
+    selections, hint = {}, "Write it with `select --out`."
     for roi, path in found.items():
-        record = read_json(path)
+        record = read_json(path, ConfigError, hint)
         names = record.get("names") if isinstance(record, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError(
-                f"{path} has no list 'names' of photo names.", "Write it with `select --out`."
-            )
+            raise ConfigError(f"{path} has no list 'names' of photo names.", hint)
         selections[roi] = tuple(dict.fromkeys(names))
     return selections
 
