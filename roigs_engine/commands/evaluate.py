@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import ConfigError
@@ -62,6 +63,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..model.gaussians import Gaussians
     from ..selection.split import choose_test_views
 
+    files = _model_files(args.model)
     rois, scene = boxes(args), load_scene(args, console, args.out / "cache")
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
     unknown = sorted(set(test) - {image.name for image in scene.images})
@@ -72,10 +74,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         )
     context = context_on_device(args, console)
     models: list[EvaluatedModel] = []
-    for text in args.model:
-        name, path = named_file("--model", text, "NAME=FILE.ply")
-        if name in {model.name for model in models}:
-            raise ConfigError(f"--model names '{name}' twice.", "Give each model its own name.")
+    for name, path in files.items():
         loaded = Gaussians.load_ply(path).to(torch.device(context.device))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
@@ -90,6 +89,17 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     write_crops(evaluation, models, scene, rois, args.out, context=context)
     console.print(format_markdown(evaluation))
     return {"report": str(args.out / "report.md"), "pictures": str(args.out / "crops")}
+
+
+def _model_files(texts: Sequence[str]) -> dict[str, Path]:
+    """Name -> PLY of the options `--model`."""
+    files: dict[str, Path] = {}
+    for text in texts:
+        name, path = named_file("--model", text, "NAME=FILE.ply")
+        if name in files:
+            raise ConfigError(f"--model names '{name}' twice.", "Give each model its own name.")
+        files[name] = path
+    return files
 
 
 def _split(path: Path) -> list[str]:
