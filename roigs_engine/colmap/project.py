@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.rois import FAR
+from ..formats.text import counted
 from ..model.scene import Float64, Int64, SfmScene
 from ..photos.files import PhotoFolder, find_photos
-from .model_files import count_images, model_suffix, read_model
+from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
 from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 
@@ -81,7 +82,7 @@ def _report_skipped(skipped: dict[str, tuple[str, ...]], context: Context) -> No
     for reason, names in skipped.items():
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
         emit = context.info if reason == UNPOSED else context.warn
-        emit(f"Skipped {len(names)} photos, {reason}: {first}.")
+        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first}.")
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:
@@ -145,14 +146,23 @@ def _points(
     model: Model, folder: Path, context: Context
 ) -> tuple[Int64, Float64, NDArray[np.uint8]]:
     """Ids (ascending), positions and colours of the points with valid numbers."""
-    good = (np.abs(model.points) < FAR).all(axis=1) & (model.point_ids >= 0)  # False for NaN
-    if not good.any():
+    placed = (np.abs(model.points) < FAR).all(axis=1)  # False for NaN
+    numbered = model.point_ids >= 0
+    good = placed & numbered
+    counts = ((~placed, "without a valid position"), (~numbered, "with a negative id"))
+    reasons = ", ".join(f"{wrong.sum():,} {why}" for wrong, why in counts if wrong.any())
+    if not len(good):
         raise SceneError(
             f"The model in {folder} has no 3D points.",
             "Export the sparse point cloud with the model: training starts from it.",
         )
+    if not good.any():
+        raise SceneError(
+            f"None of the {counted(len(good), '3D point')} in {folder} can be used ({reasons}).",
+            HINT_DAMAGED,
+        )
     if not good.all():
-        context.warn(f"Skipped {int((~good).sum())} 3D points without a valid position.")
+        context.warn(f"Skipped {counted(int((~good).sum()), '3D point')}: {reasons}.")
     ids, rows = np.unique(model.point_ids[good], return_index=True)
     return ids, model.points[good][rows], model.colors[good][rows]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..formats.files import read_json
-from ..formats.names import safe_name
+from ..formats.names import first_taken, safe_name
 from ..formats.poses import rigid_flaw
 from ..model.scene import Camera, Float64
 
@@ -46,10 +46,9 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
             raise ConfigError(f"{path}: camera {index} has no {error}.", hint) from error
         except (TypeError, ValueError, OverflowError) as error:
             raise ConfigError(f"{path}: camera {index} is malformed ({error}).", hint) from error
-    names = [safe_name(name).casefold() for name, _, _ in cameras]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f"{path}: two cameras are named '{name}'.", "Give each its own name.")
+    taken = first_taken(safe_name(name) for name, _, _ in cameras)
+    if taken is not None:
+        raise ConfigError(f"{path}: two cameras are named '{taken}'.", "Give each its own name.")
     return cameras
 
 

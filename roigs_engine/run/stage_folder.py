@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from ..context import QUIET, Context
@@ -28,6 +28,7 @@ from ..training.checkpoint import (
     save_checkpoint,
 )
 from ..training.config import TrainConfig
+from ..training.state import check_state
 from ..training.trainer import StageData, Trainer
 from .archive import archive, restore
 
@@ -193,7 +194,8 @@ class StageFolder:
         """A trainer at step 0, or at the step of the checkpoint."""
         if not checkpoint_exists(self._checkpoint):
             return Trainer(start(), data, config)
-        state = load_checkpoint(self._checkpoint, self.fingerprint, context)
+        check = partial(check_state, config=config)
+        state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
         trainer = Trainer(Gaussians(**state["parameters"]), data, config)
         trainer.load_state_dict(state)
         context.info(f"{self.name}: resumes at step {trainer.step}.")
