@@ -109,8 +109,10 @@ def complaint(family: str, number: int) -> str:
             return f"{command}\n{traceback.format_exc(limit=-6)}"
         said = err.getvalue()
         errors = [line for line in said.splitlines() if line.startswith("error: ")]
-        if status not in (0, 2) or len(errors) != (status == 2):
+        if status not in command.statuses or len(errors) != (status == 2):
             return f"{command}: status {status}\n{said}"
+        if errors and command.names and not any(name in errors[0] for name in command.names):
+            return f"{command}: the line names none of {command.names}\n{said}"
         if status == 2 and not said.rstrip("\n").rpartition("\n")[2].startswith("error: "):
             return f"{command}: an error of several lines\n{said}"
         if "Warning:" in said or "Traceback" in said:
