@@ -112,7 +112,7 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
         others = (f"{f.relative_to(path)}: {n}" for f, n in counts.items() if f != best)
         context.warn(
             f"{path} has {len(counts)} models; using {best.relative_to(path)} with"
-            f" {counts[best]} photos (others: {', '.join(others)})."
+            f" {counted(counts[best], 'photo')} (others: {', '.join(others)})."
         )
     return best
 
@@ -199,6 +199,6 @@ def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]])
     counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
     first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
     return SceneError(
-        f"None of the model's {len(model.images)} photos can be used ({counts}).",
+        f"The model's photos cannot be used ({counts}).",
         f"Looked in {photos.folder} for {first}: give the photos' folder with --images.",
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..errors import RoiError
+from ..formats.text import counted
 from .console import Console
 from .options import add_roi_options, boxes
 from .values import NAME, PATH, named_file
@@ -49,5 +50,5 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     pairs = [(by_name[name], model) for name, model in objects.items()]
     composed = merge(Gaussians.load_ply(args.scene_ply), pairs)
     composed.save_ply(args.out)
-    console.print(f"{len(composed):,} Gaussians in {args.out}")
+    console.print(f"{counted(len(composed), 'Gaussian')} in {args.out}")
     return {"result": str(args.out)}

@@ -10,7 +10,6 @@ from ..errors import ConfigError
 from ..formats.files import read_json
 from .console import Console
 from .options import (
-    TEST_EVERY,
     add_device_option,
     add_roi_options,
     add_scene_options,
@@ -18,7 +17,7 @@ from .options import (
     context_on_device,
     load_scene,
 )
-from .values import NAME, PATH, named_file
+from .values import NAME, PATH, integer, named_file
 
 HELP = "compare PLYs on test photos, in each box and on the whole image"
 EXAMPLES = """\
@@ -44,10 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tests.add_argument("--split", type=PATH, metavar="FILE", help="split.json of a run")
     tests.add_argument(
         "--test-every",
-        type=TEST_EVERY,
+        type=integer(2),
         default=8,
         metavar="N",
-        help="test on every n-th photo that sees a box (default: 8)",
+        help="test on every N-th photo that sees a box (default: 8)",
     )
     parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")
 

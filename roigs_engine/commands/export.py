@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from ..formats.text import counted
 from .console import Console
 from .options import add_scene_options, load_scene
 from .values import PATH
@@ -26,5 +27,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     scene = load_scene(args, console)
     outputs = write_export(scene, args.out)
-    console.print(f"{len(scene.images)} cameras and {len(scene.points):,} points in {args.out}")
+    cameras, points = counted(len(scene.images), "camera"), counted(len(scene.points), "point")
+    console.print(f"{cameras} and {points} in {args.out}")
     return outputs

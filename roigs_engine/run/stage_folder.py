@@ -18,6 +18,7 @@ from ..errors import RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import read_json, write_json
+from ..formats.text import counted
 from ..model.gaussians import Gaussians
 from ..training.callbacks import PeriodicCallback
 from ..training.checkpoint import (
@@ -107,7 +108,7 @@ class StageFolder:
         result = self._finished()
         if result is not None:
             remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
-            context.info(f"{self.name}: already finished, {result.count} Gaussians.")
+            context.info(f"{self.name}: already finished, {counted(result.count, 'Gaussian')}.")
         return result
 
     def _finished(self) -> StageResult | None:

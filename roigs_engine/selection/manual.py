@@ -8,6 +8,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import read_json
+from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
@@ -71,17 +72,17 @@ def usable_manual(
                 "Remove this name.",
             )
     for reason, skipped in (
-        ("are test photos", [name for name in names if name in test_names]),
-        ("cannot be used", [name for name in names if name not in usable_names]),
+        ("used for testing", [name for name in names if name in test_names]),
+        ("which cannot be used", [name for name in names if name not in usable_names]),
     ):
         if skipped:
             first = ", ".join(skipped[:NAMED]) + (", …" if len(skipped) > NAMED else "")
-            text = f"{len(skipped)} photos selected for box '{roi}' {reason}; skipped: {first}."
-            context.warn(text)
+            count = counted(len(skipped), "selected photo")
+            context.warn(f"Skipped {count} of box '{roi}', {reason}: {first}.")
     usable = tuple(name for name in names if name in usable_names and name not in test_names)
     if not usable:
         raise ConfigError(
-            f"None of the {len(names)} photos selected for box '{roi}' can be trained on.",
+            f"The photos selected for box '{roi}' cannot be trained on.",
             "Select other photos, or remove the selection to use a method.",
         )
     return usable

@@ -44,9 +44,9 @@ def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
     shapes = _check_parameters(_dict(state, "parameters"))
     _check_optimizer(_dict(state, "optimizer"), shapes, config.steps)
     mean = _dict(state, "mean")
-    if _count(mean, "count", config.steps):
-        for name, tensor in _tensors(_dict(mean, "sums"), shapes).items():
-            _refuse(name, ~tensor.isfinite())
+    summed = shapes if _count(mean, "count", config.steps) else {}
+    for name, tensor in _tensors(_dict(mean, "sums"), summed).items():
+        _refuse(name, ~tensor.isfinite())
     density = _dict(state, "density")
     if keeps_statistics(config):
         _count(density, "window", step)

@@ -57,20 +57,22 @@ def training(folder: Path) -> Command:
 
 
 @functools.cache
-def run_files(stop_after: int | None) -> dict[str, bytes]:
-    """The files of a good run folder; of a run that was stopped if a number of questions is given.
-
-    The number counts how often the run asks whether to stop.
-    """
+def run_files(stage: int = 0) -> dict[str, bytes]:
+    """The files of a good run folder; of one that was stopped in its first or second stage."""
     from roigs_engine import cli
     from roigs_engine.commands.console import Console
+    from roigs_engine.training.trainer import Trainer
 
-    asked = 0
+    step = Trainer.train_step
+    trainers: list[Trainer] = []
+
+    def train_step(trainer: Trainer) -> None:
+        step(trainer)
+        if trainer not in trainers:
+            trainers.append(trainer)
 
     def should_stop(console: Console) -> bool:
-        nonlocal asked
-        asked += 1
-        return stop_after is not None and asked > stop_after
+        return 0 < stage == len(trainers) and trainers[-1].step >= 2
 
     with tempfile.TemporaryDirectory(prefix="roigs-fuzz-") as name:
         folder = Path(name)
@@ -79,28 +81,19 @@ def run_files(stop_after: int | None) -> dict[str, bytes]:
             contextlib.redirect_stderr(silent),
             contextlib.redirect_stdout(silent),
             mock.patch.object(Console, "should_stop", should_stop),
+            mock.patch.object(Trainer, "train_step", train_step),
         ):
             status = cli.main(training(folder))
-        assert status == (0 if stop_after is None else 3), silent.getvalue()
+        assert status == (3 if stage else 0), silent.getvalue()
         out = folder / "out"
         return {
             str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()
         }
 
 
-@functools.cache
 def stopped_runs() -> tuple[dict[str, bytes], ...]:
     """Runs that were stopped in the first and in the second stage, with a checkpoint."""
-    found: dict[str, dict[str, bytes]] = {}
-    for asked in range(1, 400):
-        try:
-            files = run_files(asked)
-        except AssertionError:
-            break
-        for name in files:
-            if name.endswith("checkpoint.bin"):
-                found[name] = files
-    return tuple(found.values())
+    return run_files(1), run_files(2)
 
 
 def resumed(dice: random.Random, folder: Path, files: dict[str, bytes]) -> Case:
@@ -113,7 +106,7 @@ def resumed(dice: random.Random, folder: Path, files: dict[str, bytes]) -> Case:
 
 def stage_records(dice: random.Random, folder: Path) -> Case:
     """A run folder whose records (JSON files) are damaged."""
-    files = dict(dice.choice((run_files(None), run_files(None), *stopped_runs())))
+    files = dict(dice.choice((run_files(), run_files(), *stopped_runs())))
     names = [name for name in files if name.endswith(".json")]
     for name in dice.sample(names, dice.choice((1, 1, 2))):
         tree = json.loads(files[name])
