@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING or __package__ == "roigs_addon":
     from roigs_engine.errors import EngineError
-    from roigs_engine.formats import events, files, lock, names, rois, run_files, splat_ply
+    from roigs_engine.formats import events, files, lock, names, rois, run_files, splat_ply, text
 else:
     from ..roigs_engine.errors import EngineError
-    from ..roigs_engine.formats import events, files, lock, names, rois, run_files, splat_ply
+    from ..roigs_engine.formats import events, files, lock, names, rois, run_files, splat_ply, text
 
-__all__ = ["EngineError", "events", "files", "lock", "names", "rois", "run_files", "splat_ply"]
+__all__ = [
+    "EngineError",
+    "events",
+    "files",
+    "lock",
+    "names",
+    "rois",
+    "run_files",
+    "splat_ply",
+    "text",
+]

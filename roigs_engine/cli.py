@@ -35,17 +35,38 @@ COMMANDS: dict[str, ModuleType] = {
 STOPPED = 3
 
 
+class StoreOnce(argparse.Action):
+    """Stores an option's value; an error if the command line gives the option twice."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Set the value."""
+        given = vars(namespace).setdefault("options_given", set())
+        if option_string is not None and self.dest in given:
+            raise argparse.ArgumentError(self, "it is given twice")
+        given.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
 class Parser(argparse.ArgumentParser):
     """Raises an `EngineError` for wrong options; argparse would print the whole usage.
 
     Options cannot be abbreviated: a new option must not change the meaning of an old abbreviation.
+    An option for one value cannot be given twice: argparse would silently drop the first.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, **options)
+        self.register("action", None, StoreOnce)  # argparse's default action
 
     def error(self, message: str) -> NoReturn:
         """Raise a ConfigError."""
+        message = message.removeprefix("argument ")
         raise ConfigError(f"{message[:1].upper()}{message[1:]}.", f"See {self.prog} --help.")
 
 

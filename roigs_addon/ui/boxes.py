@@ -8,6 +8,7 @@ from ..blender import layout_of, registration, scene_of
 from ..facts import point_counts
 from ..operators.boxes import AddRoi, LoadRois, RemoveRoi, SelectRoi
 from ..scene import lookup
+from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
 
@@ -54,8 +55,8 @@ def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.type
     if not points:
         show.wrong(layout, "Empty: it contains no points of the model")
         return
-    seen = "" if photos is None else f", seen in {photos:,} photos"
-    show.done(layout, f"{points:,} points{seen}")
+    seen = "" if photos is None else f", seen in {text.counted(photos, 'photo')}"
+    show.done(layout, f"{text.counted(points, 'point')}{seen}")
 
 
 class PlacePanel(SidebarPanel):
@@ -77,8 +78,8 @@ class PlacePanel(SidebarPanel):
         if roi is None:
             return
         layout.label(text=roi.name)
-        for name, text in (("location", "Centre"), ("scale", "Half Side")):
-            layout.column().prop(roi, name, text=text)
+        for name, label in (("location", "Centre"), ("scale", "Half Side")):
+            layout.column().prop(roi, name, text=label)
         turned = "rotation_quaternion" if roi.rotation_mode == "QUATERNION" else "rotation_euler"
         layout.column().prop(roi, turned, text="Rotation")
 

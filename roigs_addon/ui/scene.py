@@ -12,6 +12,7 @@ from ..jobs.spec import IMPORTING
 from ..operators.scene import ImportColmap, LookThrough
 from ..properties import scene_props
 from ..scene import lookup
+from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
 
@@ -35,7 +36,8 @@ class ScenePanel(SidebarPanel):
         cloud = lookup.points(scene)
         points = len(mesh_of(cloud).vertices) if cloud else 0
         project = Path(props.colmap).name
-        show.done(layout, f"{project}: {photo_names.count(scene):,} photos, {points:,} points")
+        photos = text.counted(photo_names.count(scene), "photo")
+        show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")
         row = layout.row(align=True)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.scene_warnings import few_photos, scene_warnings
@@ -81,7 +82,7 @@ def format_inspection(record: dict[str, Any]) -> str:
     sizes = [" x ".join(map(str, record[key])) for key in ("smallest", "largest")]
     size = " to ".join(dict.fromkeys(sizes)) + " pixels"
     lines = [
-        f"photos   {record['photos']}, {_many(record['cameras'], 'camera')}, {size}",
+        f"photos   {record['photos']}, {counted(record['cameras'], 'camera')}, {size}",
         f"points   {record['points']}, seen {record['observations']} times"
         + (f", {record['stray_points']} left out, far from all" if record["stray_points"] else ""),
         f"extent   {record['extent']:.4g} scene units",
@@ -95,15 +96,11 @@ def format_inspection(record: dict[str, Any]) -> str:
         sides = " x ".join(f"{side:.3g}" for side in roi["sides"])
         lines.append(f"Box '{roi['name']}', {sides}")
         lines.append(
-            f"         {_many(roi['points'], 'point')} inside, seen on "
-            f"{_many(roi['photos'], 'photo')}, covering {100 * roi['median_area']:.1f} % of one "
+            f"         {counted(roi['points'], 'point')} inside, seen on "
+            f"{counted(roi['photos'], 'photo')}, covering {100 * roi['median_area']:.1f} % of one "
             f"(median), from {roi['nearest']:.3g} to {roi['farthest']:.3g} away"
         )
         if roi["cameras_inside"]:
-            lines.append(f"         {_many(roi['cameras_inside'], 'camera')} inside the box")
+            lines.append(f"         {counted(roi['cameras_inside'], 'camera')} inside the box")
     lines += [f"warning: {text}" for text in record["warnings"]]
     return "\n".join(lines)
-
-
-def _many(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

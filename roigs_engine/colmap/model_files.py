@@ -75,7 +75,7 @@ def count_images(folder: Path) -> int:
                 number = int(struct.unpack("<Q", file.read(8))[0])
             return number if number * binary_files.SMALLEST_IMAGE <= path.stat().st_size else 0
         return sum(1 for _ in text_files.image_lines(path.read_bytes()))
-    except (OSError, struct.error):
+    except (OSError, ValueError, struct.error):
         return 0
 
 

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.rois import FAR
+from ..formats.text import counted
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
-from .model_files import count_images, model_suffix, read_model
+from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
 from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
-from .records import MAX_SIDE, NO_IDS, Model
+from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 
 
 def load_colmap(
@@ -89,7 +90,7 @@ def _report_left_out(scene: SfmScene, context: Context) -> None:
     for reason, names in scene.skipped.items():
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
         emit = context.info if reason == UNPOSED else context.warn
-        emit(f"Skipped {len(names)} photos, {reason}: {first}.")
+        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first}.")
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:
@@ -119,7 +120,7 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
         others = (f"{f.relative_to(path)}: {n}" for f, n in counts.items() if f != best)
         context.warn(
             f"{path} has {len(counts)} models; using {best.relative_to(path)} with"
-            f" {counts[best]} photos (others: {', '.join(others)})."
+            f" {counted(counts[best], 'photo')} (others: {', '.join(others)})."
         )
     return best
 
@@ -133,10 +134,12 @@ def _children(folder: Path) -> list[Path]:
 
 def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
     """The function from a photo's (width, height) to the requested ones."""
-    if downscale is not None and not 1 <= downscale < 1e6:
-        raise ConfigError(f"downscale is {downscale:g}.", "Use a number of at least 1.")
+    if downscale is not None and not 1 <= downscale <= MAX_DOWNSCALE:
+        raise ConfigError(
+            f"downscale is {downscale:g}.", f"Use a number from 1 to {MAX_DOWNSCALE:,}."
+        )
     if max_side is not None and not 1 <= max_side <= MAX_SIDE:
-        raise ConfigError(f"max_side is {max_side}.", f"Use 1 to {MAX_SIDE} pixels.")
+        raise ConfigError(f"max_side is {max_side}.", f"Use 1 to {MAX_SIDE:,} pixels.")
 
     def shrink(width: int, height: int) -> tuple[int, int]:
         scale = 1 / (downscale or 1)
@@ -151,14 +154,23 @@ def _points(
     model: Model, folder: Path, context: Context
 ) -> tuple[Int64, Float64, NDArray[np.uint8]]:
     """Ids (ascending), positions and colours of the points with valid numbers."""
-    good = (np.abs(model.points) < FAR).all(axis=1) & (model.point_ids >= 0)  # False for NaN
-    if not good.any():
+    placed = (np.abs(model.points) < FAR).all(axis=1)  # False for NaN
+    numbered = model.point_ids >= 0
+    good = placed & numbered
+    counts = ((~placed, "without a valid position"), (~numbered, "with a negative id"))
+    reasons = ", ".join(f"{wrong.sum():,} {why}" for wrong, why in counts if wrong.any())
+    if not len(good):
         raise SceneError(
             f"The model in {folder} has no 3D points.",
             "Export the sparse point cloud with the model: training starts from it.",
         )
+    if not good.any():
+        raise SceneError(
+            f"None of the {counted(len(good), '3D point')} in {folder} can be used ({reasons}).",
+            HINT_DAMAGED,
+        )
     if not good.all():
-        context.warn(f"Skipped {int((~good).sum())} 3D points without a valid position.")
+        context.warn(f"Skipped {counted(int((~good).sum()), '3D point')}: {reasons}.")
     ids, rows = np.unique(model.point_ids[good], return_index=True)
     return ids, model.points[good][rows], model.colors[good][rows]
 
@@ -195,6 +207,6 @@ def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]])
     counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
     first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
     return SceneError(
-        f"None of the model's {len(model.images)} photos can be used ({counts}).",
+        f"The model's photos cannot be used ({counts}).",
         f"Looked in {photos.folder} for {first}: give the photos' folder with --images.",
     )

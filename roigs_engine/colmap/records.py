@@ -39,6 +39,7 @@ ONE_FOCAL = {
     *("SIMPLE_FISHEYE", "RADIAL", "RADIAL_FISHEYE"),
 }
 MAX_SIDE = 1 << 20  # pixels; a larger camera means a damaged file
+MAX_DOWNSCALE = 1_000_000
 NO_IDS = np.empty(0, dtype=np.int64)
 
 Points = tuple[Int64, Float64, NDArray[np.uint8], Int64, Int64]

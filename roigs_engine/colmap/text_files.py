@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..context import Context
+from ..formats.text import decode_text
 from ..model.scene import Int64
 from .records import ModelCamera, ModelImage, Points, checked_camera, checked_image
 
@@ -16,7 +17,7 @@ T = TypeVar("T")
 
 def _lines(data: bytes) -> list[str]:
     """All lines, stripped, without comments. Blank lines stay: in images.txt they have meaning."""
-    text = data.decode("utf-8-sig", errors="replace")
+    text = decode_text(data, replace=True)
     stripped = (line.strip() for line in text.split("\n"))
     return [line for line in stripped if not line.startswith("#")]
 

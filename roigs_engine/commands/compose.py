@@ -6,8 +6,10 @@ import argparse
 from pathlib import Path
 
 from ..errors import RoiError
+from ..formats.text import counted
 from .console import Console
 from .options import add_roi_options, boxes
+from .values import NAME, PATH, named_file
 
 HELP = "replace a scene's Gaussians in the boxes by those of object models"
 EXAMPLES = """\
@@ -16,16 +18,17 @@ EXAMPLES = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("scene_ply", type=Path, help="PLY of the whole scene")
+    parser.add_argument("scene_ply", type=PATH, help="PLY of the whole scene")
     add_roi_options(parser)
     parser.add_argument(
         "--object",
         action="append",
         required=True,
+        type=NAME,
         metavar="ROI=FILE.ply",
         help="PLY whose Gaussians in the box replace the scene's; repeatable",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="PLY to write")
+    parser.add_argument("--out", type=PATH, required=True, metavar="FILE", help="PLY to write")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -36,15 +39,15 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     by_name = {roi.name: roi for roi in boxes(args)}
     objects: dict[str, Path] = {}
     for text in args.object:
-        name, _, path = text.partition("=")
+        name, path = named_file("--object", text, "ROI=FILE.ply")
         if name not in by_name:
             raise RoiError(
                 f"--object {text} does not name a box.",
-                f"Write ROI=FILE; the boxes are: {', '.join(by_name)}.",
+                f"Write ROI=FILE.ply; the boxes are: {', '.join(by_name)}.",
             )
         if name in objects:
             raise RoiError(f"--object names '{name}' twice.", "Give one file for each box.")
-        objects[name] = Path(path)
+        objects[name] = path
     scene, frame = Gaussians.load_framed(args.scene_ply, scaled=False)
     pairs = [
         (frame.box(by_name[name]), Gaussians.load_ply(path, frame))
@@ -52,5 +55,5 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     ]
     composed = merge(scene, pairs)
     composed.save_ply(args.out, frame)
-    console.print(f"{len(composed):,} Gaussians in {args.out}")
+    console.print(f"{counted(len(composed), 'Gaussian')} in {args.out}")
     return {"result": str(args.out)}

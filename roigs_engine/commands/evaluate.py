@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import ConfigError
@@ -17,6 +18,7 @@ from .options import (
     context_on_device,
     load_scene,
 )
+from .values import NAME, PATH, integer, named_file
 
 HELP = "compare PLYs on test photos, in each box and on the whole image"
 EXAMPLES = """\
@@ -34,19 +36,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         action="append",
         required=True,
+        type=NAME,
         metavar="NAME=FILE.ply",
         help="a row of the table; gains are relative to the first one; repeatable",
     )
     tests = parser.add_mutually_exclusive_group()
-    tests.add_argument("--split", type=Path, metavar="FILE", help="split.json of a run")
+    tests.add_argument("--split", type=PATH, metavar="FILE", help="split.json of a run")
     tests.add_argument(
         "--test-every",
-        type=int,
+        type=integer(2),
         default=8,
         metavar="N",
-        help="test on every n-th photo that sees a box (default: 8)",
+        help="test on every N-th photo that sees a box (default: 8)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -61,6 +64,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..model.local_frame import LocalFrame
     from ..selection.split import choose_test_views
 
+    files = _model_files(args.model)
     rois, scene = boxes(args), load_scene(args, console, own_folder(args.out, CACHE))
     test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
     unknown = sorted(set(test) - {image.name for image in scene.images})
@@ -71,12 +75,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         )
     frame = LocalFrame.of_scene(scene)
     scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
-    context, models = context_on_device(args, console), []
-    for text in args.model:
-        name, separator, path = text.partition("=")
-        if not separator:
-            raise ConfigError(f"--model {text} has no name.", "Write NAME=FILE.ply.")
-        loaded = Gaussians.load_ply(Path(path), frame).to(torch.device(context.device))
+    context = context_on_device(args, console)
+    models: list[EvaluatedModel] = []
+    for name, path in files.items():
+        loaded = Gaussians.load_ply(path, frame).to(torch.device(context.device))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
         models,
@@ -92,8 +94,19 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     return {"report": str(args.out / "report.md"), "pictures": str(args.out / "crops")}
 
 
+def _model_files(texts: Sequence[str]) -> dict[str, Path]:
+    """Name -> PLY of the options `--model`."""
+    files: dict[str, Path] = {}
+    for text in texts:
+        name, path = named_file("--model", text, "NAME=FILE.ply")
+        if name in files:
+            raise ConfigError(f"--model names '{name}' twice.", "Give each model its own name.")
+        files[name] = path
+    return files
+
+
 def _split(path: Path) -> list[str]:
-    record = read_json(path)
+    record = read_json(path, ConfigError, "Use a run's split.json.")
     names = record.get("test") if isinstance(record, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"{path} has no list 'test' of photo names.", "Use a run's split.json.")

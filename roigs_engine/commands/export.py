@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from ..formats.text import counted
 from .console import Console
 from .options import add_scene_options, load_scene
+from .values import PATH
 
 HELP = "write the cameras and points of a COLMAP model as JSON and NumPy files"
 EXAMPLES = """\
@@ -17,7 +18,7 @@ EXAMPLES = """\
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -26,5 +27,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     scene = load_scene(args, console)
     outputs = write_export(scene, args.out)
-    console.print(f"{len(scene.images)} cameras and {len(scene.points):,} points in {args.out}")
+    cameras, points = counted(len(scene.images), "camera"), counted(len(scene.points), "point")
+    console.print(f"{cameras} and {points} in {args.out}")
     return outputs

@@ -7,46 +7,79 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..colmap.records import MAX_DOWNSCALE, MAX_SIDE
 from ..context import Context
-from ..errors import ConfigError, RoiError
+from ..errors import RoiError
 from ..formats.names import first_taken
 from ..model.roi import OrientedBox, load_rois, parse_roi
 from ..model.scene import SfmScene
-from ..run.config import INITS, ORDERS, STRATEGIES, RunConfig
+from ..run.config import INITS, MAX_FACTOR, ORDERS, STRATEGIES, RunConfig
 from ..run.presets import PRESETS, in_strategy, preset
 from ..selection import METHODS
+from ..selection.config import MAX_SEED
 from .console import Console
+from .values import NAME, PATH, Number, integer
+
+MAX_THREADS = 1024
+TEST_EVERY = integer(2, zero=True)
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """The scene, and the size of its photos."""
     parser.add_argument(
         "scene",
-        type=Path,
+        type=PATH,
         help="folder with a COLMAP model (sparse/0, sparse, or the model itself), or an options"
         " file (JSON) whose keys are the long names of these options",
     )
-    group = parser.add_argument_group("scene")
-    group.add_argument("--images", type=Path, help="folder of the photos (default: found)")
+    add_size_options(parser.add_argument_group("scene"))
+
+
+def add_size_options(group: argparse._ArgumentGroup) -> None:
+    """The photos' folder and size, and the threads."""
+    group.add_argument(
+        "--images", type=PATH, metavar="DIR", help="folder of the photos (default: found)"
+    )
     size = group.add_mutually_exclusive_group()
-    size.add_argument("--downscale", type=float, metavar="N", help="divide the photos' size by N")
-    size.add_argument("--max-side", type=int, metavar="PX", help="limit the photos' longest side")
-    group.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
+    size.add_argument(
+        "--downscale",
+        type=Number(low=1, high=MAX_DOWNSCALE),
+        metavar="N",
+        help="divide the photos' size by N",
+    )
+    size.add_argument(
+        "--max-side",
+        type=integer(1, MAX_SIDE),
+        metavar="PX",
+        help="limit the photos' longest side to PX pixels",
+    )
+    group.add_argument(
+        "--threads",
+        type=integer(1, MAX_THREADS),
+        metavar="N",
+        help="CPU threads (default: as many as there are cores)",
+    )
 
 
 def add_roi_options(parser: argparse.ArgumentParser) -> None:
     """The boxes."""
     group = parser.add_argument_group("boxes")
-    group.add_argument("--rois", type=Path, metavar="FILE", help="rois.json with the boxes")
+    group.add_argument("--rois", type=PATH, metavar="FILE", help="rois.json with the boxes")
     group.add_argument(
         "--roi",
+        type=NAME,
         action="append",
         default=[],
         metavar="NAME=x0,y0,z0,x1,y1,z1",
         help="one box by its corners in the COLMAP frame; repeatable",
     )
     group.add_argument(
-        "--only", action="append", default=[], metavar="NAME", help="use only the box of this name"
+        "--only",
+        type=NAME,
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="use only the box of this name; repeatable",
     )
 
 
@@ -54,13 +87,20 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     """The selection of photos."""
     group = parser.add_argument_group("selection")
     group.add_argument("--method", choices=METHODS, help="how photos are selected")
-    group.add_argument("--count", type=int, metavar="K", help="photos to select per box")
-    group.add_argument("--seed", type=int, help="seed of everything random (default 0)")
+    group.add_argument(
+        "--count", type=integer(1), metavar="K", help="number of photos to select for each box"
+    )
+    group.add_argument(
+        "--seed",
+        type=integer(0, MAX_SEED),
+        metavar="N",
+        help="seed of all random numbers (default: 0)",
+    )
     group.add_argument(
         "--test-every",
-        type=int,
+        type=TEST_EVERY,
         metavar="N",
-        help="make every n-th photo that sees a box a test photo; 0: none",
+        help="make every N-th photo that sees a box a test photo; 0: none",
     )
 
 
@@ -70,16 +110,26 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--preset", choices=sorted(PRESETS), default="draft", help="settings (default: draft)"
     )
-    group.add_argument("--strategy", choices=STRATEGIES, help="one joint stage, or one per box")
     group.add_argument(
-        "--steps-factor", type=float, metavar="F", help="multiply the steps of both stages"
+        "--strategy", choices=STRATEGIES, help="one joint stage for all boxes, or one for each box"
     )
     group.add_argument(
-        "--kept-share", type=float, metavar="S", help="share of selected photos Scene-GS uses too"
+        "--steps-factor",
+        type=Number(low=0, high=MAX_FACTOR, above=True),
+        metavar="F",
+        help="multiply the steps of both stages by F",
+    )
+    group.add_argument(
+        "--kept-share",
+        type=Number(low=0, high=1),
+        metavar="S",
+        help="share of the selected photos, 0 to 1, that the Scene-GS is trained on too",
     )
     group.add_argument("--roi-init", choices=INITS, help="what the box stage starts from")
     group.add_argument("--roi-order", choices=ORDERS, help="order of the selected photos")
-    group.add_argument("--sh-degree", type=int, choices=range(4), help="highest SH degree")
+    group.add_argument(
+        "--sh-degree", type=integer(0, 3), metavar="N", help="highest SH degree, 0 to 3"
+    )
 
 
 def add_device_option(parser: argparse.ArgumentParser) -> None:
@@ -172,8 +222,6 @@ def run_config(args: argparse.Namespace) -> RunConfig:
         config = config.scaled(args.steps_factor)
     given = given_options(args, "kept_share", "roi_init", "roi_order", "test_every", "seed")
     selection = selection_options(args)
-    if args.test_every is not None and args.test_every < 2 and args.test_every != 0:
-        raise ConfigError(f"--test-every is {args.test_every}.", "Use 2 or more, or 0 for none.")
     config = replace(config, **given, selection=replace(config.selection, **selection))
     if args.sh_degree is not None:
         config = replace(

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..formats.files import read_json
+from .values import NAME, Name, Number, shown
 
 NOT_KEYS = {"help", "events"}  # options that an options file must not set
 
@@ -22,13 +23,12 @@ def with_options_file(
     """If the scene is an options file, use its values as defaults; the command line wins.
 
     Raises:
-        ConfigError: a key is unknown, or a value does not fit its option.
-        RunFolderError: the file cannot be read.
+        ConfigError: the file cannot be read, a key is unknown, or a value does not fit its option.
     """
     path = getattr(args, "scene", None)
     if not isinstance(path, Path) or path.suffix.lower() != ".json" or args.command == "render":
         return args
-    record = read_json(path)
+    record = read_json(path, ConfigError, "docs/files.md describes options files.")
     if not isinstance(record, dict) or not isinstance(record.get("scene"), str):
         raise ConfigError(
             f"The options file {path} has no scene.", 'Add the key "scene": "FOLDER".'
@@ -70,37 +70,16 @@ def _typed(option: argparse.Action, value: Any, where: str) -> Any:
 
 def _one(option: argparse.Action, value: Any, where: str) -> Any:
     """One value of an option: an integer, a number, a string, or true or false."""
-    fits, kind = False, option.type or str
-    if option.nargs == 0:
-        fits, kind = isinstance(value, bool), bool
-    elif kind in (int, float):
-        # Some programs write the integer 640 as 640.0.
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        fits = number and (kind is float or value == value // 1)
-    else:
-        fits = isinstance(value, str) and "\0" not in value
     try:
-        typed = kind(value) if fits and callable(kind) else None
-    except (OverflowError, ValueError):
-        typed = None
-    if typed is None:
-        raise ConfigError(f"{where} is {_short(value)}.", f"Use {_expected(option, kind)}.")
-    if option.choices is not None and typed not in option.choices:
+        if option.nargs == 0:
+            if not isinstance(value, bool):
+                raise argparse.ArgumentTypeError(f"{shown(value)} is not true or false")
+            return value
+        typed = option.type if isinstance(option.type, (Number, Name)) else NAME
+        found = typed.of_json(value)
+    except argparse.ArgumentTypeError as error:
+        raise ConfigError(f"{where}: {error}.", f"See --help for '{option.dest}'.") from error
+    if option.choices is not None and found not in option.choices:
         allowed = ", ".join(str(choice) for choice in option.choices)
-        raise ConfigError(f"{where} is {_short(value)}.", f"Use one of {allowed}.")
-    return typed
-
-
-def _expected(option: argparse.Action, kind: Any) -> str:
-    """The kind of value that an option takes, for a message."""
-    if option.nargs == 0:
-        return "true or false"
-    return {int: "an integer", float: "a number"}.get(kind, "a string")
-
-
-def _short(value: Any) -> str:
-    """The value for a message."""
-    try:
-        return f"{value!r:.60}"
-    except ValueError:  # an integer of thousands of digits
-        return "a number of thousands of digits"
+        raise ConfigError(f"{where} is {shown(value)}.", f"Use one of {allowed}.")
+    return found

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from ..errors import ConfigError
 from .console import Console
-from .options import add_device_option, context_on_device
+from .options import add_device_option, add_size_options, context_on_device
+from .values import NAME, PATH
 
 HELP = "render a PLY from COLMAP cameras or along a camera path"
 EXAMPLES = """\
@@ -17,17 +17,20 @@ EXAMPLES = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("ply", type=Path, help="the Gaussians to render")
+    parser.add_argument("ply", type=PATH, help="the Gaussians to render")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", type=Path, help="COLMAP model whose cameras are used")
-    source.add_argument("--path", type=Path, metavar="FILE", help="camera path (docs/files.md)")
-    parser.add_argument("--images", type=Path, help="folder of the photos (default: found)")
-    parser.add_argument("--name", action="append", default=[], help="only these photos; repeatable")
-    parser.add_argument("--downscale", type=float, metavar="N", help="divide the size by N")
-    parser.add_argument("--max-side", type=int, metavar="PX", help="limit the longest side")
-    parser.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
+    source.add_argument("--scene", type=PATH, help="COLMAP model whose cameras are used")
+    source.add_argument("--path", type=PATH, metavar="FILE", help="camera path (docs/files.md)")
+    parser.add_argument(
+        "--name",
+        type=NAME,
+        action="append",
+        default=[],
+        help="render only the camera of this name; repeatable",
+    )
+    add_size_options(parser.add_argument_group("scene"))
     add_device_option(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of PNGs")
+    parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder of PNGs")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 from ..formats.files import write_json
 from ..selection import SelectionConfig, format_selection, select_cameras
@@ -17,6 +16,7 @@ from .options import (
     load_scene,
     selection_options,
 )
+from .values import PATH
 
 HELP = "choose the photos that show each box best"
 EXAMPLES = """\
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_options(parser)
     add_roi_options(parser)
     add_selection_options(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write ROI.json files there")
+    parser.add_argument("--out", type=PATH, metavar="DIR", help="write ROI.json files there")
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..context import Context
-from ..errors import ConfigError
 from ..formats import run_files
 from ..formats.files import refuse_linked_folders, remove_leftovers
 from ..formats.lock import locked
@@ -28,10 +25,13 @@ from .options import (
     load_scene,
     run_config,
 )
+from .values import PATH, Number
 
 if TYPE_CHECKING:
     from ..run.definition import Run
 
+MAX_SECONDS = 1e9
+MAX_MEGABYTES = 1e9
 HELP = "train the scene and its boxes to one PLY"
 EXAMPLES = """\
   python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/garden
@@ -47,11 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_training_options(parser)
     add_device_option(parser)
     parser.add_argument(
-        "--run-dir", type=Path, required=True, metavar="DIR", help="folder of the run"
+        "--run-dir", type=PATH, required=True, metavar="DIR", help="folder of the run"
     )
     parser.add_argument(
         "--selection",
-        type=Path,
+        type=PATH,
         metavar="DIR",
         help="folder of ROI.json files with the photos of each box, as `select --out` writes them;"
         " --method selects the photos of boxes without a file",
@@ -69,14 +69,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--preview-seconds",
-        type=float,
+        type=Number(low=0, high=MAX_SECONDS),
         default=0.0,
         metavar="S",
         help="write the current Gaussians to preview.ply every S seconds of training",
     )
     parser.add_argument(
         "--image-cache",
-        type=float,
+        type=Number(low=0, high=MAX_MEGABYTES),
         metavar="MB",
         help="megabytes of decoded photos to keep in memory (default: a quarter of the memory)",
     )
@@ -144,13 +144,9 @@ def show_plan(
 
 
 def _inputs(args: argparse.Namespace) -> dict[str, Any]:
-    """Boxes, settings and manual photos for `define_run`; checks the other options too."""
+    """Boxes, settings and manual photos for `define_run`."""
     rois, config = boxes(args), run_config(args)
     manual = load_manual(args.selection, rois) if args.selection else {}
-    if not 0 <= args.preview_seconds < math.inf:
-        raise ConfigError(f"--preview-seconds is {args.preview_seconds}.", "Use 0 or more.")
-    if args.image_cache is not None and not 0 <= args.image_cache < math.inf:
-        raise ConfigError(f"--image-cache is {args.image_cache}.", "Use 0 or more megabytes.")
     return {"rois": rois, "config": config, "manual": manual}
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..formats.files import write_json, write_text
 from ..formats.run_files import REPORT, REPORT_DATA
+from ..formats.text import counted
 from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores
 
 NONE = "–"  # a cell without a number
@@ -88,8 +89,9 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     if not views:
         return ["No test photo shows this box, so it has no numbers."]
     notes = [
-        f"ROI: the silhouette of the box on {len(views)} of {len(evaluation.test_views)} test "
-        f"photos ({_span([view.silhouette_pixels for view in views])} pixels)."
+        f"ROI: the silhouette of the box on {len(views)} of "
+        f"{counted(len(evaluation.test_views), 'test photo')} "
+        f"({_span([view.silhouette_pixels for view in views])} pixels)."
         + (f" Skipped photos, with fewer than {MIN_SILHOUETTE} pixels: {len(scores.left_out)}."
            if scores.left_out else "")
     ]  # fmt: skip
@@ -99,7 +101,7 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     if large:
         skipped = f"; {few} with fewer than {MIN_OBJECT} skipped in this column" if few else ""
         notes.append(
-            f"Object: {mask}, the same for every row, on {len(large)} photos "
+            f"Object: {mask}, the same for every row, on {counted(len(large), 'photo')} "
             f"({_span(large)} pixels{skipped})."
         )
     else:

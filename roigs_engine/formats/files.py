@@ -23,8 +23,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
-from ..errors import RunFolderError
+from ..errors import EngineError, RunFolderError
 from . import os_lock
+from .text import parse_json
+
+UNREADABLE = "Check that the file exists and that you may read it."
+DAMAGED = "Write the file again, or choose another."
 
 # What `atomic_write` calls its temporary files: the process, and a number of its own.
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.part")
@@ -239,15 +243,20 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
     write_text(path, json.dumps(value, indent=1, ensure_ascii=False) + "\n", durable=durable)
 
 
-def read_json(path: Path) -> Any:
-    """The JSON value in `path`.
+def read_json(path: Path, kind: type[EngineError] = RunFolderError, hint: str = DAMAGED) -> Any:
+    """The JSON value in `path`: UTF-8, with or without a byte order mark.
+
+    Args:
+        path: the file.
+        kind: the error to raise.
+        hint: what to do about a file that is not JSON.
 
     Raises:
-        RunFolderError: the file is missing, unreadable or not JSON.
+        EngineError: of that `kind`: the file is missing, unreadable or not JSON.
     """
     try:
-        return json.loads(read_bytes(path).decode("utf-8"))
+        return parse_json(read_bytes(path))
     except OSError as error:
-        raise RunFolderError(f"Cannot read {path} ({error.strerror}).") from error
-    except (ValueError, RecursionError) as error:
-        raise RunFolderError(f"{path} is not JSON ({error}).") from error
+        raise kind(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    except ValueError as error:
+        raise kind(f"{path} is not JSON ({error}).", hint) from error

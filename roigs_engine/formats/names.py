@@ -8,13 +8,16 @@ import unicodedata
 from collections.abc import Iterable
 
 MAX_NAME = 100  # characters; leaves room for what is added to it
+MAX_BYTES = 160  # of `safe_name`; file systems allow 255
 # These names open devices on Windows, with any extension.
 DEVICES = {
     "con",
     "prn",
     "aux",
     "nul",
-    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
+    "conin$",
+    "conout$",
+    *(f"{port}{digit}" for port in ("com", "lpt") for digit in "0123456789¹²³"),
 }
 
 
@@ -24,7 +27,7 @@ def safe_name(name: str) -> str:
     A name that had to be changed gets a short checksum, so that two names stay two files.
     """
     clean = re.sub(r"[^\w\-. ]+", "_", name).strip(" .")
-    clean = clean[:80].rstrip(" .") or "unnamed"
+    clean = clean[:80].encode()[:MAX_BYTES].decode(errors="ignore").rstrip(" .") or "unnamed"
     if clean == name and not _is_device(name):
         return clean
     clean = f"_{clean}" if _is_device(clean) else clean

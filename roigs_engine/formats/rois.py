@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
-from .files import read_bytes
+from .files import read_json
 from .names import MAX_NAME, first_taken, is_file_name
+from .poses import is_mirrored, rigid_flaw
 
 Float64 = NDArray[np.float64]
-FORM_HINT = "Give 'min' and 'max' with three numbers each, or 'world_to_box' and 'half_extents'."
-FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 NAME_HINT = (
     f"Rename the box: at most {MAX_NAME} letters, digits, spaces, - and _; no space or dot at the"
     " ends, and no name that Windows reserves (NUL, CON, COM1)."
 )
 FORM_HINT = "Give 'min' and 'max' with 3 numbers each, or 'world_to_box' and 'half_extents'."
+FILE_HINT = 'Give --rois a JSON file with a list "rois" of {"name", "min", "max"}.'
 FAR = 1e15  # world units; larger coordinates come from damaged files and overflow in float32
 
 
@@ -76,7 +76,16 @@ def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
     """Raise RoiError where the numbers are not a box's."""
     numbers = np.concatenate([world_to_box.ravel(), half_extents])
     if not (np.abs(numbers) < FAR).all():  # catches NaN too
-        raise RoiError(f"Box '{name}' has a number that is NaN, Inf or too large.")
+        raise RoiError(
+            f"Box '{name}' has a number that is NaN, Inf or too large.",
+            f"Use numbers below {FAR:g}, in the frame of the COLMAP model.",
+        )
+    flaw = rigid_flaw(world_to_box)
+    if flaw:
+        raise RoiError(
+            f"Box '{name}': world_to_box is not a rotation and a translation: {flaw}.",
+            "Put the box's size into half_extents, and the translation into the last column.",
+        )
     if not (half_extents > 0).all():
         sides = " x ".join(f"{2 * side:g}" for side in half_extents)
         raise RoiError(
@@ -88,31 +97,30 @@ def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
 def roi_record(record: Any) -> RoiRecord:
     """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
 
+    A mirrored `world_to_box` is the same volume as with its first axis reversed, and becomes that.
+
     Raises:
-        RoiError: a key is missing or a value has the wrong shape.
+        RoiError: a key is missing, a value has the wrong shape, or the matrix is not rigid.
     """
     if not isinstance(record, dict) or not isinstance(record.get("name"), str):
-        raise RoiError("A box must be an object with a 'name' and 'min'/'max' corners.")
+        raise RoiError("A box must be an object with a 'name' and 'min'/'max' corners.", FORM_HINT)
     name = check_roi_name(record["name"])
+    if "min" in record and "world_to_box" in record:
+        raise RoiError(f"Box '{name}' has both 'min' and 'world_to_box'.", FORM_HINT)
     try:
         if "min" in record:
             low = np.asarray(record["min"], dtype=float).reshape(3)
             high = np.asarray(record["max"], dtype=float).reshape(3)
             return RoiRecord.between(name, low, high)
-        transform = np.asarray(record["world_to_box"], dtype=float).reshape(4, 4)
+        transform = np.array(record["world_to_box"], dtype=float).reshape(4, 4)
         half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
     except KeyError as error:
         raise RoiError(f"Box '{name}' has no {error}.", FORM_HINT) from error
     except (ValueError, TypeError, OverflowError) as error:
         raise RoiError(f"Box '{name}' has corners or sides of a wrong shape.", FORM_HINT) from error
-    rotation = transform[:3, :3]
-    with np.errstate(all="ignore"):
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
-    if not rigid:
-        raise RoiError(
-            f"Box '{name}': world_to_box is not a rotation and a translation.",
-            "Put the box's size into half_extents.",
-        )
+    with np.errstate(all="ignore"):  # a matrix of huge numbers is refused as it is
+        if is_mirrored(transform):
+            transform[0] *= -1
     return RoiRecord(name=name, world_to_box=transform, half_extents=half_extents)
 
 
@@ -122,16 +130,14 @@ def read_rois(path: Path) -> list[RoiRecord]:
     Raises:
         RoiError: the file is unreadable, holds no box, or two boxes share a name.
     """
-    try:
-        document = json.loads(read_bytes(path).decode("utf-8"))
-    except OSError as error:
-        raise RoiError(f"Cannot read {path} ({error.strerror}).", "Give --rois a file.") from error
-    except (ValueError, RecursionError) as error:
-        raise RoiError(f"{path} is not JSON ({error}).") from error
+    document = read_json(path, RoiError, FILE_HINT)
     records = document.get("rois") if isinstance(document, dict) else document
     if not isinstance(records, list) or not records:
-        raise RoiError(f"{path} holds no box.", 'It needs a list "rois" of {"name", "min", "max"}.')
-    rois = [roi_record(record) for record in records]
+        raise RoiError(f"{path} holds no box.", FILE_HINT)
+    try:
+        rois = [roi_record(record) for record in records]
+    except RoiError as error:
+        raise RoiError(f"{path}: {error.message}", error.hint) from error
     taken = first_taken(roi.name for roi in rois)
     if taken is not None:
         raise RoiError(f"Two boxes in {path} are named '{taken}'.", "Give each its own name.")

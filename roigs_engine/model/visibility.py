@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import RoiError
+from ..formats.text import counted
 from .roi import OrientedBox
 from .scene import Float64, Int64, PosedImage, SfmScene
 
@@ -107,8 +108,8 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
         raise _empty_box(scene, roi)
     if not found.images:
         raise RoiError(
-            f"No photo sees any of the {len(found.points)} points in box '{roi.name}'"
-            f" ({len(scene.images)} photos searched).",
+            f"No photo sees any of the points in box '{roi.name}'"
+            f" ({counted(len(found.points), 'point')}, {counted(len(scene.images), 'photo')}).",
             "Use fewer test photos, or move or enlarge the box.",
         )
     return found

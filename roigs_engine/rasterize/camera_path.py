@@ -10,7 +10,6 @@ UTF-8 JSON, with OpenCV axes, pixels and world units (docs/conventions.md):
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError
-from ..formats.files import read_bytes
-from ..formats.names import safe_name
+from ..formats.files import read_json
+from ..formats.names import first_taken, safe_name
+from ..formats.poses import rigid_flaw
 from ..model.scene import Camera, Float64
 
 CameraPath = Sequence[tuple[str, Camera, Float64]]
@@ -34,12 +34,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
         ConfigError: the file is unreadable or malformed; the message names the camera.
     """
     hint = "docs/files.md describes camera path files."
-    try:
-        document = json.loads(read_bytes(path).decode("utf-8"))
-    except OSError as error:
-        raise ConfigError(f"Cannot read {path} ({error.strerror}).") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is not JSON ({error}).", hint) from error
+    document = read_json(path, ConfigError, hint)
     records = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(records, list) or not records:
         raise ConfigError(f"{path} has no list 'cameras'.", hint)
@@ -51,10 +46,9 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
             raise ConfigError(f"{path}: camera {index} has no {error}.", hint) from error
         except (TypeError, ValueError, OverflowError) as error:
             raise ConfigError(f"{path}: camera {index} is malformed ({error}).", hint) from error
-    names = [safe_name(name).casefold() for name, _, _ in cameras]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f"{path}: two cameras are named '{name}'.", "Give each its own name.")
+    taken = first_taken(safe_name(name) for name, _, _ in cameras)
+    if taken is not None:
+        raise ConfigError(f"{path}: two cameras are named '{taken}'.", "Give each its own name.")
     return cameras
 
 
@@ -74,9 +68,8 @@ def _camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
     pose = np.array(record["world_to_camera"], dtype=float)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("world_to_camera must be 4 x 4 finite numbers")
-    rotation = pose[:3, :3]
-    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-    if not (rigid and np.linalg.det(rotation) > 0 and np.allclose(pose[3], (0, 0, 0, 1))):
-        raise ValueError("world_to_camera must be a rotation and a translation")
+    flaw = rigid_flaw(pose)
+    if flaw:
+        raise ValueError(f"world_to_camera must be a rotation and a translation, but {flaw}")
     camera = Camera(width=sides[0], height=sides[1], fx=fx, fy=fy, cx=cx, cy=cy)
     return name, camera, pose

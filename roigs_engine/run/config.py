@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..errors import ConfigError
-from ..selection.config import SelectionConfig
+from ..selection.config import MAX_SEED, SelectionConfig
 from ..training.config import TrainConfig, with_steps
 
 STRATEGIES = ("joint", "independent")
@@ -84,8 +84,10 @@ class RunConfig:
             raise ConfigError(
                 f"scene_scale is {self.scene_scale:g}.", "Use a number above 0, at most 1."
             )
-        if not 0 <= self.seed < 1 << 32:
-            raise ConfigError(f"The seed is {self.seed}.", "Use a number from 0 to 4294967295.")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ConfigError(
+                f"The seed is {self.seed}.", f"Use an integer from 0 to {MAX_SEED:,}."
+            )
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
                 "roi_init 'box' drops the background, which the strategy `joint` needs.",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from ..context import QUIET, Context
 from ..formats.run_files import MANIFEST
+from ..formats.text import counted
 from ..kernels import library
 from .definition import Run
 from .estimate import Estimator, StageEstimate, evaluation_seconds
@@ -65,13 +66,13 @@ def _head(run: Run, plan: Plan) -> list[str]:
     config, count = run.config, len(run.scene.images)
     lines = [
         f"Plan of {run.folder}: preset {config.preset}, {config.strategy}, seed {config.seed}",
-        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} test photos",
+        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} to test on",
     ]
     for folder, selections in plan.selections.items():
         where = f" ({folder})" if folder else ""
         lines += [
-            f"Box '{s.roi}'{where}: {len(s.names)} of {len(s.candidates)} photos that see it"
-            f" selected by {s.method}"
+            f"Box '{s.roi}'{where}: {counted(len(s.names), 'photo')} selected by {s.method}, of"
+            f" {counted(len(s.candidates), 'candidate')}"
             for s in selections
         ]
     return lines

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from ..context import QUIET, Context
@@ -20,6 +20,7 @@ from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import sha256
 from ..formats.lock import check_held
+from ..formats.text import counted
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..training.callbacks import PeriodicCallback
@@ -31,6 +32,7 @@ from ..training.checkpoint import (
     save_checkpoint,
 )
 from ..training.config import TrainConfig
+from ..training.state import check_state
 from ..training.trainer import StageData, Trainer
 from .archive import archive, archive_damaged, restore
 from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record
@@ -123,7 +125,7 @@ class StageFolder:
             self._archive_damaged(error, context)
             return None
         remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
-        context.info(f"{self.name}: already finished, {result.count} Gaussians.")
+        context.info(f"{self.name}: already finished, {counted(result.count, 'Gaussian')}.")
         return result
 
     def _usable_record(self, context: Context) -> StageRecord | None:
@@ -227,7 +229,8 @@ class StageFolder:
         """A trainer at step 0, or at the step of the checkpoint."""
         if not checkpoint_exists(self._checkpoint):
             return Trainer(start(), data, config)
-        state = load_checkpoint(self._checkpoint, self.fingerprint, context)
+        check = partial(check_state, config=config)
+        state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
         trainer = Trainer(Gaussians(**state["parameters"]), data, config)
         trainer.load_state_dict(state)
         context.info(f"{self.name}: resumes at step {trainer.step}.")

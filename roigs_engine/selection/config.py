@@ -11,6 +11,7 @@ METHODS = ("static", "gp6", "gp9", "greedy", "coverage", "fvs", "random")
 # The paper selects 150 of 314 candidates (sec. III-A); small scenes use the same share.
 PAPER_COUNT = 150
 PAPER_SHARE = 0.48
+MAX_SEED = (1 << 32) - 1  # what numpy takes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +39,9 @@ class SelectionConfig:
             raise ConfigError(f"Cannot select {self.count} photos.", "Set count to 1 or more.")
         if not 0 < self.share <= 1:
             raise ConfigError(f"The share to select is {self.share:g}.", "Use above 0, up to 1.")
-        if not 0 <= self.seed < 1 << 32:
+        if not 0 <= self.seed <= MAX_SEED:
             raise ConfigError(
-                f"The selection's seed is {self.seed}.", "Use a number from 0 to 4294967295."
+                f"The selection's seed is {self.seed}.", f"Use an integer from 0 to {MAX_SEED:,}."
             )
 
     def resolved_count(self, candidates: int) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
+from ..formats.text import counted
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 
@@ -39,8 +40,8 @@ class StaticFeatures:
             return ()
         more = f" and {len(names) - INSIDE_NAMED} more" if len(names) > INSIDE_NAMED else ""
         return (
-            f"{len(names)} cameras are inside box '{candidates.roi.name}'"
-            f" ({', '.join(names[:INSIDE_NAMED])}{more}): the box is taken to fill their images.",
+            f"Box '{candidates.roi.name}' contains {counted(len(names), 'camera')}"
+            f" ({', '.join(names[:INSIDE_NAMED])}{more}), whose images it is taken to fill.",
         )
 
     def to_dict(self, candidates: Candidates) -> dict[str, dict[str, float]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import read_json
+from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
@@ -25,8 +26,8 @@ def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[st
     Reads only the list `names` of a file; a photo that is named twice counts once.
 
     Raises:
-        ConfigError: the folder has no file for any of these boxes, or a file has no names.
-        RunFolderError: a file cannot be read.
+        ConfigError: the folder has no file for any of these boxes, or a file cannot be read or has
+            no names.
     """
     files = {roi.name: folder / f"{roi.name}.json" for roi in rois}
     found = {name: path for name, path in files.items() if path.is_file()}
@@ -35,14 +36,12 @@ def load_manual(folder: Path, rois: Sequence[OrientedBox]) -> dict[str, tuple[st
             f"{folder} has no selection for these boxes.",
             f"Add one or more of: {', '.join(path.name for path in files.values())}.",
         )
-    selections = {}
+    selections, hint = {}, "Write it with `select --out`."
     for roi, path in found.items():
-        record = read_json(path)
+        record = read_json(path, ConfigError, hint)
         names = record.get("names") if isinstance(record, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError(
-                f"{path} has no list 'names' of photo names.", "Write it with `select --out`."
-            )
+            raise ConfigError(f"{path} has no list 'names' of photo names.", hint)
         selections[roi] = tuple(dict.fromkeys(names))
     return selections
 
@@ -73,17 +72,17 @@ def usable_manual(
                 "Remove this name.",
             )
     for reason, skipped in (
-        ("are test photos", [name for name in names if name in test_names]),
-        ("cannot be used", [name for name in names if name not in usable_names]),
+        ("used for testing", [name for name in names if name in test_names]),
+        ("which cannot be used", [name for name in names if name not in usable_names]),
     ):
         if skipped:
             first = ", ".join(skipped[:NAMED]) + (", …" if len(skipped) > NAMED else "")
-            text = f"{len(skipped)} photos selected for box '{roi}' {reason}; skipped: {first}."
-            context.warn(text)
+            count = counted(len(skipped), "selected photo")
+            context.warn(f"Skipped {count} of box '{roi}', {reason}: {first}.")
     usable = tuple(name for name in names if name in usable_names and name not in test_names)
     if not usable:
         raise ConfigError(
-            f"None of the {len(names)} photos selected for box '{roi}' can be trained on.",
+            f"The photos selected for box '{roi}' cannot be trained on.",
             "Select other photos, or remove the selection to use a method.",
         )
     return usable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..formats.text import counted
 from .records import CameraSelection
 
 
@@ -25,8 +26,8 @@ def format_selection(selection: CameraSelection) -> str:
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = [
-        f"Box '{selection.roi}': {len(selection.names)} of {len(selection.candidates)} photos that"
-        f" see it, selected by {selection.method}"
+        f"Box '{selection.roi}': {counted(len(selection.names), 'photo')} selected by"
+        f" {selection.method}, of {counted(len(selection.candidates), 'candidate')}"
     ]
     for row in rows:
         cells = [

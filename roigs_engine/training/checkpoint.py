@@ -16,10 +16,11 @@ damage. The previous checkpoint is kept beside it and used if the last one is da
 from __future__ import annotations
 
 import json
+import math
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -39,6 +40,11 @@ TYPES = {
 }
 TENSOR = "<tensor>"  # key of a tensor's placeholder in the header
 CHUNK = 1 << 20  # bytes per checksum update: small enough to stay in the processor's cache
+MAX_HEADER = 1 << 20  # bytes; a header takes a few thousand
+MAX_TENSORS = 1000
+HEADER_ERRORS = (KeyError, TypeError, ValueError, OverflowError, RuntimeError)
+"""What a header of valid checksum can raise: RecursionError and torch's are RuntimeErrors."""
+Check = Callable[[dict[str, Any]], None]
 HINT = "Delete it to start the stage again, or choose another run folder."
 
 
@@ -73,8 +79,15 @@ def save_checkpoint(path: Path, state: dict[str, Any], fingerprint: str) -> None
         file.write(SUM.pack(checksum))
 
 
-def load_checkpoint(path: Path, fingerprint: str, context: Context = QUIET) -> dict[str, Any]:
+def load_checkpoint(
+    path: Path, fingerprint: str, context: Context = QUIET, check: Check | None = None
+) -> dict[str, Any]:
     """The state that `save_checkpoint` wrote last, or the previous one if that is damaged.
+
+    Args:
+        path, fingerprint: see `save_checkpoint`.
+        context: receives a warning if the last one is damaged.
+        check: raises ValueError if a state cannot be used; it then counts as damaged.
 
     Raises:
         RunFolderError: both are damaged or missing, or have another version or fingerprint.
@@ -83,11 +96,16 @@ def load_checkpoint(path: Path, fingerprint: str, context: Context = QUIET) -> d
     for file in _present(path):
         try:
             header, state = _read(file)
+            if header["fingerprint"] != fingerprint:
+                raise RunFolderError(f"The checkpoint {file} has other settings.", HINT)
+            if check is not None:
+                check(state)
+        except ValueError as error:
+            problems.append(f"The checkpoint {file} is damaged ({error}).")
+            continue
         except _DamagedError as error:
             problems.append(f"The checkpoint {file} {error}.")
             continue
-        if header["fingerprint"] != fingerprint:
-            raise RunFolderError(f"The checkpoint {file} has other settings.", HINT)
         for problem in problems:
             context.warn(f"{problem} Training resumes from the previous checkpoint.")
         return state
@@ -140,9 +158,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         with open(path, "rb", opener=regular) as file:
             header = _header(file)
             tensors: list[Tensor] = []
-            state = _restored(header["state"], tensors)
-            wanted = sum(t.nbytes for t in tensors) + SUM.size
-            if os.fstat(file.fileno()).st_size - file.tell() != wanted:
+            room = os.fstat(file.fileno()).st_size - file.tell() - SUM.size
+            state = _restored(header["state"], tensors, room)
+            if sum(t.nbytes for t in tensors) != room:
                 raise _DamagedError("has the wrong size")
             checksum = 0
             for chunk in _chunks(tensors):
@@ -152,7 +170,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
                 raise _DamagedError("is damaged (wrong checksum)")
     except OSError as error:
         raise _DamagedError(_because(error)) from error
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+    except HEADER_ERRORS as error:
         raise _DamagedError("is damaged (malformed header)") from error
     return header, state
 
@@ -167,13 +185,15 @@ def _header(file: BinaryIO) -> dict[str, Any]:
     _, length, checksum = PREFIX.unpack(prefix)
     if length > os.fstat(file.fileno()).st_size:
         raise _DamagedError("is incomplete")
+    if length > MAX_HEADER:
+        raise _DamagedError("is damaged (malformed header)")
     text = file.read(length)
     if zlib.crc32(text) != checksum:
         raise _DamagedError("is damaged (wrong header checksum)")
     try:
         header = json.loads(text)
         return {"fingerprint": str(header["fingerprint"]), "state": dict(header["state"])}
-    except (KeyError, TypeError, ValueError) as error:
+    except HEADER_ERRORS as error:
         raise _DamagedError("is damaged (malformed header)") from error
 
 
@@ -187,15 +207,24 @@ def _described(value: Any, tensors: list[Tensor]) -> Any:
     return value
 
 
-def _restored(value: Any, tensors: list[Tensor]) -> Any:
-    """The inverse of `_described`; appends the tensors, still without values, to the list."""
+def _restored(value: Any, tensors: list[Tensor], room: int) -> Any:
+    """The inverse of `_described`; appends the tensors, still without values, to the list.
+
+    They are allocated only if they all fit into `room` bytes, the rest of the file.
+    """
     if not isinstance(value, dict):
         return value
     if TENSOR in value:
         kind, shape = value[TENSOR]
+        if not all(type(side) is int and side >= 0 for side in shape):
+            raise ValueError("a shape that is none")
+        if len(tensors) == MAX_TENSORS:
+            raise ValueError("more tensors than training has")
+        if sum(t.nbytes for t in tensors) + math.prod(shape) * TYPES[kind].itemsize > room:
+            raise _DamagedError("has the wrong size")
         tensors.append(torch.empty(shape, dtype=TYPES[kind]))
         return tensors[-1]
-    return {key: _restored(item, tensors) for key, item in value.items()}
+    return {key: _restored(item, tensors, room) for key, item in value.items()}
 
 
 def _chunks(tensors: list[Tensor]) -> Iterator[memoryview]:

@@ -28,6 +28,26 @@ SEED = 20_260
 Command = list[str]
 """The engine's command line; 'decode SCENE' stands for loading a scene and all its photos."""
 
+
+class Case(list[str]):
+    """A command with what may become of it.
+
+    Attributes:
+        statuses: the exit statuses that are right.
+        names: one of these must be in the line of an error; none: any line will do.
+    """
+
+    def __init__(
+        self,
+        command: Command,
+        *,
+        statuses: tuple[int, ...] = (0, 2),
+        names: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(command)
+        self.statuses, self.names = statuses, names
+
+
 DISTORTED = (
     *("OPENCV", "SIMPLE_RADIAL", "FULL_OPENCV", "OPENCV_FISHEYE", "FOV", "THIN_PRISM_FISHEYE"),
     *("RAD_TAN_THIN_PRISM_FISHEYE", "DIVISION", "EUCM", "EQUIRECTANGULAR", "FISHEYE"),
@@ -448,9 +468,17 @@ FAMILIES: dict[str, tuple[Family, int]] = {
     "run_folders": (run_folders, 120),
     "splits": (splits, 50),
 }
-"""Family -> how a case is made, and how many there are in the long run."""
+"""Family -> how a case is made, and how many there are in the long run; `all_families` has more."""
 
 
-def make(family: str, number: int, folder: Path) -> Command:
+def all_families() -> dict[str, tuple[Family, int]]:
+    """All families of all files."""
+    from tests.fuzz import people
+
+    return FAMILIES | people.FAMILIES
+
+
+def make(family: str, number: int, folder: Path) -> Case:
     """Write the case below `folder`; its command."""
-    return FAMILIES[family][0](random.Random(f"{SEED}/{family}/{number}"), folder)
+    made = all_families()[family][0](random.Random(f"{SEED}/{family}/{number}"), folder)
+    return made if isinstance(made, Case) else Case(made)

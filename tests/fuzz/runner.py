@@ -1,4 +1,6 @@
-"""Runs many cases on a few worker processes; `python -m tests.fuzz.runner [SHARE]` prints a table.
+"""Runs many cases on a few worker processes.
+
+`python -m tests.fuzz.runner [SHARE [FAMILY ...]]` prints a table.
 
 A worker that dies (a crash, a hang, memory beyond bounds inside a library) is replaced by one that
 goes on behind the case it died of.
@@ -17,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.fuzz.cases import FAMILIES
+from tests.fuzz.cases import all_families
 
 ROOT = Path(__file__).resolve().parents[2]
 CHUNK = 300  # cases of one worker: a share of the work, and a bound to what may pile up in it
@@ -71,18 +73,19 @@ def work(cases: Sequence[str], result: Result) -> None:
             cases = cases[1:]
 
 
-def sample(share: float) -> list[str]:
-    """The first cases of every family, that share of them and one at least."""
+def sample(share: float, families: Sequence[str] = ()) -> list[str]:
+    """The first cases of these families (none: of all), that share of them and one at least."""
     return [
         f"{family} {number}"
-        for family, (_, most) in FAMILIES.items()
+        for family, (_, most) in all_families().items()
+        if not families or family in families
         for number in range(max(1, round(most * share)))
     ]
 
 
-def run(share: float, workers: int = 2) -> Result:
+def run(share: float, families: Sequence[str] = (), workers: int = 2) -> Result:
     """Run that share of the cases on so many processes."""
-    result, cases = Result(), sample(share)
+    result, cases = Result(), sample(share, families)
     with ThreadPoolExecutor(workers) as pool:
         jobs = [
             pool.submit(work, cases[first : first + CHUNK], result)
@@ -93,13 +96,13 @@ def run(share: float, workers: int = 2) -> Result:
     return result
 
 
-def main(share: float) -> None:
+def main(share: float, families: Sequence[str]) -> None:
     """Print what went wrong, and a table."""
     started = time.monotonic()
-    result = run(share)
+    result = run(share, families)
     for case, what in result.wrong.items():
         print(f"--- {case}\n{what}")
-    for family in FAMILIES:
+    for family in families or all_families():
         well, refused = (result.ended[family, status] for status in "02")
         print(f"{family:13}{well:5} well, {refused:5} refused")
     seconds = time.monotonic() - started
@@ -110,4 +113,4 @@ def main(share: float) -> None:
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 1.0)
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 1.0, sys.argv[2:])

@@ -45,7 +45,7 @@ def test_every_stage_has_a_row_and_nothing_is_written(scene: SfmScene, tmp_path:
         assert found[stage.name][3] == str(stage.config.steps)
         assert "done" not in found[stage.name]
     assert "Memory: up to about" in text and "on this machine" in text
-    assert f"{len(run.train_scene.images)} to train on, {len(run.test)} test photos" in text
+    assert f"{len(run.train_scene.images)} to train on, {len(run.test)} to test on" in text
     assert not (tmp_path / "run").exists()
 
 

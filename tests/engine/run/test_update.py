@@ -90,11 +90,11 @@ def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> No
     )
     assert PhotoSets(run).selection(BOX).names == (there,)
     texts = [event.text for event in events if isinstance(event, Message)]
-    assert any("test photos" in text and test[0] in text for text in texts)
+    assert any("used for testing" in text and test[0] in text for text in texts)
     assert any("cannot be used" in text and "gone.png" in text for text in texts)
     with pytest.raises(ConfigError, match=r"'nothing\.png'"):
         opened(tmp_path / "c", scene, [BOX], config, manual={"thing": ["nothing.png"]})
-    with pytest.raises(ConfigError, match="None of the 1 photos"):
+    with pytest.raises(ConfigError, match="photos selected for box 'thing' cannot be trained on"):
         opened(tmp_path / "d", scene, [BOX], config, manual={"thing": [test[0]]})
     assert not (tmp_path / "c").exists() and not (tmp_path / "d").exists()
 

@@ -187,7 +187,7 @@ def test_a_camera_inside_the_box_counts_as_full_view(method):
     scene = replace(ring_scene(views=8), images=tuple(images))
     selection = select_cameras(scene, BOX, SelectionConfig(method=method, count=9))
     assert selection.features["inside.jpg"]["area"] == 1
-    assert any("inside.jpg" in flag and "inside box 'cube'" in flag for flag in selection.flags)
+    assert any("inside.jpg" in flag and "'cube' contains" in flag for flag in selection.flags)
     assert np.isfinite(selection.scores).all()
 
 
@@ -211,7 +211,7 @@ def test_a_model_without_any_point():
 
 def test_points_that_only_test_photos_see():
     scene = scene_of([photo("a.jpg", [0, -4, 0], sees=[0])], [[0, 0, 0]])
-    with pytest.raises(RoiError, match="No photo sees any of the 1 points in box 'cube'"):
+    with pytest.raises(RoiError, match=r"in box 'cube' \(1 point, \d+ photos?\)"):
         select_cameras(scene.without(["a.jpg"]), BOX, SelectionConfig())
 
 

@@ -155,3 +155,31 @@ def test_a_full_disk_leaves_what_was_there(path: Path, monkeypatch: pytest.Monke
     monkeypatch.undo()
     assert load_checkpoint(path, "one")["step"] == 1
     assert {p.name for p in path.parent.iterdir()} == {"checkpoint.bin", "checkpoint.before.bin"}
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        b'{"a": {"<tensor>": ["float32", [1000000000000]]}}',
+        b'{"a": {"<tensor>": ["float32", [1' + b"0" * 400 + b"]]}}",
+        b'{"a": {"<tensor>": ["float32", [1.5]]}}',
+        b'{"a": {"<tensor>": ["float32", [true]]}}',
+        b'{"a": {"<tensor>": ["float32", "12"]}}',
+        b'{"a": {"<tensor>": [["float32"], [1]]}}',
+        b'{"a": {"<tensor>": {"float32": 1}}}',
+        b'{"a": {"<tensor>": ["__import__", [1]]}}',
+        b'{"a": ' * 50_000 + b"1" + b"}" * 50_000,
+        b'{"a": ' + b"9" * 9000 + b"}",
+        b'{"a": "' + b"x" * (2 << 20) + b'"}',
+        b"{%s}" % b", ".join(b'"%d": {"<tensor>": ["bool", [0]]}' % k for k in range(2000)),
+    ],
+    ids=range(12),
+)  # fmt: skip
+def test_a_header_of_valid_checksum_cannot_do_harm(path: Path, state: bytes) -> None:
+    header = b'{"fingerprint": "one", "state": %s}' % state
+    prefix = checkpoint.PREFIX.pack(checkpoint.MAGIC, len(header), zlib.crc32(header))
+    path.write_bytes(prefix + header + checkpoint.SUM.pack(0))
+    assert load_checkpoint(path, "one")["step"] == 0
+    path.with_name("checkpoint.before.bin").unlink()
+    with pytest.raises(RunFolderError, match=r"damaged|wrong size"):
+        load_checkpoint(path, "one")

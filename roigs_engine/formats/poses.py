@@ -1,0 +1,30 @@
+"""One rule for the matrices of boxes and cameras: a rotation and a translation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+TOLERANCE = 1e-4  # of the products of axes: matrices written with five digits pass
+
+
+def is_mirrored(matrix: NDArray[np.float64]) -> bool:
+    """Whether a (4, 4) matrix of axes at right angles also mirrors space."""
+    return float(np.linalg.det(matrix[:3, :3])) < 0
+
+
+def rigid_flaw(matrix: NDArray[np.float64]) -> str:
+    """What keeps a (4, 4) matrix of finite numbers from being a rotation and a translation.
+
+    Returns:
+        The end of a sentence about the matrix; empty: it is one.
+    """
+    if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
+        row = ", ".join(f"{number:g}" for number in matrix[3])
+        return f"its last row is {row}, not 0, 0, 0, 1 (is it transposed?)"
+    rotation = matrix[:3, :3]
+    with np.errstate(all="ignore"):
+        products = rotation @ rotation.T
+    if not np.allclose(products, np.eye(3), rtol=0, atol=TOLERANCE):
+        return "it scales or shears"
+    return "it mirrors" if is_mirrored(matrix) else ""

@@ -1,0 +1,64 @@
+"""Text files as people's editors write them, and damaged ones."""
+
+from __future__ import annotations
+
+import codecs
+import json
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.errors import EngineError, RoiError
+from roigs_engine.formats.files import read_json
+from roigs_engine.formats.rois import read_rois
+from roigs_engine.formats.text import counted, decode_text, parse_json
+
+VALUE = {"name": "Büste", "x": [1.5, None]}
+TEXT = json.dumps(VALUE, ensure_ascii=False)
+
+
+def test_a_mark_at_the_start_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for data in (TEXT.encode(), codecs.BOM_UTF8 + TEXT.encode()):
+        path.write_bytes(data)
+        assert read_json(path) == VALUE
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_wide_text_is_named(encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "rois.json"
+    path.write_bytes(TEXT.encode(encoding))
+    with pytest.raises(RoiError, match=r"rois\.json is not JSON \(it is UTF-16 text; save it as"):
+        read_rois(path)
+    with pytest.raises(ValueError, match="UTF-16"):
+        decode_text(TEXT.encode(encoding), replace=True)
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (TEXT.encode("latin-1"), "not UTF-8 text; save it as UTF-8"),
+        (b"", "it is empty"),
+        (codecs.BOM_UTF8 + b" \n", "it is empty"),
+        (b"[" * 200_000, "nested too deeply"),
+        (b'{"a": ' * 100_000, "nested too deeply"),
+        (b"1" * 9000, "thousands of digits"),
+        (b'{"a": 1,}', "line 1 column"),
+        (TEXT.encode()[:9], "line 1 column"),
+    ],
+)
+def test_damaged_files_say_why_and_what_to_do(data: bytes, text: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=text):
+        parse_json(data)
+    path = tmp_path / "a.json"
+    path.write_bytes(data)
+    with pytest.raises(EngineError, match=text) as caught:
+        read_json(path)
+    assert caught.value.hint and str(path) in caught.value.message
+    with pytest.raises(EngineError, match="Cannot read") as caught:
+        read_json(tmp_path / "none.json")
+    assert caught.value.hint
+
+
+def test_counts_in_sentences() -> None:
+    assert [counted(n, "photo") for n in (0, 1, 12_345)] == ["0 photos", "1 photo", "12,345 photos"]
