@@ -28,6 +28,7 @@ from .options import (
     load_scene,
     run_config,
 )
+from .output import claimed
 
 if TYPE_CHECKING:
     from ..run.definition import Run
@@ -108,7 +109,8 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.provenance import recorded
 
     inputs = _inputs(args)
-    with locked(args.run_dir, console.context.warn):
+    claim = claimed(args.run_dir, option="--run-dir")
+    with claim, locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
         remove_leftovers(args.run_dir)
         context = _context(args, console)
