@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from ..context import QUIET, Context
-from ..errors import RunFolderError, SceneError
+from ..errors import SceneError
 from ..formats.events import StageStarted
-from ..formats.files import own_folder
+from ..formats.files import cannot_write, own_folder
 from ..formats.rois import FAR
 from ..model.rotations import rotation_entries
 from ..model.scene import Camera, Float64, PosedImage
@@ -194,7 +194,5 @@ def _created(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunFolderError(
-            f"Cannot write to {folder} ({error.strerror}).", "Choose another folder."
-        ) from error
+        raise cannot_write(folder, error) from error
     return folder

@@ -29,6 +29,7 @@ from . import os_lock
 # What `atomic_write` calls its temporary files: the process, and a number of its own.
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.part")
 ABANDONED = 86400.0  # seconds without a change, where the file system has no locks
+IN_THE_WAY = {errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.EINVAL, errno.ELOOP, errno.ENXIO}
 JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has it there only
 
 
@@ -52,13 +53,15 @@ def own_folder(root: Path, *names: str) -> Path:
         names: folders below it; each may hold `/`.
 
     Raises:
-        RunFolderError: one of them below `root` is a link.
+        RunFolderError: one of them below `root` is a link, or no folder.
     """
     folder = Path(root)
     for name in Path(*names).parts:
         folder /= name
         if is_link(folder):
             raise _linked(folder)
+        if os.path.exists(folder) and not os.path.isdir(folder):
+            raise cannot_write(folder, OSError(errno.ENOTDIR, "Not a folder"))
     return folder
 
 
@@ -75,6 +78,14 @@ def _linked(folder: Path) -> RunFolderError:
         f"The folder {folder} is a link; results are not written through links.",
         "Remove the link, or choose another folder.",
     )
+
+
+def cannot_write(path: Path, error: OSError) -> RunFolderError:
+    """The error for a file or folder that cannot be written."""
+    hint = "Free some space or choose another folder."
+    if error.errno in IN_THE_WAY:
+        hint = "Move away what has that name, or choose another folder."
+    return RunFolderError(f"Cannot write {path} ({error.strerror or error}).", hint)
 
 
 # --- opening ---
@@ -174,10 +185,7 @@ def atomic_write(
             os.replace(path, before)
         os.replace(temporary, path)
     except OSError as error:
-        raise RunFolderError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            "Free some space or choose another folder.",
-        ) from error
+        raise cannot_write(path, error) from error
     finally:
         if temporary != path:
             with suppress(OSError):

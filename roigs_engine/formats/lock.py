@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 from ..errors import RunFolderError
 from . import os_lock, process
-from .files import is_link, read_bytes, unlinked
+from .files import cannot_write, is_link, read_bytes, unlinked
 from .run_files import EVENTS, LOCK
 
 _held: dict[Path, BinaryIO] = {}
@@ -52,10 +52,7 @@ def locked(
     except BlockingIOError as error:
         raise _in_use(path, option) from error
     except OSError as error:
-        raise RunFolderError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            "Free some space or choose another folder.",
-        ) from error
+        raise cannot_write(path, error) from error
     _held[path] = file
     try:
         yield
