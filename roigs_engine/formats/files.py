@@ -173,7 +173,7 @@ def atomic_write(
     temporary, owner = path, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary, file, owner = _temporary(path)
+        temporary, file, owner = new_temporary(path)
         with file:
             yield file
             if durable:
@@ -194,8 +194,8 @@ def atomic_write(
             os.close(owner)
 
 
-def _temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
-    """A new file beside `path`, and the descriptor that holds its lock (`os_lock.keep`)."""
+def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
+    """A new file beside `path`, open to write, and what holds its lock (`os_lock.keep`)."""
     while True:
         name = f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
         temporary = path.with_name(name)
