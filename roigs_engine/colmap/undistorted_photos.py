@@ -8,9 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from ..context import QUIET, Context
-from ..errors import RunFolderError, SceneError
+from ..errors import SceneError
 from ..formats.events import StageStarted
-from ..formats.files import own_folder
+from ..formats.files import cannot_write, own_folder
 from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage
 from ..photos.headers import PhotoError
@@ -93,7 +93,5 @@ def _created(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunFolderError(
-            f"Cannot write to {folder} ({error.strerror}).", "Choose another folder."
-        ) from error
+        raise cannot_write(folder, error) from error
     return folder

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ..context import Context
-from ..errors import RunFolderError
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
-from ..formats.files import open_log
+from ..formats.files import cannot_write, open_log
 from ..formats.run_files import EVENTS
 from .stopping import StopRequest
 from .streams import Stream
@@ -64,9 +63,7 @@ class Console:
         try:
             self._log = open_log(path)
         except OSError as error:
-            raise RunFolderError(
-                f"Cannot write {path} ({error.strerror or error}).", "Choose another folder."
-            ) from error
+            raise cannot_write(path, error) from error
 
     def emit(self, event: Event) -> None:
         """Show one event."""

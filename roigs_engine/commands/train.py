@@ -25,6 +25,7 @@ from .options import (
     load_scene,
     run_config,
 )
+from .out_folder import claimed
 from .values import PATH, Number
 
 if TYPE_CHECKING:
@@ -110,7 +111,8 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.provenance import recorded
 
     inputs = _inputs(args)
-    with locked(args.run_dir, console.context.warn):
+    claim = claimed(args.run_dir, option="--run-dir")
+    with claim, locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)

@@ -33,6 +33,7 @@ DAMAGED = "Write the file again, or choose another."
 # What `atomic_write` calls its temporary files: the process, and a number of its own.
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.part")
 ABANDONED = 86400.0  # seconds without a change, where the file system has no locks
+IN_THE_WAY = {errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.EINVAL, errno.ELOOP, errno.ENXIO}
 JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has it there only
 
 
@@ -56,13 +57,15 @@ def own_folder(root: Path, *names: str) -> Path:
         names: folders below it; each may hold `/`.
 
     Raises:
-        RunFolderError: one of them below `root` is a link.
+        RunFolderError: one of them below `root` is a link, or no folder.
     """
     folder = Path(root)
     for name in Path(*names).parts:
         folder /= name
         if is_link(folder):
             raise _linked(folder)
+        if os.path.exists(folder) and not os.path.isdir(folder):
+            raise cannot_write(folder, OSError(errno.ENOTDIR, "Not a folder"))
     return folder
 
 
@@ -79,6 +82,14 @@ def _linked(folder: Path) -> RunFolderError:
         f"The folder {folder} is a link; results are not written through links.",
         "Remove the link, or choose another folder.",
     )
+
+
+def cannot_write(path: Path, error: OSError) -> RunFolderError:
+    """The error for a file or folder that cannot be written."""
+    hint = "Free some space or choose another folder."
+    if error.errno in IN_THE_WAY:
+        hint = "Move away what has that name, or choose another folder."
+    return RunFolderError(f"Cannot write {path} ({error.strerror or error}).", hint)
 
 
 # --- opening ---
@@ -166,7 +177,7 @@ def atomic_write(
     temporary, owner = path, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary, file, owner = _temporary(path)
+        temporary, file, owner = new_temporary(path)
         with file:
             yield file
             if durable:
@@ -178,10 +189,7 @@ def atomic_write(
             os.replace(path, before)
         os.replace(temporary, path)
     except OSError as error:
-        raise RunFolderError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            "Free some space or choose another folder.",
-        ) from error
+        raise cannot_write(path, error) from error
     finally:
         if temporary != path:
             with suppress(OSError):
@@ -190,8 +198,8 @@ def atomic_write(
             os.close(owner)
 
 
-def _temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
-    """A new file beside `path`, and the descriptor that holds its lock (`os_lock.keep`)."""
+def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
+    """A new file beside `path`, open to write, and what holds its lock (`os_lock.keep`)."""
     while True:
         name = f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
         temporary = path.with_name(name)

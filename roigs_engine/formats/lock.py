@@ -2,23 +2,24 @@
 
 The lock is the operating system's, so it ends with the process, however that ends. The file says
 who holds it, for people and for a Blender that was opened again. On a file system without locks,
-the file itself is the lock, and is taken over if its process is dead (`process`).
+the file itself is the lock (`lock_file`).
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, BinaryIO
 
 from ..errors import RunFolderError
 from . import os_lock, process
-from .files import is_link, read_bytes, unlinked
+from .files import cannot_write, is_link, unlinked
+from .lock_file import MayLiveError, hold_by_name, read_record, write_record
 from .run_files import EVENTS, LOCK
 
 _held: dict[Path, BinaryIO] = {}
@@ -50,12 +51,9 @@ def locked(
     try:
         file = _hold(path, warn)
     except BlockingIOError as error:
-        raise _in_use(path, option) from error
+        raise _in_use(path, option, error) from error
     except OSError as error:
-        raise RunFolderError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            "Free some space or choose another folder.",
-        ) from error
+        raise cannot_write(path, error) from error
     _held[path] = file
     try:
         yield
@@ -90,8 +88,8 @@ def holder(path: Path) -> int:
             try:
                 taken = os_lock.is_taken(file)
             except os_lock.NoLocksError:
-                taken = process.may_live(_record(path))
-            return process.pid_of(_record(path)) if taken else 0
+                taken = process.may_live(read_record(path))
+            return process.pid_of(read_record(path)) if taken else 0
     except OSError:
         return 0
 
@@ -102,6 +100,12 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
         path.parent.mkdir(parents=True, exist_ok=True)
         if is_link(path):
             path.unlink()
+        if not _has_locks(path.parent):
+            warn(
+                f"The file system of {path.parent} has no locks. Make sure that only one computer"
+                " uses this folder at a time."
+            )
+            return hold_by_name(path, _record_of_now(path) | process.identity())
         file = open(path, "a+b", opener=unlinked)  # noqa: SIM115 - open while the lock is held
         try:
             if not os_lock.take(file):
@@ -109,13 +113,10 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
             names = os.fstat(file.fileno()).st_nlink
             # The last holder may have removed the file between the lines above.
             if _is_at(path, file) and names == 1:
-                _write_record(file, path.parent / EVENTS)
+                write_record(file, _record_of_now(path))
                 return file
             if names > 1 and _is_at(path, file):  # a hard link: what it names is not ours to write
                 _release(path, file)
-        except os_lock.NoLocksError:
-            file.close()
-            return _hold_without_locks(path, warn)
         except BaseException:
             with suppress(OSError):  # what could not be written is tried again here
                 file.close()
@@ -123,27 +124,12 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
         file.close()
 
 
-def _hold_without_locks(path: Path, warn: Callable[[str], None]) -> BinaryIO:
-    """The file, created by this process; BlockingIOError if the process of another one may live."""
-    warn(
-        f"The file system of {path.parent} has no locks. Make sure that only one computer uses"
-        " this folder at a time."
-    )
-    with suppress(FileNotFoundError):
-        if path.stat().st_size and process.may_live(_record(path)):
-            raise BlockingIOError
-        path.unlink()
-    try:
-        file = open(path, "x+b")  # noqa: SIM115 - open while the lock is held
-    except FileExistsError as error:
-        raise BlockingIOError from error
-    try:
-        _write_record(file, path.parent / EVENTS, process.identity())
-    except BaseException:
-        with suppress(OSError):
-            file.close()
-        raise
-    return file
+def _has_locks(folder: Path) -> bool:
+    with TemporaryFile(dir=folder) as file:
+        try:
+            return os_lock.take(file)
+        except os_lock.NoLocksError:
+            return False
 
 
 def _release(path: Path, file: BinaryIO) -> None:
@@ -165,34 +151,23 @@ def _is_at(path: Path, file: BinaryIO) -> bool:
         return False
 
 
-def _write_record(file: BinaryIO, log: Path, more: dict[str, Any] | None = None) -> None:
-    """Say in the file who holds it."""
-    record = {
+def _record_of_now(path: Path) -> dict[str, Any]:
+    """What the file says of this process."""
+    log = path.with_name(EVENTS)
+    return {
         "pid": os.getpid(),
         "started": round(time.time(), 3),
         "events_from": log.stat().st_size if log.exists() else 0,
     }
-    file.truncate(0)
-    file.seek(0)
-    file.write(json.dumps(record | (more or {})).encode() + b"\n")
-    file.flush()
 
 
-def _record(path: Path) -> dict[str, Any]:
-    """What the file says; empty if it is damaged."""
-    with suppress(OSError, ValueError, RecursionError):
-        record = json.loads(read_bytes(path))
-        return record if isinstance(record, dict) else {}
-    return {}
-
-
-def _in_use(path: Path, option: str) -> RunFolderError:
+def _in_use(path: Path, option: str, error: BlockingIOError) -> RunFolderError:
     """The error for a folder that another process uses."""
-    record = _record(path)
+    record = read_record(path)
     pid, host = process.pid_of(record), process.host_of(record)
     who = f", process {pid}" if pid else ""
     where = f" on {host}" if host else ""
     hint = f"Wait for it, stop it, or choose another folder ({option})."
-    if host:
+    if isinstance(error, MayLiveError):
         hint += f" If no engine is at work there, delete {path}."
     return RunFolderError(f"Another engine is at work in {path.parent}{who}{where}.", hint)

@@ -245,6 +245,7 @@ class StageFolder:
         """Write the preview; skip it if the file is in use (on Windows, while it is read)."""
         assert self.preview is not None
         with suppress(RunFolderError):
+            check_held(self.folder)
             trainer.gaussians.save_ply(self.preview, self.frame)
             context.emit(Preview(path=str(self.preview)))
 

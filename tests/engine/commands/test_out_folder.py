@@ -23,7 +23,8 @@ FREE = ("renders", "evaluation/crops", "mine.ply", "nest/renders")
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "manifest.json").write_text("{}")
+    for name in ("manifest.json", "split.json"):
+        (tmp_path / "run" / name).write_text("{}")
     return tmp_path / "run"
 
 
@@ -46,6 +47,23 @@ def test_other_places_in_a_run_folder_are_free(run: Path, name: str) -> None:
         pass
     with claimed(run / name):
         assert not (run / "run.lock").exists()
+
+
+def test_a_run_within_the_files_of_another(run: Path) -> None:
+    with locked(run):
+        refused = pytest.raises(RunFolderError, match="--run-dir")
+        with refused, claimed(run / "compare-joint", option="--run-dir"):
+            pass
+        with claimed(run / "nest", option="--run-dir"), locked(run / "nest"):
+            pass
+    with claimed(run, option="--run-dir"), locked(run):
+        pass
+
+
+def test_a_loop_of_links_is_no_run_folder(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with claimed(tmp_path / "loop" / "a"):
+        pass
 
 
 def test_a_folder_that_is_no_run_gets_no_lock(tmp_path: Path) -> None:

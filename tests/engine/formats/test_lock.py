@@ -8,8 +8,10 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
@@ -21,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[3]
 HOLD = """
 import sys
 from pathlib import Path
+from threading import Barrier
 from roigs_engine.formats.lock import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
@@ -183,3 +186,38 @@ def test_without_locks_a_lost_lock_is_noticed(tmp_path: Path) -> None:
         (tmp_path / "run.lock").unlink()
         with pytest.raises(RunFolderError, match="deleted or replaced"):
             check_held(tmp_path)
+
+
+@pytest.mark.usefixtures("no_locks")
+@pytest.mark.parametrize(("links", "dead"), [(True, True), (True, False), (False, False)])
+def test_without_locks_one_of_many_gets_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool, dead: bool
+) -> None:
+    """All start at once; on some network drives there are no hard links either."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
+        left_by(tmp_path / "run")
+        with locked(tmp_path / "run"):  # one at a time takes over
+            pass
+    start, end = Barrier(8), Barrier(8)
+
+    def hold(number: int) -> bool:
+        start.wait()
+        try:
+            with locked(tmp_path / "run"):
+                end.wait()
+                return True
+        except RunFolderError:
+            end.wait()
+            return False
+
+    for _ in range(10):
+        if dead:
+            left_by(tmp_path / "run")
+        with ThreadPoolExecutor(8) as pool:
+            assert sum(pool.map(hold, range(8))) == 1
+        assert not (tmp_path / "run").exists()

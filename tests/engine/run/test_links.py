@@ -148,7 +148,21 @@ def test_pipes_devices_and_folders_are_one_line(
         assert ended.status == 0
         return
     assert ended.status == 2 and "Traceback" not in ended.errors
-    assert str(path) in ended.errors.splitlines()[-1]
+    last = ended.errors.splitlines()[-1]
+    assert str(path) in last and "space" not in last
+
+
+@pytest.mark.parametrize("name", ["rois", "scene", "selection", "cache"])
+def test_a_file_in_the_place_of_a_folder_is_one_line(
+    request_: Request, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).write_bytes(MINE)
+    ended = engine(request_.arguments(tmp_path))
+    last = ended.errors.splitlines()[-1]
+    assert ended.status == 2 and str(tmp_path / name) in last and "Move away" in last
+    assert (tmp_path / name).read_bytes() == MINE and not (
+        tmp_path / "scene" / "model.ply"
+    ).exists()
 
 
 @pytest.mark.parametrize("name", ["stage.json", "model.ply", "checkpoint.bin"])

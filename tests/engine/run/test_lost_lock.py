@@ -1,18 +1,21 @@
-"""Somebody deletes run.lock while an engine is at work: it stops before it writes again."""
+"""Runs whose lock is deleted while they work, or whose file system has no locks."""
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
+from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.events import Event, StageStarted
 from roigs_engine.formats.lock import locked
 from roigs_engine.run import stage_folder
 from roigs_engine.run.provenance import recorded
+from tests.addon.colmap_project import write_project
 from tests.engine.runs import plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -43,3 +46,21 @@ def test_an_engine_that_lost_its_lock_writes_no_more(
     train(run, scene, [BOX], tiny("joint"))
     train(tmp_path / "whole", scene, [BOX], tiny("joint"))
     assert plys(run) == plys(tmp_path / "whole")
+
+
+def test_a_run_on_a_file_system_without_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+    scene = write_project(tmp_path / "scene")
+    box = "thing=-0.5,-0.5,-0.5,0.5,0.5,0.5"
+    command = ["train", str(scene), "--roi", box, "--max-side", "24", "--steps-factor", "0.001"]
+    assert main([*command, "--run-dir", str(tmp_path / "usual")]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr("fcntl.flock", refuse)
+    for run in (tmp_path / "run", tmp_path / "run"):
+        assert main([*command, "--run-dir", str(run)]) == 0
+        assert capsys.readouterr().err.count("has no locks") == 1
+        assert plys(run) == plys(tmp_path / "usual") and not (run / "run.lock").exists()
