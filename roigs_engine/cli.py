@@ -17,9 +17,11 @@ from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
 from .commands.options_file import with_options_file
+from .commands.process import NO_MEMORY, check_address_space, more_memory
 from .commands.stopping import INTERRUPTED, StopRequest
 from .errors import ConfigError, EngineError, Stopped
 from .formats.events import Done, Failed
+from .machine import is_memory_full
 
 COMMANDS: dict[str, ModuleType] = {
     "inspect": inspect,
@@ -31,6 +33,9 @@ COMMANDS: dict[str, ModuleType] = {
     "render": render,
     "run": run,
 }
+WITH_TORCH = ("train", "run", "evaluate", "render", "compose")
+# Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
+MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20
 STOPPED = 3
 
 
@@ -83,6 +88,8 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
         args = with_options_file(parser, commands[args.command], args, argv)
         console.watch()
         console.context.check_cancelled()
+        if args.command in WITH_TORCH:
+            check_address_space(args.command, MIN_TORCH, MIN_TORCH_CORE)
         outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
         return 0
@@ -110,7 +117,7 @@ def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
         text = f"`{name}` needs {error.name}, which is not installed in {sys.executable}."
         console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
-    except (OSError, MemoryError, RuntimeError) as error:
+    except (ImportError, OSError, MemoryError, RuntimeError, SystemError) as error:
         failed = _system_failure(error)
         if failed is None:
             raise
@@ -127,11 +134,9 @@ def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
 
 def _system_failure(error: Exception) -> Failed | None:
     """The message for a file or memory error that no command handled; None for other errors."""
+    if is_memory_full(error):
+        return Failed(message=NO_MEMORY, hint=more_memory())
     if isinstance(error, OSError) and error.filename is not None:
         name = f"{os.fsdecode(error.filename):.200}"
         return Failed(message=f"Cannot use {name!r} ({error.strerror}).", hint="Choose another.")
-    # torch raises a RuntimeError when memory is full.
-    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
-        hint = "Use smaller photos (--max-side), or a computer with more memory."
-        return Failed(message="There is not enough memory for this.", hint=hint)
     return None
