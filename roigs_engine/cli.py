@@ -18,9 +18,11 @@ from .commands import compose, evaluate, export, inspect, render, run, select, t
 from .commands.console import Console
 from .commands.options_file import with_options_file
 from .commands.out_folder import claimed
+from .commands.process import NO_MEMORY, check_address_space, more_memory
 from .commands.stopping import INTERRUPTED, StopRequest
 from .errors import ConfigError, EngineError, Stopped
 from .formats.events import Done, Failed
+from .machine import is_memory_full
 
 COMMANDS: dict[str, ModuleType] = {
     "inspect": inspect,
@@ -32,6 +34,9 @@ COMMANDS: dict[str, ModuleType] = {
     "render": render,
     "run": run,
 }
+WITH_TORCH = ("train", "run", "evaluate", "render", "compose")
+# Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
+MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20
 STOPPED = 3
 
 
@@ -105,6 +110,8 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
         args = with_options_file(parser, commands[args.command], args, argv)
         console.watch()
         console.context.check_cancelled()
+        if args.command in WITH_TORCH:
+            check_address_space(args.command, MIN_TORCH, MIN_TORCH_CORE)
         with claimed(getattr(args, "out", None)):
             outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
@@ -133,7 +140,7 @@ def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
         text = f"`{name}` needs {error.name}, which is not installed in {sys.executable}."
         console.emit(Failed(message=text, hint="Install it there, or use another Python."))
         return 2
-    except (OSError, MemoryError, RuntimeError) as error:
+    except (ImportError, OSError, MemoryError, RuntimeError, SystemError) as error:
         failed = _system_failure(error)
         if failed is None:
             raise
@@ -150,11 +157,9 @@ def exit_status_of(work: Callable[[], int], console: Console, name: str) -> int:
 
 def _system_failure(error: Exception) -> Failed | None:
     """The message for a file or memory error that no command handled; None for other errors."""
+    if is_memory_full(error):
+        return Failed(message=NO_MEMORY, hint=more_memory())
     if isinstance(error, OSError) and error.filename is not None:
         name = f"{os.fsdecode(error.filename):.200}"
         return Failed(message=f"Cannot use {name!r} ({error.strerror}).", hint="Choose another.")
-    # torch raises a RuntimeError when memory is full.
-    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
-        hint = "Use smaller photos (--max-side), or a computer with more memory."
-        return Failed(message="There is not enough memory for this.", hint=hint)
     return None

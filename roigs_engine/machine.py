@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import functools
 import os
 import platform
@@ -13,22 +14,54 @@ from contextlib import suppress
 from pathlib import Path
 
 ENGINE = 260 << 20  # bytes of Python, torch and the kernels, see `run/memory.py`
+GIB = 1 << 30
+MEMORY_FULL = (
+    "allocate memory",
+    "bad_alloc",
+    "failed to map segment",
+    "can't start new thread",
+)
 FALLBACK_MEMORY = 8 << 30  # bytes, if the machine's memory is unknown
 
 
 def machine_memory() -> int:
-    """Bytes of memory this process can use: the machine's, or its container's limit."""
+    """Bytes of memory this process can use: the machine's, or its container's or shell's limit."""
     total = FALLBACK_MEMORY
     if sys.platform == "win32":
         total = _windows_memory() or total
     else:
         with contextlib.suppress(OSError, ValueError):
             total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    total = min(total, address_space() or total)
     try:
         limit = Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii").strip()
         return min(total, int(limit)) if limit.isdigit() else total
     except (OSError, UnicodeDecodeError):
         return total
+
+
+def address_space() -> int | None:
+    """Bytes of addresses that this process may use (`ulimit -v` and `-d`); None: no limit."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    limits = [resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA)]
+    return min((limit for limit in limits if limit != resource.RLIM_INFINITY), default=None)
+
+
+def is_memory_full(error: BaseException | None) -> bool:
+    """Whether an error means that memory is full; Python, torch and the loader say it variously."""
+    while error is not None:
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+            return True
+        if any(words in str(error).lower() for words in MEMORY_FULL):
+            return True
+        # Out of memory, some imports fail for reasons of their own.
+        if isinstance(error, (ImportError, SystemError)) and (address_space() or GIB) < GIB:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _windows_memory() -> int:

@@ -8,11 +8,45 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
+from ..errors import EngineError
+from ..machine import address_space, is_memory_full
 from .stopping import INTERRUPTED, StopRequest
 from .streams import Stream, protect
 
 UNREAD = 141
 """Exit status if the reader of standard output went away (a shell's status after SIGPIPE)."""
+
+NO_MEMORY = "There is not enough memory for this."
+# Bytes of addresses below which numpy does not start, or only hangs: all, and for each core.
+MIN_NUMPY, MIN_NUMPY_CORE = 256 << 20, 40 << 20
+
+
+def more_memory() -> str:
+    """What to do about `NO_MEMORY`."""
+    limit = address_space()
+    if limit is not None:
+        return f"Raise this shell's limit of {limit >> 20} MB (ulimit -v), or use smaller photos."
+    return "Use smaller photos (--max-side), or a computer with more memory."
+
+
+def check_address_space(name: str, least: int, each: int) -> None:
+    """Refuse a small limit of the shell: libraries abort or hang there, beyond Python's reach.
+
+    Args:
+        name: of the work.
+        least: bytes that it needs in any case.
+        each: bytes besides, for each core: its threads' stacks and buffers.
+
+    Raises:
+        EngineError: the limit is smaller.
+    """
+    limit, needed = address_space(), least + each * (os.cpu_count() or 1)
+    if limit is not None and limit < needed:
+        raise EngineError(
+            f"This shell limits a program's memory to {limit >> 20} MB; {name} needs"
+            f" {needed >> 20} MB here.",
+            "Raise the limit (ulimit -v).",
+        )
 
 
 def run_process(work: Callable[[StopRequest], int]) -> NoReturn:
@@ -39,17 +73,28 @@ def run_process(work: Callable[[StopRequest], int]) -> NoReturn:
 def _finished(work: Callable[[StopRequest], int], stop: StopRequest, output: Stream) -> int:
     """Do the work; its exit status, or another one if its output was lost."""
     try:
+        check_address_space("the engine", MIN_NUMPY, MIN_NUMPY_CORE)
         status = work(stop)
     except SystemExit as end:  # argparse, after --help
         status = int(end.code or 0)
+    except EngineError as error:
+        return _failed(str(error))
+    except Exception as error:
+        if not is_memory_full(error):  # importing the command line, or saying what is wrong
+            raise
+        return _failed(f"{NO_MEMORY} {more_memory()}")
     atexit._run_exitfuncs()
     if status != 0 or output.lost is None:
         return status
     if output.gone:
         return UNREAD
     reason = output.lost.strerror
-    sys.stderr.write(
-        f"error: Cannot write standard output ({reason})."
-        " The work is done; only this text is lost.\n"
+    return _failed(
+        f"Cannot write standard output ({reason}). The work is done; only this text is lost."
     )
+
+
+def _failed(text: str) -> int:
+    """Write an error's line; the exit status."""
+    sys.stderr.write(f"error: {text}\n")
     return 2

