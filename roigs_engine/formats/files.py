@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,6 +18,28 @@ from .text import parse_json
 UNREADABLE = "Check that the file exists and that you may read it."
 DAMAGED = "Write the file again, or choose another."
 LEFTOVER = re.compile(r"^\..+\.\d+\.part$")  # what `atomic_write` calls its temporary files
+
+
+def regular(path: str, flags: int) -> int:
+    """The `opener` of everything that is read: OSError for a pipe, a device or a socket.
+
+    Opening one of these never waits.
+    """
+    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+    kind = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(kind):
+        os.close(descriptor)
+        is_folder = stat.S_ISDIR(kind)
+        raise OSError(
+            *((errno.EISDIR, "Is a directory") if is_folder else (errno.EINVAL, "Not a file")), path
+        )
+    return descriptor
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file; OSError if it cannot be read, or is not a regular file."""
+    with open(path, "rb", opener=regular) as file:
+        return file.read()
 
 
 @contextmanager
@@ -90,7 +114,7 @@ def read_json(path: Path, kind: type[EngineError] = RunFolderError, hint: str = 
         EngineError: of that `kind`: the file is missing, unreadable or not JSON.
     """
     try:
-        return parse_json(Path(path).read_bytes())
+        return parse_json(read_bytes(path))
     except OSError as error:
         raise kind(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     except ValueError as error:

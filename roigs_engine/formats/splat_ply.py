@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunFolderError
-from .files import atomic_write
+from .files import atomic_write, regular
 
 Float32 = NDArray[np.float32]
 # What a PLY may call its scalar types, and how numpy reads them.
@@ -74,7 +74,7 @@ def read_ply(path: str | Path) -> dict[str, Float32]:
             Gaussians; one line that says which.
     """
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             count, row = _read_header(file, path)
             # Before memory is allocated for what a header promises.
             there = (os.fstat(file.fileno()).st_size - file.tell()) // row.itemsize
