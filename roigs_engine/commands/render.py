@@ -59,7 +59,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
     unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
     if unknown:
-        raise ConfigError(f"There is no camera '{unknown[0]}' in {args.path or args.scene}.")
+        first = ", ".join(f"'{name}'" for name, _, _ in cameras[:3])
+        raise ConfigError(
+            f"There is no camera '{unknown[0]}' in {args.path or args.scene}.",
+            f"The first ones are: {first}.",
+        )
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
     render_sequence(gaussians, cameras, args.out, context)
