@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from ..context import QUIET, Context
 from ..errors import SceneError
+from ..formats.files import UNREADABLE
 from . import binary_files, text_files
 from .records import Model
 
@@ -84,7 +85,7 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SceneError(f"Cannot read {path} ({error.strerror}).") from error
+        raise SceneError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     try:
         return parse(data)
     except struct.error as error:

@@ -36,6 +36,7 @@ PINHOLE_AT_ZERO = {
 }
 # Photos are undistorted at full size, or at this multiple of a much smaller target size.
 OVERSAMPLING = 2.0
+HINT_RESAMPLE = "Resample its photos to pinhole cameras first."
 FULL_FROM = 0.75  # share of the full size from which on it is the full size
 _again = threading.Lock()
 CACHE_VERSION = 2  # part of each cached photo's name: increase it if the pixels change
@@ -103,7 +104,7 @@ def without_distortion(camera: ModelCamera) -> Camera:
         SceneError: the model has no focal length (an equirectangular panorama).
     """
     if camera.model == "EQUIRECTANGULAR":
-        raise SceneError("An EQUIRECTANGULAR camera cannot be undistorted.")
+        raise SceneError("An EQUIRECTANGULAR camera cannot be undistorted.", HINT_RESAMPLE)
     one = camera.model in ONE_FOCAL
     fx, fy, cx, cy = (camera.params[:1] if one else ()) + camera.params[: 3 if one else 4]
     return Camera(width=camera.width, height=camera.height, fx=fx, fy=fy, cx=cx, cy=cy)
@@ -196,11 +197,12 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
     except (ValueError, RuntimeError) as error:
         raise SceneError(
             f"A {camera.model} camera cannot be undistorted ({error}).",
-            "Resample its photos to pinhole cameras first.",
+            HINT_RESAMPLE,
         ) from error
     fx, fy, cx, cy = (float(value) for value in pinhole.params)
     if pinhole.width < 1 or pinhole.height < 1 or not np.isfinite([fx, fy, cx, cy]).all():
-        raise SceneError(f"A {camera.model} camera with {camera.params} leaves no image area.")
+        text = f"A {camera.model} camera with {camera.params} leaves no image area."
+        raise SceneError(text, HINT_RESAMPLE)
     return Camera(width=pinhole.width, height=pinhole.height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 

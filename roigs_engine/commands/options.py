@@ -38,7 +38,10 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 def add_size_options(group: argparse._ArgumentGroup) -> None:
     """The photos' folder and size, and the threads."""
     group.add_argument(
-        "--images", type=PATH, metavar="DIR", help="folder of the photos (default: found)"
+        "--images",
+        type=PATH,
+        metavar="DIR",
+        help="folder of the photos (default: images, images_2, images_4 or images_8)",
     )
     size = group.add_mutually_exclusive_group()
     size.add_argument(
@@ -125,7 +128,12 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="share of the selected photos, 0 to 1, that the Scene-GS is trained on too",
     )
-    group.add_argument("--roi-init", choices=INITS, help="what the box stage starts from")
+    group.add_argument(
+        "--roi-init",
+        choices=INITS,
+        help="what the box stage starts from: the Scene-GS, the sparse points, or those of the"
+        " Scene-GS's Gaussians that are in the box",
+    )
     group.add_argument("--roi-order", choices=ORDERS, help="order of the selected photos")
     group.add_argument(
         "--sh-degree", type=integer(0, 3), metavar="N", help="highest SH degree, 0 to 3"
@@ -138,7 +146,7 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="the CPU or an NVIDIA GPU (default: auto, the GPU if gsplat can use it)",
+        help="auto (the default) uses an NVIDIA GPU if gsplat can, else the CPU",
     )
 
 

@@ -9,7 +9,7 @@ from .console import Console
 from .options import add_device_option, add_size_options, context_on_device
 from .values import NAME, PATH
 
-HELP = "render a PLY from COLMAP cameras or along a camera path"
+HELP = "render a PLY from the cameras of a COLMAP model or along a camera path"
 EXAMPLES = """\
   python -m roigs_engine render result.ply --scene garden --name IMG_0004.jpg --out frames
   python -m roigs_engine render result.ply --path cameras.json --out frames"""
@@ -17,10 +17,12 @@ EXAMPLES = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("ply", type=PATH, help="the Gaussians to render")
+    parser.add_argument("ply", type=PATH, help="PLY to render")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", type=PATH, help="COLMAP model whose cameras are used")
-    source.add_argument("--path", type=PATH, metavar="FILE", help="camera path (docs/files.md)")
+    source.add_argument("--scene", type=PATH, metavar="DIR", help="COLMAP project with the cameras")
+    source.add_argument(
+        "--path", type=PATH, metavar="FILE", help="camera path, a JSON file (docs/files.md)"
+    )
     parser.add_argument(
         "--name",
         type=NAME,
@@ -30,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_size_options(parser.add_argument_group("scene"))
     add_device_option(parser)
-    parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder of PNGs")
+    parser.add_argument(
+        "--out", type=PATH, required=True, metavar="DIR", help="folder for the pictures"
+    )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -55,7 +59,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
     unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
     if unknown:
-        raise ConfigError(f"There is no camera '{unknown[0]}' in {args.path or args.scene}.")
+        first = ", ".join(f"'{name}'" for name, _, _ in cameras[:3])
+        raise ConfigError(
+            f"There is no camera '{unknown[0]}' in {args.path or args.scene}.",
+            f"The first ones are: {first}.",
+        )
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
     local = [(name, camera, frame.transform(pose)) for name, camera, pose in cameras]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 MAX_SECONDS = 1e9
 MAX_MEGABYTES = 1e9
-HELP = "train the scene and its boxes to one PLY"
+HELP = "train the scene and its boxes, and write one PLY"
 EXAMPLES = """\
   python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/garden
   python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/garden --dry-run
@@ -60,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--update",
         action="store_true",
-        help="use a folder made for other settings: results that still fit are kept, the others"
-        " are moved to its folder 'archive'",
+        help="reuse a run folder of other settings: results that still fit are kept, the others"
+        " move to its folder 'archive'",
     )
     parser.add_argument(
         "--dry-run",
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Number(low=0, high=MAX_SECONDS),
         default=0.0,
         metavar="S",
-        help="write the current Gaussians to preview.ply every S seconds of training",
+        help="write the model in training to preview.ply, at most every S seconds; 0: never",
     )
     parser.add_argument(
         "--image-cache",

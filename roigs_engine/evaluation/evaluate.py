@@ -123,10 +123,10 @@ def _checked(
 ) -> list[PosedImage]:
     """The test photos in the scene's order."""
     if not models:
-        raise ConfigError("There is no model to evaluate.")
+        raise ConfigError("There is no model to evaluate.", "Give at least one PLY.")
     unknown = set(test) - {image.name for image in scene.images}
     if unknown:
-        raise SceneError(f"Test photo '{min(unknown)}' is not in the scene.")
+        raise SceneError(f"Test photo '{min(unknown)}' is not in the scene.", "Remove its name.")
     if not test:
         raise SceneError("There is no test photo.", "Set test_every.")
     return list(scene.select(set(test)).images)

@@ -148,7 +148,10 @@ def plan_views(
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]
     if len(set(names)) < len(names):
-        raise ConfigError(f"Two models of box '{roi.name}' share a name ({', '.join(names)}).")
+        raise ConfigError(
+            f"Two models of box '{roi.name}' share a name ({', '.join(names)}).",
+            "Give each model its own name.",
+        )
     if mask_from is not None and mask_from not in names:
         raise ConfigError(
             f"Box '{roi.name}' has no model '{mask_from}' for the object's mask.",

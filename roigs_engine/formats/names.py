@@ -8,7 +8,8 @@ import unicodedata
 from collections.abc import Iterable
 
 MAX_NAME = 100  # characters; leaves room for what is added to it
-MAX_BYTES = 160  # of `safe_name`; file systems allow 255
+LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file systems allow 255 bytes
+ADDED = 8  # of these, `_` and the checksum with its `-`
 # These names open devices on Windows, with any extension.
 DEVICES = {
     "con",
@@ -27,9 +28,11 @@ def safe_name(name: str) -> str:
     A name that had to be changed gets a short checksum, so that two names stay two files.
     """
     clean = re.sub(r"[^\w\-. ]+", "_", name).strip(" .")
-    clean = clean[:80].encode()[:MAX_BYTES].decode(errors="ignore").rstrip(" .") or "unnamed"
-    if clean == name and not _is_device(name):
-        return clean
+    fits = len(clean) <= LONGEST and len(clean.encode()) <= MAX_BYTES
+    if clean and clean == name and fits and not _is_device(name):
+        return name
+    clean = clean[: LONGEST - ADDED].encode()[: MAX_BYTES - ADDED].decode(errors="ignore")
+    clean = clean.rstrip(" .") or "unnamed"
     clean = f"_{clean}" if _is_device(clean) else clean
     return f"{clean}-{hashlib.sha1(name.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}"
 

@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunFolderError
-from .files import atomic_write, regular
+from .files import UNREADABLE, atomic_write, regular
 
+HINT = "Give a PLY of 3D Gaussians, as training programs write them."
+HINT_DAMAGED = "Write or download the file again."
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float32] | NDArray[np.float64]
 # What a PLY may call its scalar types, and how numpy reads them.
@@ -90,10 +92,11 @@ def read_ply(path: str | Path) -> dict[str, Floats]:
             # Before memory is allocated for what a header promises.
             there = (os.fstat(file.fileno()).st_size - file.tell()) // row.itemsize
             if there < count:
-                raise RunFolderError(f"{path} is truncated: it has {there} of {count} Gaussians.")
+                text = f"{path} is truncated: it has {there} of {count} Gaussians."
+                raise RunFolderError(text, HINT_DAMAGED)
             table = np.fromfile(file, row, count)
     except OSError as error:
-        raise RunFolderError(f"Cannot read {path} ({error.strerror}).") from error
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     return _decode(table, path)
 
 
@@ -102,7 +105,7 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.voi
     head = file.read(MAX_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
     if not re.match(rb"ply\r?\n", head) or end is None:
-        raise RunFolderError(f"{path} is not a PLY file.")
+        raise RunFolderError(f"{path} is not a PLY file.", HINT)
     file.seek(end.end())
     count, element, form = -1, "", ""
     fields: dict[str, str] = {}
@@ -114,26 +117,26 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.voi
                 raise RunFolderError(f"{path} is a compressed PLY.", "Save it uncompressed.")
             case ["element", element, number]:
                 if (element == "vertex") == (count >= 0):
-                    raise RunFolderError(f"{path}: one vertex element must come first.")
+                    raise RunFolderError(f"{path}: one vertex element must come first.", HINT)
                 if element == "vertex":
                     count = _count(path, number)
             case ["property", *words] if element == "vertex":
                 if len(words) != 2 or words[0] not in SCALARS or words[1] in fields:
-                    raise RunFolderError(f"{path}: cannot read '{line.strip():.60}'.")
+                    raise RunFolderError(f"{path}: cannot read '{line.strip():.60}'.", HINT)
                 fields[words[1]] = SCALARS[words[0]]
     if form != "binary_little_endian":
         raise RunFolderError(
             f"{path} is a PLY in the format '{form:.60}'.", "Save it as binary little-endian."
         )
     if count < 0 or not fields:
-        raise RunFolderError(f"{path} has no vertex element.")
+        raise RunFolderError(f"{path} has no vertex element.", HINT)
     return count, np.dtype(list(fields.items()))
 
 
 def _count(path: str | Path, word: str) -> int:
     """The number of rows that a header announces."""
     if not re.fullmatch("[0-9]{1,18}", word):
-        raise RunFolderError(f"{path}: '{word:.20}' is not a number of vertices.")
+        raise RunFolderError(f"{path}: '{word:.20}' is not a number of vertices.", HINT)
     return int(word)
 
 
@@ -143,9 +146,9 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     rest = sum(name.startswith("f_rest_") for name in names)
     missing = [n for n in _columns(rest) if n not in names and not n.startswith("n")]
     if rest not in REST_SIZES:
-        raise RunFolderError(f"{path} is not a Gaussian PLY ({rest} properties f_rest).")
+        raise RunFolderError(f"{path} is not a Gaussian PLY ({rest} properties f_rest).", HINT)
     if missing:
-        raise RunFolderError(f"{path} is not a Gaussian PLY (no property {missing[0]}).")
+        raise RunFolderError(f"{path} is not a Gaussian PLY (no property {missing[0]}).", HINT)
     # One gather of a plain matrix is several times faster than one pass per column.
     plain = all(table.dtype[name] == np.dtype("<f4") for name in names)
     matrix = table.view("<f4").reshape(len(table), len(names)) if plain else None

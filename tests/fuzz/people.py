@@ -275,7 +275,20 @@ def options(dice: random.Random, folder: Path) -> Case:
     if dice.random() < 0.1:
         line += given
     line = [os.path.join(folder, word) if word == "in" else word for word in line]
-    return Case(in_case(line, folder))
+    case = Case(in_case(line, folder))
+    if given and given[0] in case and not taken(chosen, text):
+        case.statuses, case.names = (2,), (given[0].partition("=")[0],)
+    return case
+
+
+def taken(option: argparse.Action, text: str) -> bool:
+    """Whether an option takes a text, as far as that can be seen without files."""
+    if option.nargs == 0 or option.choices is not None:
+        return option.nargs == 0 or text in option.choices
+    try:
+        return callable(option.type) and option.type(text) is not None
+    except argparse.ArgumentTypeError:
+        return False
 
 
 def in_case(line: Command, folder: Path) -> Command:

@@ -336,6 +336,29 @@ def test_no_points(tmp_path: Path, binary: bool) -> None:
         load_colmap(tmp_path)
 
 
+def test_points_with_negative_ids_are_named(tmp_path: Path) -> None:
+    path = write_project(tmp_path, binary=False).folder / "sparse" / "0" / "points3D.txt"
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    negative = [f"-{line}" for line in lines]
+    path.write_text("\n".join([*negative[:1], *lines[1:]]), encoding="utf-8")
+    events: list[Event] = []
+    assert len(load_colmap(tmp_path, context=Context(emit=events.append)).points) == len(lines) - 1
+    texts = [event.text for event in events if isinstance(event, Message)]
+    assert "Skipped 1 3D point: 1 with a negative id." in texts
+    path.write_text("\n".join(negative), encoding="utf-8")
+    with pytest.raises(SceneError, match=f"{len(lines)} with a negative id") as caught:
+        load_colmap(tmp_path)
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize("name", ["cameras.txt", "images.txt", "points3D.txt"])
+def test_a_text_model_in_utf_16_is_named(tmp_path: Path, name: str) -> None:
+    path = write_project(tmp_path, binary=False).folder / "sparse" / "0" / name
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
+    with pytest.raises(SceneError, match=rf"{name}.*UTF-16 text; save it as UTF-8"):
+        load_colmap(tmp_path)
+
+
 def test_no_photos_in_the_model(tmp_path: Path) -> None:
     write_project(tmp_path, names=[])
     with pytest.raises(SceneError, match="has no posed photos"):

@@ -38,7 +38,24 @@ def test_what_is_written_reads_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["", " a", "a ", "a.", "a/b", "a\\b", "c:", "NUL", "com1.x", "a\0", "\ud800", "x" * 101]
+    "name",
+    [
+        "",
+        " a",
+        "a ",
+        "a.",
+        "a/b",
+        "a\\b",
+        "c:",
+        "NUL",
+        "com1.x",
+        "aux .jpg",
+        "CONIN$",
+        "lpt\u00b2",
+        "a\0",
+        "\ud800",
+        "x" * 101,
+    ],
 )
 def test_names_that_cannot_name_files_on_every_system(name: str) -> None:
     assert not is_file_name(name)
@@ -51,6 +68,20 @@ def test_names_that_cannot_name_files_on_every_system(name: str) -> None:
 def test_names_that_can(name: str) -> None:
     assert check_roi_name(name) == name
     assert is_file_name(safe_name(name))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("NUL", "con.png", "Aux .jpg", "com\u00b9", "CONOUT$.txt", "a. .", ".. "),
+        *("\u56fe" * 90, "\U00020000" * 90, "0" * 81, "0" * 90, "x." * 44),
+    ],
+    ids=range(12),
+)
+def test_names_of_cameras_become_names_of_files_of_every_system(name: str) -> None:
+    safe = safe_name(name)
+    assert is_file_name(safe) and safe_name(safe) == safe
+    assert len(f".{safe}.png.4194304-0123abcd.part".encode()) < 255
 
 
 def test_names_that_share_a_file() -> None:

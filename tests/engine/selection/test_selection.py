@@ -275,7 +275,7 @@ def test_wrong_settings_are_named(wrong):
 def test_the_table_lists_every_pick_in_order():
     selection = select_cameras(ring_scene(views=5), BOX, SelectionConfig(count=9))
     lines = format_selection(selection).splitlines()
-    assert "5 of 5" in lines[0] and "coverage" in lines[0]
+    assert "5 photos selected by coverage, of 5 candidates" in lines[0]
     assert [line.split()[1] for line in lines[2:7]] == list(selection.names)
     assert lines[7].startswith("! Only 5 photos")
 
