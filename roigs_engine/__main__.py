@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 
 from . import TYPE_CHECKING
 
@@ -20,6 +22,9 @@ def _main(stop: StopRequest) -> int:
 if __name__ == "__main__":
     # Python's own answer to Ctrl-C, a traceback, would come out of the next import.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if os.name == "posix" and sys.getfilesystemencoding() != "utf-8":
+        # Names are UTF-8 everywhere here; this locale could not write them. Begin again in UTF-8.
+        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
     from .commands.process import run_process
 
     run_process(_main)

@@ -20,7 +20,15 @@ def start(*arguments: object) -> subprocess.Popen[str]:
     """The command line as a process of its own, its input open."""
     command = [sys.executable, "-m", "roigs_engine", *map(str, arguments)]
     pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    return subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stdin=pipe,
+        stdout=pipe,
+        stderr=pipe,
+        encoding="utf-8",
+        errors="replace",
+    )
 
 
 def python(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import signal
 import subprocess
@@ -16,7 +17,7 @@ import pytest
 
 from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.commands.streams import Stream
-from tests.engine.commands.command_line import BOX, ROOT, start
+from tests.engine.commands.command_line import BOX, ROOT, python, start
 from tests.engine.synthetic_colmap import Project
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="a POSIX shell")
@@ -190,3 +191,25 @@ process.run_process(_main)
     lines = result.stderr.splitlines()
     assert lines[0].startswith("Stopping") and lines[1].startswith("Stopped.")
     assert len(lines) == 2 and result.returncode == (3 if presses == 1 else 130)
+
+
+@pytest.mark.parametrize("streams", ["ascii", "latin-1", ""])
+def test_names_in_a_locale_without_letters(
+    project: Project, tmp_path: Path, streams: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (
+        ("LC_ALL", "C"),
+        ("PYTHONUTF8", "0"),
+        ("PYTHONCOERCECLOCALE", "0"),
+        ("PYTHONIOENCODING", streams),
+    ):
+        monkeypatch.setenv(name, value)
+    box = BOX.replace("thing", "väse 模")
+    result = python("select", project.folder, "--roi", box, "--out", tmp_path / "ä", "--events")
+    assert result.returncode == 0, result.stderr
+    path = tmp_path / "ä" / "väse 模.json"
+    assert path.exists()
+    assert json.loads(result.stdout.splitlines()[-1])["outputs"] == {"väse 模": str(path)}
+    # People read what their streams can show.
+    seen = {"ascii": "v\\xe4se \\u6a21", "latin-1": "v\ufffdse \\u6a21"}.get(streams, "väse 模")
+    assert seen in result.stderr
