@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks import cuda_step, flops, step, tables
+from benchmarks import cuda_step, flops, large_capture, step, tables
 from benchmarks.measure import COUNTS, StepBenchmark, kernel_calls, optional_outputs, peak_memory
 from benchmarks.results import STAGES, Measurement, Row, growth
 from benchmarks.synthetic import CAMERAS
+from roigs_engine.colmap.project import load_colmap
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import build, library
 from roigs_engine.rasterize import rasterize
@@ -180,3 +181,10 @@ def test_without_a_gpu_the_step_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(torch.version, "cuda", None)
     with pytest.raises(KernelError, match="without CUDA"):
         step.main(["--device", "cuda"])
+
+
+def test_the_photos_of_a_large_capture_are_all_different(tmp_path: Path) -> None:
+    large_capture.write_scene(tmp_path, 7, 120, 80)
+    scene = load_colmap(tmp_path, cache=tmp_path / "cache")
+    assert len(scene.images) == len({image.digest for image in scene.images}) == 7
+    assert scene.skipped == {}

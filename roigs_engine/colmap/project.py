@@ -66,31 +66,30 @@ def load_colmap(
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
     observed = _observations(model, ids, context)
-    used = {image.name: observed.get(image_id, NO_IDS) for image_id, image in posed.items()}
-    scene = without_strays(
-        SfmScene(
-            images=tuple(
-                replace(image, point_indices=used[image.name])
-                for image in sorted(posed.values(), key=lambda image: image.name)
-            ),
-            points=points,
-            colors=colors,
-            skipped=skipped,
-            has_tracks=any(len(rows) for rows in used.values()),
-        )
+    found = [
+        replace(image, point_indices=observed.get(image_id, NO_IDS))
+        for image_id, image in posed.items()
+    ]
+    scene = SfmScene(
+        images=tuple(sorted(found, key=lambda image: image.name)),
+        points=points,
+        colors=colors,
+        skipped=skipped,
+        has_tracks=any(len(image.point_indices) for image in found),
     )
-    _report_left_out(scene, context)
-    return scene
+    return _without_strays(scene, context)
 
 
-def _report_left_out(scene: SfmScene, context: Context) -> None:
-    """Emit a message for each reason: a warning, unless the photos merely have no pose."""
+def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
+    """The scene without strays; says what was left out, as warnings but for photos without pose."""
+    scene = without_strays(scene)
     if scene.stray_points:
         context.warn(f"Left out {scene.stray_points:,} 3D points far from all cameras.")
     for reason, names in scene.skipped.items():
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
         emit = context.info if reason == UNPOSED else context.warn
         emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first}.")
+    return scene
 
 
 def find_model(path: Path, context: Context = QUIET) -> Path:
