@@ -110,4 +110,7 @@ def _split(path: Path) -> list[str]:
     names = record.get("test") if isinstance(record, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"{path} has no list 'test' of photo names.", "Use a run's split.json.")
+    if not names:
+        hint = "Use the split.json of a run with test photos, or --test-every."
+        raise ConfigError(f"{path} names no test photo.", hint)
     return names
