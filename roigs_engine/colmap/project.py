@@ -84,7 +84,7 @@ def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
     """The scene without strays; says what was left out, as warnings but for photos without pose."""
     scene = without_strays(scene)
     if scene.stray_points:
-        context.warn(f"Left out {scene.stray_points:,} 3D points far from all cameras.")
+        context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():
         first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
         emit = context.info if reason == UNPOSED else context.warn

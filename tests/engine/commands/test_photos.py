@@ -47,7 +47,7 @@ def test_a_damaged_test_photo_is_left_out_before_the_split(
     path.write_bytes(path.read_bytes()[:-200] + b"\xff\xd9")
     capsys.readouterr()
     assert main(arguments(project, tmp_path / "again")) == 0
-    assert f"Skipped 1 photos, unreadable: {lost}." in capsys.readouterr().err
+    assert f"Skipped 1 photo, unreadable: {lost}." in capsys.readouterr().err
     assert lost not in split_of(tmp_path / "again")
     table = json.loads((tmp_path / "again" / run_files.REPORT_DATA).read_text(encoding="utf-8"))
     assert lost not in table["test_views"] and table["test_views"]

@@ -61,7 +61,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 @pytest.mark.parametrize("binary", [True, False])
 def test_loading(tmp_path: Path, binary: bool) -> None:
     project = write_project(tmp_path, names=NAMES, binary=binary)
-    asks_often(lambda context: load_colmap(project.folder, context=context), 3 * len(NAMES))
+    asks_often(
+        lambda context: load_colmap(project.folder, context=context), 3 * len(NAMES), waits=True
+    )
 
 
 def test_undistorting(tmp_path: Path) -> None:
