@@ -7,6 +7,7 @@ appears with its record or not at all, and is taken over only if that process ha
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 from contextlib import suppress
@@ -43,7 +44,7 @@ def hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
     """The lock file, created by this process with its record.
 
     Args:
-        path: the lock file; one of a process that has ended is removed.
+        path: the lock file; one of a process that has ended is taken over.
         record: with the `pid` and the `process.identity` of this process.
 
     Raises:
@@ -59,7 +60,9 @@ def hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
             continue
         if process.may_live(_parsed(found)):
             raise MayLiveError
-        _remove(path, found)
+        file = _taken_over(path, found, record)
+        if file is not None:
+            return file
 
 
 def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
@@ -82,28 +85,32 @@ def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
     return file
 
 
-def _remove(path: Path, found: bytes) -> None:
-    """Remove the file of a process that has ended, unless another process has replaced it."""
-    temporary, file, _ = new_temporary(path)
-    file.close()
+def _taken_over(path: Path, found: bytes, record: dict[str, Any]) -> BinaryIO | None:
+    """The file of a process that has ended, now this one's; None if another one was faster.
+
+    Only the process that holds the file named after the old content may replace that content. It
+    does so in one step, so that at no moment there is no file, which others would create.
+    """
+    claim = path.with_name(f".{path.name}.{hashlib.sha256(found).hexdigest()[:16]}")
+    right = hold_by_name(claim, record)
     try:
-        os.replace(path, temporary)
-        if read_bytes(temporary) != found:
-            _put_back(temporary, path)
-    except FileNotFoundError:  # another process was faster
-        pass
+        if not _has_content(path, found):
+            return None
+        temporary, file, _ = new_temporary(path)
+        write_record(file, record)
+        os.replace(temporary, path)
+        return file
     finally:
+        right.close()
         with suppress(OSError):
-            temporary.unlink()
+            claim.unlink()
 
 
-def _put_back(temporary: Path, path: Path) -> None:
-    """Give the file its name again, unless yet another process has that name now."""
+def _has_content(path: Path, content: bytes) -> bool:
     try:
-        os.link(temporary, path)
-    except OSError as error:
-        if error.errno in NO_LINKS and not path.exists():
-            os.rename(temporary, path)
+        return read_bytes(path) == content
+    except OSError:
+        return False
 
 
 def _parsed(content: bytes) -> dict[str, Any]:

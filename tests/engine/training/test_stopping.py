@@ -24,6 +24,7 @@ from tests.engine.synthetic_colmap import camera, write_project
 from tests.engine.synthetic_scene import BOX, make_scene
 
 NAMES = [f"{index}.png" for index in range(6)]
+THREADS = 8
 
 
 class Asked:
@@ -50,7 +51,8 @@ def asks_often(work: Callable[[Context], object], least: int, *, waits: bool = F
         stopping = Asked(stop_at)
         with pytest.raises(Stopped):
             work(Context(should_stop=stopping))
-        assert stopping.calls == stop_at
+        late = THREADS if waits else 0  # others that were about to ask
+        assert stop_at <= stopping.calls <= stop_at + late
 
 
 @pytest.fixture(scope="module")
