@@ -75,4 +75,5 @@ def _end_soon() -> None:
 def _say(text: str) -> None:
     """Write a line on standard error, below a progress bar that may be there."""
     with suppress(OSError, RuntimeError):  # a plain stream refuses to be entered twice
-        sys.stderr.write(f"\n{text}\n" if sys.stderr.isatty() else f"{text}\n")
+        below = sys.stderr.isatty() or getattr(sys.stderr, "in_line", False)
+        sys.stderr.write(f"\n{text}\n" if below else f"{text}\n")

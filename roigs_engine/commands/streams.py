@@ -41,6 +41,7 @@ class Stream(io.TextIOBase):
         self.encoding = encoding
         self.lost: OSError | None = None
         self.gone = False
+        self.in_line = False  # whether the last text was the start of a line, as of a progress bar
         self.replaced: Any = None  # kept, for it would close `raw` when it is deleted
         self._raw, self._stop = raw, stop
         self._torn = False
@@ -48,7 +49,8 @@ class Stream(io.TextIOBase):
 
     def write(self, text: str) -> int:
         """Write text at once, or not at all; returns its length."""
-        if not self.gone and not self._stop.leaving:
+        if text and not self.gone and not self._stop.leaving:
+            self.in_line = not text.endswith("\n")
             lines = f"\n{text}" if self._torn else text
             data = lines.replace("\n", os.linesep).encode(self.encoding, "backslashreplace")
             try:
