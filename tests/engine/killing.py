@@ -176,7 +176,8 @@ def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
 
     def work(stop: StopRequest) -> int:
         status = cli.main(arguments, stop)
-        (folder / "moments").write_text(json.dumps(clock.names), encoding="utf-8")
+        (folder / "half").write_text(json.dumps(clock.names), encoding="utf-8")
+        (folder / "half").rename(folder / "moments")  # a further Ctrl-C may end this, too
         return status
 
     connect(folder / "errors")
