@@ -31,6 +31,8 @@ from tests.addon.fake_engine import PYTHON, fake, finished
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ("roigs_engine", "roigs_addon")
+# Begins again as the same program with the same arguments, in UTF-8.
+RESTARTS = "roigs_engine/__main__.py"
 RUNS_CODE = re.compile(
     r"(pickle|cPickle|dill|marshal|shelve|joblib|yaml)\.\w*(load|Unpickler|open)\w*"
     r"|(builtins\.)?(eval|exec|compile|__import__|execfile)"
@@ -56,7 +58,8 @@ def test_nothing_is_run_or_unpickled() -> None:
     found = list(calls())
     assert len(found) > 3000
     for place, called, given in found:
-        assert not RUNS_CODE.fullmatch(called), f"{place}: {called}"
+        own = called == "os.execv" and place.startswith(f"{RESTARTS}:")
+        assert own or not RUNS_CODE.fullmatch(called), f"{place}: {called}"
         assert given.get("shell", "False") == "False", f"{place}: a shell"
         if called == "torch.load":
             assert given.get("weights_only") == "True", place

@@ -57,7 +57,7 @@ def expected_time(run: Run, plan: Plan, context: Context) -> str | None:
 
 
 def _time_line(seconds: float, saved: float, context: Context) -> str:
-    threads = f"{library.threads()} threads" if context.device == "cpu" else context.device
+    threads = counted(library.threads(), "thread") if context.device == "cpu" else context.device
     done = f"; {_minutes(saved)} are already done" if saved else ""
     return f"Time: about {_minutes(seconds)} on this machine ({threads}){done}."
 
@@ -152,5 +152,5 @@ def _folder_note(run: Run, *, update: bool) -> list[str]:
 
 def _minutes(seconds: float) -> str:
     if seconds < 90:
-        return f"{max(1, round(seconds))} seconds"
+        return counted(max(1, round(seconds)), "second")
     return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"

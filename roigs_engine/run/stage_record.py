@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunFolderError
-from ..formats.files import read_bytes, sha256, write_json
+from ..formats.files import UNREADABLE, read_bytes, sha256, write_json
 
 CHECKSUM = "checksum"
 
@@ -60,7 +60,7 @@ def read_record(path: Path) -> StageRecord | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise RunFolderError(f"Cannot read {path} ({error.strerror}).") from error
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     except (ValueError, RecursionError) as error:
         raise DamagedError(f"{path} is damaged (not JSON)") from error
     if not isinstance(value, dict) or value.pop(CHECKSUM, None) != _checksum(value):
@@ -94,7 +94,7 @@ def check_model(path: Path, record: StageRecord) -> None:
     except FileNotFoundError as error:
         raise DamagedError(f"{path} is missing") from error
     except OSError as error:
-        raise RunFolderError(f"Cannot read {path} ({error.strerror}).") from error
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     if found != record.model_sha256:
         raise DamagedError(f"{path} is damaged (wrong checksum)")
 
