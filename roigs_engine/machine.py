@@ -97,6 +97,24 @@ def _malloc_trim() -> Callable[[int], int] | None:
     return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
+LARGE_BLOCK, KEPT_FREE = 8 << 20, 128 << 20  # bytes
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
+
+
+@functools.cache
+def return_large_blocks() -> None:
+    """Make the C library (glibc) return large blocks to the system once they are freed.
+
+    By itself it keeps those of up to 32 MB: pictures of some megapixels, of which a step frees
+    dozens. Measured with `benchmarks.large_capture`, see docs/reliability.md.
+    """
+    if sys.platform == "linux":
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+        if mallopt is not None:
+            mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
+            mallopt(M_TRIM_THRESHOLD, KEPT_FREE)
+
+
 def processor_name() -> str:
     """The processor's name, read without starting another program."""
     with suppress(OSError):

@@ -11,6 +11,7 @@ from ..colmap.records import MAX_DOWNSCALE, MAX_SIDE
 from ..context import Context
 from ..errors import RoiError
 from ..formats.names import first_taken
+from ..machine import return_large_blocks
 from ..model.roi import OrientedBox, load_rois, parse_roi
 from ..model.scene import SfmScene
 from ..run.config import INITS, MAX_FACTOR, ORDERS, STRATEGIES, RunConfig
@@ -151,7 +152,7 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
 
 
 def context_on_device(args: argparse.Namespace, console: Console) -> Context:
-    """The console's context with the device of `add_device_option`.
+    """The console's context with the device of `add_device_option`; sets up the process for it.
 
     Raises:
         KernelError: the device is not available.
@@ -159,6 +160,7 @@ def context_on_device(args: argparse.Namespace, console: Console) -> Context:
     from ..cuda.device import choose_device
 
     context = console.context
+    return_large_blocks()
     return replace(context, device=str(choose_device(args.device, context)))
 
 

@@ -161,12 +161,14 @@ def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floa
     """The arrays of Gaussians in a frame -> in the world; far centres become float64."""
     if frame.is_world:
         return dict(arrays)
-    means = arrays["means"].astype(np.float64) / frame.scale + frame.origin
     near = not frame.origin.any()
+    with np.errstate(all="ignore"):  # what float32 cannot hold becomes Inf
+        means = arrays["means"].astype(np.float64) / frame.scale + frame.origin
+        stored = means.astype(np.float32) if near else means
     log_scales = arrays["log_scales"] - np.float32(np.log(frame.scale))
     return {
         **arrays,
-        "means": means.astype(np.float32) if near else means,
+        "means": stored,
         "log_scales": log_scales,
     }
 
@@ -175,6 +177,7 @@ def _to_local(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floa
     """The inverse of `_to_world`."""
     if frame.is_world:
         return dict(arrays)
-    means = frame.points(arrays["means"].astype(np.float64)).astype(np.float32)
+    with np.errstate(all="ignore"):  # what float32 cannot hold becomes Inf, and is not drawn
+        means = frame.points(arrays["means"].astype(np.float64)).astype(np.float32)
     log_scales = arrays["log_scales"] + np.float32(np.log(frame.scale))
     return {**arrays, "means": means, "log_scales": log_scales}

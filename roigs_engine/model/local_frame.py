@@ -58,7 +58,8 @@ class LocalFrame:
         good = means[np.isfinite(means).all(axis=1)]
         if len(good) == 0:
             return cls.world()
-        distances = np.linalg.norm(good - np.median(good, axis=0), axis=1)
+        with np.errstate(over="ignore"):  # in a damaged file; then it is the world
+            distances = np.linalg.norm(good - np.median(good, axis=0), axis=1)
         return cls.around(good, float(np.median(distances)))
 
     @property

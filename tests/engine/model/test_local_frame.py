@@ -85,3 +85,4 @@ def test_gaussians_without_cameras() -> None:
     broken = np.concatenate([means * 1e-4, np.full((3, 3), np.nan), np.full((1, 3), np.inf)])
     assert LocalFrame.of_centres(broken).scale == BASE**4
     assert LocalFrame.of_centres(np.full((2, 3), np.nan)).is_world
+    assert LocalFrame.of_centres(np.array([[-1e300] * 3, [1e300] * 3])).is_world
