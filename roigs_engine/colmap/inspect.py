@@ -29,7 +29,7 @@ def inspect_scene(scene: SfmScene, rois: Sequence[OrientedBox] = ()) -> dict[str
     boxes = [inspect_roi(scene, roi) for roi in rois]
     warnings = scene_warnings(scene, rois)
     for box in boxes:
-        warnings += few_photos(box["name"], box["photos"])
+        warnings += few_photos(box["name"], box["photos"], points=box["points"])
     sizes = sorted({(c.width, c.height) for c in cameras}, key=lambda size: size[0] * size[1])
     bounds = np.percentile(scene.points, (1, 99), axis=0) if len(scene.points) else np.zeros((2, 3))
     return {
@@ -93,12 +93,15 @@ def format_inspection(record: dict[str, Any]) -> str:
         more = ", …" if entry["count"] > len(entry["first"]) else ""
         lines.append(f"skipped  {entry['count']} {reason}: {', '.join(entry['first'])}{more}")
     for roi in record["rois"]:
-        sides = " x ".join(f"{side:.3g}" for side in roi["sides"])
+        sides = " x ".join(f"{side:.4g}" for side in roi["sides"])
         lines.append(f"Box '{roi['name']}', {sides}")
+        seen = (
+            f", covering {100 * roi['median_area']:.1f} % of one (median), from"
+            f" {roi['nearest']:.4g} to {roi['farthest']:.4g} away"
+        )
         lines.append(
             f"         {counted(roi['points'], 'point')} inside, seen on "
-            f"{counted(roi['photos'], 'photo')}, covering {100 * roi['median_area']:.1f} % of one "
-            f"(median), from {roi['nearest']:.3g} to {roi['farthest']:.3g} away"
+            f"{counted(roi['photos'], 'photo')}{seen if roi['photos'] else ''}"
         )
         if roi["cameras_inside"]:
             lines.append(f"         {counted(roi['cameras_inside'], 'camera')} inside the box")

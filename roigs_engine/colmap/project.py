@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.rois import FAR
 from ..formats.text import counted
-from ..model.scene import Float64, Int64, SfmScene
+from ..model.scene import Float64, Int64, PosedImage, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
 from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
@@ -28,6 +29,7 @@ def load_colmap(
     downscale: float | None = None,
     max_side: int | None = None,
     pixels: bool = True,
+    check: Callable[[SfmScene], None] | None = None,
     context: Context = QUIET,
 ) -> SfmScene:
     """The scene of a COLMAP project.
@@ -44,6 +46,7 @@ def load_colmap(
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
             Photos have digests only with a `cache`, which is not written. Needs numpy alone;
             without pycolmap, lens distortion is ignored, with a warning.
+        check: called with the cameras before any photo is decoded; raises what is wrong with them.
         context: receives messages; checked for cancellation between files and photos.
 
     Raises:
@@ -60,24 +63,35 @@ def load_colmap(
     if loader.approximate:
         text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
         context.warn(text)
+    observed = _observations(model, ids, context)
+    if check is not None and loader.posed:
+        check(without_strays(_scene(loader.posed, observed, points, colors)))
     posed = loader.load(cache, context)
     if not posed:
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
     skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
-    observed = _observations(model, ids, context)
+    scene = replace(_scene(posed, observed, points, colors), skipped=skipped)
+    return _without_strays(scene, context)
+
+
+def _scene(
+    posed: dict[int, PosedImage],
+    observed: dict[int, Int64],
+    points: Float64,
+    colors: NDArray[np.uint8],
+) -> SfmScene:
+    """The scene of these photos, by their ids in the model."""
     found = [
         replace(image, point_indices=observed.get(image_id, NO_IDS))
         for image_id, image in posed.items()
     ]
-    scene = SfmScene(
+    return SfmScene(
         images=tuple(sorted(found, key=lambda image: image.name)),
         points=points,
         colors=colors,
-        skipped=skipped,
         has_tracks=any(len(image.point_indices) for image in found),
     )
-    return _without_strays(scene, context)
 
 
 def _without_strays(scene: SfmScene, context: Context) -> SfmScene:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
+from contextlib import suppress
 from pathlib import Path
 
-from ..errors import RoiError
+from ..errors import ConfigError, RoiError
 from ..formats.text import counted
 from .console import Console
 from .options import add_roi_options, boxes
@@ -36,6 +38,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..model.compose import merge
     from ..model.gaussians import Gaussians
 
+    if args.out.suffix.lower() != ".ply":
+        raise ConfigError(f"--out {args.out} is not the name of a PLY.", "Write FILE.ply.")
     by_name = {roi.name: roi for roi in boxes(args)}
     objects: dict[str, Path] = {}
     for text in args.object:
@@ -48,12 +52,26 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         if name in objects:
             raise RoiError(f"--object names '{name}' twice.", "Give one file for each box.")
         objects[name] = path
+    if any(_is_same(args.out, path) for path in (args.scene_ply, *objects.values())):
+        raise ConfigError(f"{args.out} is an input of this command.", "Choose another --out.")
     scene, frame = Gaussians.load_framed(args.scene_ply, scaled=False)
     pairs = [
         (frame.box(by_name[name]), Gaussians.load_ply(path, frame))
         for name, path in objects.items()
     ]
+    for (roi, model), path in zip(pairs, objects.values(), strict=True):
+        if not model.in_box(roi).any():
+            raise RoiError(
+                f"{path} has no Gaussian in box '{roi.name}'.", "Is it from the same scene?"
+            )
     composed = merge(scene, pairs)
     composed.save_ply(args.out, frame)
     console.print(f"{counted(len(composed), 'Gaussian')} in {args.out}")
     return {"result": str(args.out)}
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Whether two names stand for one file."""
+    with suppress(OSError):
+        return os.path.samefile(path, other)
+    return False

@@ -110,7 +110,8 @@ class Console:
                 self.close_bar()
                 _write(f"error: {message} {hint}".rstrip(), sys.stderr)
             case Done(stopped=True):
-                self._line("Stopped. The same command resumes from here.")
+                how = "resumes from here" if self._log is not None else "starts again"
+                self._line(f"Stopped. The same command {how}.")
             case Done():
                 self.close_bar()
             case Preview():

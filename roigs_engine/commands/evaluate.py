@@ -9,6 +9,8 @@ from pathlib import Path
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
 from ..formats.run_files import CACHE
+from ..formats.splat_ply import check_ply
+from ..model.scene import SfmScene
 from .console import Console
 from .options import (
     add_device_option,
@@ -62,17 +64,27 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..evaluation.views import EvaluatedModel
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
+    from ..model.visibility import check_has_points
     from ..selection.split import choose_test_views
 
     files = _model_files(args.model)
-    rois, scene = boxes(args), load_scene(args, console, own_folder(args.out, CACHE))
-    test = _split(args.split) if args.split else choose_test_views(scene, rois, args.test_every)
-    unknown = sorted(set(test) - {image.name for image in scene.images})
-    if unknown:
-        raise ConfigError(
-            f"{args.split} names '{unknown[0]}', which is not in the scene.",
-            "Use the split.json of a run on this scene.",
-        )
+    rois, test = boxes(args), _split(args.split) if args.split else []
+    for path in files.values():
+        check_ply(path)
+
+    def check(cameras: SfmScene) -> None:
+        for roi in rois:
+            check_has_points(cameras, roi)
+        unknown = sorted(set(test) - {image.name for image in cameras.images})
+        if unknown:
+            raise ConfigError(
+                f"{args.split} names '{unknown[0]}', which is not in the scene.",
+                "Use the split.json of a run on this scene.",
+            )
+
+    scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
+    test = test or list(choose_test_views(scene, rois, args.test_every))
+    test = [image.name for image in scene.images if image.name in set(test)]
     frame = LocalFrame.of_scene(scene)
     scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
     context = context_on_device(args, console)

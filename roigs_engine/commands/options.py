@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -165,7 +166,12 @@ def context_on_device(args: argparse.Namespace, console: Console) -> Context:
 
 
 def load_scene(
-    args: argparse.Namespace, console: Console, cache: Path | None = None, *, pixels: bool = True
+    args: argparse.Namespace,
+    console: Console,
+    cache: Path | None = None,
+    *,
+    pixels: bool = True,
+    check: Callable[[SfmScene], None] | None = None,
 ) -> SfmScene:
     """The scene of `add_scene_options`.
 
@@ -173,6 +179,7 @@ def load_scene(
         args, console: of the command.
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
         pixels: False if only cameras, and what `cache` knows of the photos, are needed.
+        check: called with the cameras before any photo is decoded.
     """
     from ..colmap.project import load_colmap
     from ..kernels.library import set_threads
@@ -186,6 +193,7 @@ def load_scene(
         downscale=args.downscale,
         max_side=args.max_side,
         pixels=pixels and cache is not None,
+        check=check,
         context=console.context,
     )
 
@@ -204,7 +212,8 @@ def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBo
         raise RoiError(f"Two boxes are named '{taken}'.", "Give each its own name.")
     for name in args.only:
         if name not in names:
-            raise RoiError(f"There is no box '{name}'.", f"The boxes are: {', '.join(names)}.")
+            hint = f"The boxes are: {', '.join(names)}." if names else "Add --rois or --roi."
+            raise RoiError(f"There is no box '{name}'.", hint)
     if args.only:
         rois = [roi for roi in rois if roi.name in args.only]
     if required and not rois:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from ..context import Context
+from ..context import QUIET, Context
 from ..formats import run_files
 from ..formats.files import refuse_linked_folders, remove_leftovers
 from ..formats.lock import locked
@@ -29,6 +29,7 @@ from .out_folder import claimed
 from .values import PATH, Number
 
 if TYPE_CHECKING:
+    from ..model.scene import SfmScene
     from ..run.definition import Run
 
 MAX_SECONDS = 1e9
@@ -106,7 +107,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..colmap.undistorted_photos import remove_unused
     from ..run.definition import define_run
     from ..run.folder import open_folder
-    from ..run.manifest import check_version
+    from ..run.manifest import check_version, refuse_other_run
     from ..run.memory import run_memory
     from ..run.provenance import recorded
 
@@ -117,7 +118,14 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)
         context = _context(args, console)
-        scene = load_scene(args, console, args.run_dir / run_files.CACHE)
+
+        def check(cameras: SfmScene) -> None:
+            run = define_run(args.run_dir, cameras, context=quiet, **inputs)
+            if not args.update:
+                refuse_other_run(args.run_dir, run.manifest())
+
+        quiet = replace(context, emit=QUIET.emit)
+        scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
         remove_unused(args.run_dir / run_files.CACHE, scene.images)

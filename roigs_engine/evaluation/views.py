@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..context import Context
 from ..errors import ConfigError
+from ..formats.text import counted
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
@@ -21,6 +22,7 @@ from ..rasterize.view import render_view
 from . import metrics
 from .scores import MIN_SILHOUETTE, MeasuredView
 
+FEW_VIEWS = 3  # test photos; the scores of fewer say little
 PIXELS_AT_ONCE = 1 << 18  # pixels whose world positions are in memory at a time
 
 
@@ -145,6 +147,11 @@ def plan_views(
     }
     if not views:
         context.warn(f"No test photo shows box '{roi.name}': no scores.")
+    elif len(views) < FEW_VIEWS or largest < MIN_SILHOUETTE:
+        context.warn(
+            f"Box '{roi.name}' is large enough on {counted(len(views), 'test photo')} only, of"
+            f" {len(images)}: its scores say little. Use a larger --max-side, or more photos of it."
+        )
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]
     if len(set(names)) < len(names):

@@ -171,12 +171,14 @@ def atomic_write(
         before: what stood under `path` is kept under this name, and is durable by then.
 
     Raises:
-        RunFolderError: the folder cannot be written to, or the disk is full.
+        RunFolderError: the folder cannot be written to, the disk is full, or a pipe or a device is
+            in the way.
     """
     path = Path(path)
     temporary, owner = path, None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _refuse_special(path)
         temporary, file, owner = new_temporary(path)
         with file:
             yield file
@@ -196,6 +198,14 @@ def atomic_write(
                 temporary.unlink()
         if owner is not None:
             os.close(owner)
+
+
+def _refuse_special(path: Path) -> None:
+    """Raise OSError for a pipe, a device or a socket: a file would take its place."""
+    with suppress(FileNotFoundError):
+        kind = os.lstat(path).st_mode
+        if not (stat.S_ISREG(kind) or stat.S_ISLNK(kind) or stat.S_ISDIR(kind)):
+            raise OSError(errno.EINVAL, "Not a file", path)
 
 
 def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:

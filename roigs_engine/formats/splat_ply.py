@@ -86,6 +86,16 @@ def read_ply(path: str | Path) -> dict[str, Floats]:
         RunFolderError: the file is missing, truncated, or not a binary little-endian PLY of
             Gaussians; one line that says which.
     """
+    return _decode(_table(path), path)
+
+
+def check_ply(path: str | Path) -> None:
+    """Raise as `read_ply`, from the header and the size of the file alone."""
+    _decode(_table(path, rows=0), path)
+
+
+def _table(path: str | Path, rows: int | None = None) -> NDArray[np.void]:
+    """The rows of the file, all or the first ones."""
     try:
         with open(path, "rb", opener=regular) as file:
             count, row = _read_header(file, path)
@@ -94,10 +104,9 @@ def read_ply(path: str | Path) -> dict[str, Floats]:
             if there < count:
                 text = f"{path} is truncated: it has {there} of {count} Gaussians."
                 raise RunFolderError(text, HINT_DAMAGED)
-            table = np.fromfile(file, row, count)
+            return np.fromfile(file, row, count if rows is None else rows)
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
-    return _decode(table, path)
 
 
 def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.void]]:

@@ -28,8 +28,10 @@ def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> li
     return found
 
 
-def few_photos(roi: str, count: int) -> list[str]:
-    """The warning about a box that `count` photos see, if these are too few."""
+def few_photos(roi: str, count: int, *, points: int = 1) -> list[str]:
+    """The warning about a box with `points` points that `count` photos see, if it is too little."""
+    if points == 0:
+        return [f"No point lies in box '{roi}': move it onto the object, or enlarge it."]
     match count:
         case 0:
             return [f"No photo sees box '{roi}': move or enlarge it, or add photos of it."]

@@ -103,9 +103,8 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
     Raises:
         RoiError: no point lies in the box, or no photo observes one that does.
     """
+    check_has_points(scene, roi)
     found = observations(scene, roi, context)
-    if len(found.points) == 0:
-        raise _empty_box(scene, roi)
     if not found.images:
         raise RoiError(
             f"No photo sees any of the points in box '{roi.name}'"
@@ -113,6 +112,12 @@ def find_candidates(scene: SfmScene, roi: OrientedBox, context: Context = QUIET)
             "Use fewer test photos, or move or enlarge the box.",
         )
     return found
+
+
+def check_has_points(scene: SfmScene, roi: OrientedBox) -> None:
+    """Raise RoiError if no point lies in the box."""
+    if not roi.contains(scene.points).any():
+        raise _empty_box(scene, roi)
 
 
 def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) -> tuple[str, ...]:
@@ -206,6 +211,11 @@ def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
     distance = np.linalg.norm(outside, axis=1)
     nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
     named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
+    if distance[nearest[0]] > roi.diagonal:
+        return RoiError(
+            f"{message} Nearest points: {named}.",
+            "Move the box onto the object. Is it in the model's units and frame?",
+        )
     return RoiError(
         f"{message} Nearest points: {named}.",
         f"Move the box onto the object, or enlarge it by {distance[nearest[0]]:.4g} or more on"

@@ -13,6 +13,7 @@ from ..errors import SceneError
 from ..model.local_frame import LocalFrame
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
+from ..model.visibility import check_has_points
 from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
 from .config import RunConfig
@@ -98,6 +99,8 @@ def define_run(
     """
     if len(scene.points) == 0:
         raise SceneError("The model has no 3D points.", "Triangulate it in COLMAP first.")
+    for roi in rois:
+        check_has_points(scene, roi)  # its message is in the world's frame
     frame = LocalFrame.of_scene(scene)
     local, boxes = frame.scene(scene), tuple(frame.box(roi) for roi in rois)
     test = choose_test_views(local, boxes, config.test_every, context)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from ..context import QUIET, Context
 from ..errors import RunFolderError
@@ -17,6 +17,7 @@ from .config import STRATEGIES
 
 FORMER_NAME = "request.json"  # until 0.1.0
 CONTENTS = "contents"  # the key of the photos' digests
+FIRST = ("sizes", CONTENTS)  # say more than what follows from them
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.
 RESULTS = (
@@ -46,15 +47,38 @@ def claim(
     if not difference:
         return
     if not update:
-        raise RunFolderError(
-            f"{folder} has another run ({difference}).",
-            "Add --update to archive that run, or choose another run folder (--run-dir).",
-        )
+        _refuse(folder, before, now)
     for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
         archive_parts(home, RESULTS, manifest_digest(before))
         restore_parts(home, RESULTS, manifest_digest(now))
     write_json(path, now)
     context.info(f"Updated {folder} to the new settings ({difference}).")
+
+
+def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
+    """Raise RunFolderError if the folder has a run of other settings, boxes or photos' names.
+
+    As `claim`, of a manifest without the photos' contents: before these are looked at.
+    """
+    path, now = folder / MANIFEST, from_json(manifest)
+    if path.exists():
+        before = read_manifest(path)
+        if isinstance(before, dict):
+            difference = manifest_difference(_without_contents(before), _without_contents(now))
+            if _other_scene(before, now) or difference:
+                _refuse(folder, before, now)
+
+
+def _without_contents(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What does not depend on the photos' pixels: a damaged photo changes their number, too."""
+    return {key: manifest.get(key) for key in ("config", "rois", "manual")}
+
+
+def _refuse(folder: Path, before: Any, now: Any) -> NoReturn:
+    raise RunFolderError(
+        f"{folder} has another run ({manifest_difference(before, now)}).",
+        "Add --update to archive that run, or choose another run folder (--run-dir).",
+    )
 
 
 def read_manifest(path: Path) -> Any:
@@ -96,10 +120,12 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         path: the keys that lead to these parts.
     """
     if path == CONTENTS and isinstance(before, dict) and isinstance(now, dict):
-        names = sorted(before.keys() | now.keys())
-        return _count([name for name in names if before.get(name) != now.get(name)])
+        return _photos_changed(before, now)
     if isinstance(before, dict) and isinstance(now, dict):
-        for key in [*before, *(k for k in now if k not in before)]:
+        if not path and _other_scene(before, now):
+            return "its photos are those of another scene"
+        keys = [*before, *(k for k in now if k not in before)]
+        for key in sorted(keys, key=lambda key: key not in FIRST):
             found = manifest_difference(
                 before.get(key), now.get(key), f"{path}.{key}" if path else key
             )
@@ -108,14 +134,28 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return ""
     if before == now:
         return ""
-    text = f"{path} was {before}, now {now}"
-    return text if len(text) <= MOST_TEXT else f"{path} changed"
+    name = path.removeprefix("config.").removeprefix("selection.")
+    text = f"{name} was {before}, now {now}"
+    return text if len(text) <= MOST_TEXT else f"{name} changed"
 
 
-def _count(changed: list[str]) -> str:
-    """How many photos changed, in words; empty if none."""
-    if not changed:
+def _other_scene(before: dict[str, Any], now: dict[str, Any]) -> bool:
+    """Whether two manifests have no photo in common."""
+    old, new = before.get(CONTENTS), now.get(CONTENTS)
+    if not (isinstance(old, dict) and isinstance(new, dict) and old and new):
+        return False
+    return not old.keys() & new.keys()
+
+
+def _photos_changed(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """Which photos changed, in words; empty if none."""
+    names = [
+        name for name in sorted(before.keys() | now.keys()) if before.get(name) != now.get(name)
+    ]
+    if not names:
         return ""
-    if len(changed) == 1:
-        return f"the photo {changed[0]} changed"
-    return f"{len(changed)} photos changed, the first is {changed[0]}"
+    first = names[0]
+    how = "is missing" if first not in now else "is new" if first not in before else "changed"
+    if len(names) == 1:
+        return f"the photo {first} {how}"
+    return f"{len(names)} photos changed, the first is {first}"

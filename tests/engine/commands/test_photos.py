@@ -172,3 +172,19 @@ def test_a_run_folder_of_an_earlier_version(
     capsys.readouterr()
     for more in ([], ["--dry-run"], ["--update"]):
         assert "made by an earlier version" in refused(capsys, *arguments(project, run, *more))
+
+
+def test_what_is_wrong_is_said_before_photos_are_looked_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = scene(tmp_path / "scene", distorted=True), tmp_path / "run"
+    wrong = [str(project.folder), "--roi", "far=90,90,90,91,91,91", "--run-dir", str(run)]
+    assert main(["run", *wrong]) == 2
+    assert not (run / run_files.CACHE).exists()
+    split = tmp_path / "split.json"
+    split.write_text('{"test": ["other.png"]}', encoding="utf-8")
+    out, ply = tmp_path / "out", tmp_path / "none.ply"
+    evaluate = ["evaluate", str(project.folder), "--roi", BOX, "--out", str(out)]
+    assert main([*evaluate, "--model", f"A={ply}"]) == 2
+    assert not (out / run_files.CACHE).exists()
+    assert "none.ply" in capsys.readouterr().err

@@ -181,3 +181,25 @@ def test_what_does_not_fit_into_memory_is_one_line(
 
         monkeypatch.setattr(COMMANDS["inspect"], "run", fail)
         assert "memory" in refused(capsys, "inspect", project.folder)
+
+
+def test_compose_overwrites_no_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ply = write_one_gaussian(tmp_path)
+    inside, before = "thing=-1,-1,2,1,1,4", ply.read_bytes()
+    command = ["compose", ply, "--roi", inside, "--object", f"thing={ply}", "--out"]
+    assert "input" in refused(capsys, *command, ply)
+    rois = tmp_path / "rois.json"
+    rois.write_text("{}", encoding="utf-8")
+    assert ".ply" in refused(capsys, *command, rois)
+    assert ply.read_bytes() == before and rois.read_text(encoding="utf-8") == "{}"
+    away = ["compose", ply, "--roi", BOX, "--object", f"thing={ply}", "--out", tmp_path / "a.ply"]
+    assert "has no Gaussian in box 'thing'" in refused(capsys, *away)
+
+
+def test_boxes_in_other_units_than_the_model(
+    tmp_path: Path, project: Project, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = "thing=900,900,900,905,905,905"
+    arguments = [project.folder, "--roi", far, "--run-dir", tmp_path / "run"]
+    line = refused(capsys, "train", *arguments)
+    assert "sides 5 x 5 x 5" in line and "units" in line  # the user's numbers

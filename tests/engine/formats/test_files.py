@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import subprocess
 import sys
 import time
@@ -164,3 +165,12 @@ def test_threads_that_write_the_same_file(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(write, range(64)))
     assert len(set(path.read_bytes())) == 1 and names(tmp_path) == ["a.bin"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.ply")
+    with pytest.raises(RunFolderError, match="Not a file"):
+        write_text(tmp_path / "pipe.ply", "text")
+    assert stat.S_ISFIFO((tmp_path / "pipe.ply").stat().st_mode)
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe.ply"]
