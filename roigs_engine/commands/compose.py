@@ -38,8 +38,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..model.compose import merge
     from ..model.gaussians import Gaussians
 
-    if args.out.suffix.lower() != ".ply":
-        raise ConfigError(f"--out {args.out} is not the name of a PLY.", "Write FILE.ply.")
     by_name = {roi.name: roi for roi in boxes(args)}
     objects: dict[str, Path] = {}
     for text in args.object:
@@ -52,6 +50,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         if name in objects:
             raise RoiError(f"--object names '{name}' twice.", "Give one file for each box.")
         objects[name] = path
+    if args.out.suffix.lower() != ".ply":
+        raise ConfigError(f"--out {args.out} is not the name of a PLY.", "Write FILE.ply.")
     if any(_is_same(args.out, path) for path in (args.scene_ply, *objects.values())):
         raise ConfigError(f"{args.out} is an input of this command.", "Choose another --out.")
     scene, frame = Gaussians.load_framed(args.scene_ply, scaled=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from ..context import QUIET, Context
 from ..errors import RunFolderError
@@ -18,6 +18,7 @@ from .config import STRATEGIES
 FORMER_NAME = "request.json"  # until 0.1.0
 CONTENTS = "contents"  # the key of the photos' digests
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them
+OTHER_SCENE = "its photos are those of another scene"
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.
 RESULTS = (
@@ -47,7 +48,7 @@ def claim(
     if not difference:
         return
     if not update:
-        _refuse(folder, before, now)
+        raise _other_run(folder, difference)
     for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
         archive_parts(home, RESULTS, manifest_digest(before))
         restore_parts(home, RESULTS, manifest_digest(now))
@@ -65,8 +66,10 @@ def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
         before = read_manifest(path)
         if isinstance(before, dict):
             difference = manifest_difference(_without_contents(before), _without_contents(now))
-            if _other_scene(before, now) or difference:
-                _refuse(folder, before, now)
+            if _other_scene(before, now):
+                difference = OTHER_SCENE
+            if difference:
+                raise _other_run(folder, difference)
 
 
 def _without_contents(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -74,9 +77,9 @@ def _without_contents(manifest: dict[str, Any]) -> dict[str, Any]:
     return {key: manifest.get(key) for key in ("config", "rois", "manual")}
 
 
-def _refuse(folder: Path, before: Any, now: Any) -> NoReturn:
-    raise RunFolderError(
-        f"{folder} has another run ({manifest_difference(before, now)}).",
+def _other_run(folder: Path, difference: str) -> RunFolderError:
+    return RunFolderError(
+        f"{folder} has another run ({difference}).",
         "Add --update to archive that run, or choose another run folder (--run-dir).",
     )
 
@@ -123,7 +126,7 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return _photos_changed(before, now)
     if isinstance(before, dict) and isinstance(now, dict):
         if not path and _other_scene(before, now):
-            return "its photos are those of another scene"
+            return OTHER_SCENE
         keys = [*before, *(k for k in now if k not in before)]
         for key in sorted(keys, key=lambda key: key not in FIRST):
             found = manifest_difference(

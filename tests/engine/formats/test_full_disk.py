@@ -100,7 +100,7 @@ def test_a_run_that_may_not_be_written_to_any_more(
 
 def test_a_folder_of_another_request(request_: Request) -> None:
     ended = engine([*request_.arguments(request_.whole), "--seed", 1])
-    refused(ended, "config.selection.seed was 0, now 1", "--update", "--run-dir")
+    refused(ended, "seed was 0, now 1", "--update", "--run-dir")
 
 
 def test_a_second_engine_in_a_folder(request_: Request, tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def test_what_is_done_is_said(scene: SfmScene, tmp_path: Path) -> None:
     assert before == sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*"))
     other = replace(run, config=tiny("joint", seed=1))
     text = describe_plan(other)
-    assert "config.seed was 0, now 1" in text and "--update" in text
+    assert "seed was 0, now 1" in text and "--update" in text
     assert "would be archived" in describe_plan(other, update=True)
 
 
