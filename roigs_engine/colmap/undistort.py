@@ -171,8 +171,10 @@ def _write(plan: UndistortionPlan, path: Path) -> None:
     from PIL import Image  # only for pixels: cameras do not need it
 
     from ..photos.decode import decode
+    from ..photos.headers import check_unchanged
 
     pixels = decode(plan.photo, (plan.source.width, plan.source.height))
+    check_unchanged(plan.photo, plan.digest)  # the file is named after the digest
     colmap = _pycolmap()
     bitmap, _ = colmap.undistort_image(
         _options(), colmap.Bitmap.from_array(pixels), _colmap_camera(plan.source)

@@ -7,6 +7,8 @@ for them only once, and again when its file has changed.
 from __future__ import annotations
 
 import hashlib
+import json
+import re
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -18,12 +20,14 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.events import StageStarted
 from ..formats.files import read_json, write_json
-from .headers import PhotoError, photo_size
+from .headers import PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel, threads_for
 
 FILE = "photos.json"
 VERSION = 1  # increase it if what is found of a photo changes
 STAGE = "photos"
+CHECKSUM = "checksum"  # key of the file
+DIGEST = re.compile("[0-9a-f]{32}|")
 WRITE_SECONDS = 60.0
 
 
@@ -106,7 +110,8 @@ class Contents:
         if self.path is not None:
             with suppress(RunFolderError):
                 files = {name: asdict(content) for name, content in sorted(self._known.items())}
-                write_json(self.path, {"version": VERSION, "photos": files}, durable=False)
+                record = {"version": VERSION, "photos": files, CHECKSUM: _checksum(files)}
+                write_json(self.path, record, durable=False)
 
 
 def _stamp(path: Path) -> Content:
@@ -122,11 +127,10 @@ def _read(path: Path, check: bool, context: Context) -> Content:
     context.check_cancelled()
     try:
         stamp = _stamp(path)
-        with open(path, "rb") as file:
-            digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16))
+        digest = content_digest(path)
     except OSError:
         return Content(size=0, modified=0, changed=0, whole=False)
-    content = replace(stamp, digest=digest.hexdigest())
+    content = replace(stamp, digest=digest)
     if not check:
         return content
     try:
@@ -153,9 +157,16 @@ def _remembered(path: Path) -> dict[str, Content]:
     if not isinstance(record, dict) or record.get("version") != VERSION:
         return {}
     photos = record.get("photos")
-    records = photos if isinstance(photos, dict) else {}
+    if not isinstance(photos, dict) or record.get(CHECKSUM) != _checksum(photos):
+        return {}
+    records = photos
     found = {name: _content(value) for name, value in records.items()}
     return {name: content for name, content in found.items() if content is not None}
+
+
+def _checksum(photos: Any) -> str:
+    """Of the records in the file."""
+    return hashlib.sha256(json.dumps(photos, sort_keys=True).encode()).hexdigest()
 
 
 def _content(value: Any) -> Content | None:
@@ -163,5 +174,7 @@ def _content(value: Any) -> Content | None:
     if not isinstance(value, dict) or value.keys() != {f.name for f in fields(Content)}:
         return None
     numbers = (value["size"], value["modified"], value["changed"])
-    good = all(isinstance(number, int) for number in numbers) and isinstance(value["digest"], str)
-    return Content(**value) if good and isinstance(value["whole"], bool) else None
+    good = all(isinstance(number, int) for number in numbers) and isinstance(value["whole"], bool)
+    digest = value["digest"]
+    good = good and isinstance(digest, str) and DIGEST.fullmatch(digest) is not None
+    return Content(**value) if good else None

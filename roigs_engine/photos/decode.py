@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..model.scene import PosedImage
-from .headers import PhotoError, open_photo, unreadable
+from .headers import PhotoError, check_unchanged, open_photo, unreadable
 
 Pixels = NDArray[np.uint8]
 
@@ -52,10 +52,12 @@ def load_photo(image: PosedImage) -> Pixels:
     A damaged file that the engine made is made again.
 
     Raises:
-        PhotoError: the file is missing or cannot be decoded; names it.
+        PhotoError: the file is missing, cannot be decoded, or was changed; names it.
         RunFolderError: a file of the engine cannot be made again.
     """
     size = (image.camera.width, image.camera.height)
+    if image.remake is None:  # else the engine made the file
+        check_unchanged(image.path, image.digest)
     try:
         return decode(image.path, size)
     except PhotoError:

@@ -7,6 +7,7 @@ Ghostscript for an EPS file named 'photo.jpg'.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import struct
 import warnings
@@ -35,6 +36,25 @@ warnings.filterwarnings("ignore", module=r"PIL\.")
 
 class PhotoError(SceneError):
     """A photo is missing, damaged or in a format that cannot be decoded."""
+
+
+def content_digest(path: Path) -> str:
+    """Hash of a photo's file, 32 hexadecimal digits; OSError if it cannot be read."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def check_unchanged(path: Path, digest: str) -> None:
+    """Raise PhotoError if a photo is no longer the one that the run knows; empty: it knows none."""
+    try:
+        same = not digest or content_digest(path) == digest
+    except OSError as error:
+        raise unreadable(path, error) from error
+    if not same:
+        raise PhotoError(
+            f"{path} was changed while it was used.",
+            "Put the photo back, or give the command again with --update.",
+        )
 
 
 def photo_size(path: Path) -> tuple[int, int] | None:

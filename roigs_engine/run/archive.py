@@ -33,6 +33,8 @@ def archive(folder: Path, fingerprint: str) -> None:
 def restore(folder: Path, fingerprint: str) -> None:
     """Move the archived `folder` of that fingerprint back, unless `folder` exists."""
     place = _place(folder, fingerprint)
+    with suppress(OSError):  # an empty one, of an engine that was killed at its first file
+        folder.rmdir()
     if place.exists() and not folder.exists():
         _move(place, folder)
 

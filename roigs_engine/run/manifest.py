@@ -96,7 +96,7 @@ def read_manifest(path: Path) -> Any:
 def check_version(folder: Path) -> None:
     """Raise RunFolderError if an earlier version of the engine made the folder."""
     path = folder / MANIFEST
-    record = read_json(path) if path.exists() else None
+    record = read_manifest(path) if path.exists() else None
     older = isinstance(record, dict) and "config" in record and "version" not in record
     if older or (record is None and (folder / FORMER_NAME).exists()):
         raise RunFolderError(

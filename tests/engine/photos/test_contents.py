@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, StageStarted
+from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos import damage
 from roigs_engine.photos.contents import Content, Contents
+from roigs_engine.photos.decode import load_photo
+from roigs_engine.photos.headers import PhotoError
 
 
 @pytest.fixture
@@ -116,3 +120,33 @@ def test_a_stop_keeps_what_was_found(
     assert before >= 2
     Contents(memory).read(photos)
     assert len(decoded) <= 5 + before - 2
+
+
+def test_a_changed_digit_in_the_memory_is_not_believed(
+    photos: dict[str, Path], decoded: list[str], tmp_path: Path
+) -> None:
+    memory = tmp_path / "cache/photos.json"
+    first = Contents(memory).read(photos)
+    digest = first["0.png"].digest
+    other = ("1" if digest[0] != "1" else "2") + digest[1:]
+    for bad in (other, "é"):
+        memory.write_text(memory.read_text("utf-8").replace(digest, bad), encoding="utf-8")
+        assert Contents(memory).read(photos) == first
+    assert len(decoded) == 3 * len(photos)
+
+
+def test_a_photo_that_changes_while_it_is_used_is_refused(photos: dict[str, Path]) -> None:
+    camera = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.0, cy=15.0)
+    image = PosedImage(
+        name="0.png",
+        path=photos["0.png"],
+        camera=camera,
+        world_to_camera=np.eye(4),
+        point_indices=np.zeros(0, np.int64),
+        digest=Contents().read(photos)["0.png"].digest,
+    )
+    assert load_photo(image).shape == (30, 40, 3)
+    Image.effect_noise((40, 30), 90).save(image.path)
+    with pytest.raises(PhotoError, match="was changed while it was used") as caught:
+        load_photo(image)
+    assert "--update" in caught.value.hint
