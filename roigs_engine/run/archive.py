@@ -27,12 +27,12 @@ def archive(folder: Path, fingerprint: str) -> None:
         RunFolderError: it cannot be moved.
     """
     if folder.exists():
-        _move(folder, _free(_place(folder, fingerprint)))
+        _move(folder, _free(archived(folder, fingerprint)))
 
 
 def restore(folder: Path, fingerprint: str) -> None:
     """Move the archived `folder` of that fingerprint back, unless `folder` exists."""
-    place = _place(folder, fingerprint)
+    place = archived(folder, fingerprint)
     with suppress(OSError):  # an empty one, of an engine that was killed at its first file
         folder.rmdir()
     if place.exists() and not folder.exists():
@@ -47,7 +47,7 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
     Raises:
         RunFolderError: one cannot be moved.
     """
-    place = _free(_place(folder, DAMAGED))
+    place = _free(archived(folder, DAMAGED))
     for name in names:
         if os.path.lexists(folder / name):
             _move(folder / name, place / name)
@@ -58,7 +58,7 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
 
 def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     """Move the files `names` of `folder`, as far as they exist, to one folder in its archive."""
-    place = _free(_place(folder / PARTS, fingerprint))
+    place = _free(archived(folder / PARTS, fingerprint))
     for name in names:
         if (folder / name).exists():
             _move(folder / name, place / name)
@@ -66,7 +66,7 @@ def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
 
 def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     """Move the files that `archive_parts` archived under that fingerprint back."""
-    place = _place(folder / PARTS, fingerprint)
+    place = archived(folder / PARTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():
             _move(place / name, folder / name)
@@ -74,7 +74,8 @@ def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
         place.rmdir()
 
 
-def _place(folder: Path, fingerprint: str) -> Path:
+def archived(folder: Path, fingerprint: str) -> Path:
+    """Where `archive` puts a folder; RunFolderError if its archive is a link."""
     mark = re.sub(r"[^0-9A-Za-z]", "-", fingerprint[:8])  # a damaged record may hold any text
     return own_folder(folder.parent, ARCHIVE, f"{folder.name}-{mark}")
 

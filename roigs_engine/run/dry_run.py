@@ -39,20 +39,20 @@ def describe_plan(
     check_version(run.folder)
     memory = run_memory(run, context)
     plan = plan_run(run, compare, context)
-    rows, seconds, saved = _stage_rows(run, plan, context)
+    rows, seconds, saved = _stage_rows(run, plan, context, update=update)
     lines = [*_head(run, plan), "", *_table(rows), ""]
     lines += [message.text for message in memory.messages()]
     lines.append(_time_line(seconds, saved, context))
     return "\n".join([*lines, *_folder_note(run, update=update)])
 
 
-def expected_time(run: Run, plan: Plan, context: Context) -> str | None:
+def expected_time(run: Run, plan: Plan, context: Context, *, update: bool) -> str | None:
     """One line with the minutes that a plan will take; None if that is little or nothing."""
-    executor = Executor(run, context)
+    executor = Executor(run, context, update=update)
     missing = sum(s.config.steps for s in plan.stages if executor.finished(s) is None)
     if missing < WORTH_SAYING:
         return None
-    _, seconds, saved = _stage_rows(run, plan, context)
+    _, seconds, saved = _stage_rows(run, plan, context, update=update)
     return _time_line(seconds, saved, context)
 
 
@@ -79,10 +79,10 @@ def _head(run: Run, plan: Plan) -> list[str]:
 
 
 def _stage_rows(
-    run: Run, plan: Plan, context: Context
+    run: Run, plan: Plan, context: Context, *, update: bool
 ) -> tuple[list[tuple[str, ...]], float, float]:
     """A row for each stage; seconds of the missing stages, and of the finished ones."""
-    executor = Executor(run, context)
+    executor = Executor(run, context, update=update)
     estimator = Estimator(run.train_scene, context)
     ends: dict[str, int] = {}
     estimates: list[StageEstimate] = []

@@ -55,7 +55,7 @@ def train_opened(
         As `plan_run` and `Executor.execute`.
     """
     plan = plan_run(run, compare, context)
-    time = expected_time(run, plan, context)
+    time = expected_time(run, plan, context, update=update)
     if time:
         context.info(time)
     executor = Executor(run, context, update=update, preview_seconds=preview_seconds)

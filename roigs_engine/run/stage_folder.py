@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from ..training.checkpoint import (
 from ..training.config import TrainConfig
 from ..training.state import check_state
 from ..training.trainer import StageData, Trainer
-from .archive import archive, archive_damaged, restore
+from .archive import archive, archive_damaged, archived, restore
 from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record
 
 CHECKPOINT_SECONDS = 60.0
@@ -100,7 +100,18 @@ class StageFolder:
         return self.folder / run_files.STAGE
 
     def peek(self) -> StageResult | None:
-        """The stage's result if it is finished, or None; changes nothing."""
+        """The stage's result if it is finished, or None; changes nothing.
+
+        With `update`, it may be in the archive, from where `finished` would restore it.
+        """
+        found = self._peek()
+        if found is None and self.update:
+            with suppress(RunFolderError):
+                place = archived(self.folder, self.fingerprint)
+                found = replace(self, folder=place)._peek()
+        return found
+
+    def _peek(self) -> StageResult | None:
         with suppress(RunFolderError, DamagedError):
             record = read_record(self._record)
             return None if record is None else self._verified(record)

@@ -60,6 +60,9 @@ def test_what_is_done_is_said(scene: SfmScene, tmp_path: Path) -> None:
     text = describe_plan(other)
     assert "seed was 0, now 1" in text and "--update" in text
     assert "would be archived" in describe_plan(other, update=True)
+    train_run(other, update=True)
+    archived = rows(describe_plan(run, update=True))  # restored, if this run goes on
+    assert {name for name, row in archived.items() if row[-1] == "done"} == {"scene", "joint"}
 
 
 def test_a_folder_of_an_earlier_version_is_refused(scene: SfmScene, tmp_path: Path) -> None:
