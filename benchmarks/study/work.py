@@ -15,9 +15,9 @@ from roigs_engine.errors import EngineError
 from roigs_engine.formats.files import read_json, write_json
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.names import safe_name
+from roigs_engine.formats.text import json_digest
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.archive import archive, restore
-from roigs_engine.run.manifest import manifest_digest
 
 Item = tuple[StudyScene, int, Row]
 
@@ -100,12 +100,12 @@ class Work:
         )
         manifest = bench.manifest(row)
         if path.exists() and (before := read_json(path).get("manifest")) != manifest:
-            archive(path, manifest_digest(before))
+            archive(path, json_digest(before))
             self.context.warn(
                 f"{title}: settings, photos or boxes have changed; the earlier record is in"
                 " archive/."
             )
-        restore(path, manifest_digest(manifest))
+        restore(path, json_digest(manifest))
         if path.exists():
             return False
         self.context.info(title)

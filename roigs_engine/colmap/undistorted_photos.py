@@ -11,6 +11,7 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.events import StageStarted
 from ..formats.files import cannot_write, own_folder
+from ..formats.text import in_gb
 from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage
 from ..photos.headers import PhotoError
@@ -73,19 +74,15 @@ def _threads(plans: Sequence[UndistortionPlan], context: Context) -> int:
         side = largest.fitting_side(machine - ENGINE)
         raise SceneError(
             f"Undistorting a photo of {pixels / 1e6:.1f} megapixels needs"
-            f" {_gb(needed + ENGINE)} of memory; this machine has {_gb(machine)}.",
+            f" {in_gb(needed + ENGINE)} of memory; this machine has {in_gb(machine)}.",
             f"Use --max-side {side} or less." if side else "Use smaller photos (--images).",
         )
     threads = min(threads_for(needed), len(plans))
     context.info(
-        f"Memory: up to about {_gb(threads * needed + ENGINE)} of {_gb(machine)} while photos are"
-        f" undistorted, {threads} at a time."
+        f"Memory: up to about {in_gb(threads * needed + ENGINE)} of {in_gb(machine)} while photos"
+        f" are undistorted, {threads} at a time."
     )
     return threads
-
-
-def _gb(size: int) -> str:
-    return f"{size / 1e9:.1f} GB"
 
 
 def _created(folder: Path) -> Path:

@@ -83,8 +83,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             )
 
     scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
-    test = test or list(choose_test_views(scene, rois, args.test_every))
-    test = [image.name for image in scene.images if image.name in set(test)]
+    wanted = set(test or choose_test_views(scene, rois, args.test_every))
+    test = [image.name for image in scene.images if image.name in wanted]
     frame = LocalFrame.of_scene(scene)
     scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
     context = context_on_device(args, console)

@@ -1,8 +1,9 @@
-"""Text that a person may have written: how it is decoded, and read as JSON; counts in sentences."""
+"""Text that a person may have written, decoded and read as JSON; numbers in sentences."""
 
 from __future__ import annotations
 
 import codecs
+import hashlib
 import json
 from typing import Any
 
@@ -50,3 +51,13 @@ def parse_json(data: bytes) -> Any:
 def counted(count: int, noun: str) -> str:
     """'1 photo', '2 photos', '12,345 photos'."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def in_gb(size: int) -> str:
+    """A number of bytes for a message."""
+    return f"{size / 1e9:.1f} GB"
+
+
+def json_digest(value: Any) -> str:
+    """SHA-256 of a JSON value, in hexadecimal digits; the order of keys does not matter."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -6,8 +6,6 @@ for them only once, and again when its file has changed.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 import time
 from collections.abc import Mapping
@@ -20,6 +18,7 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.events import StageStarted
 from ..formats.files import read_json, write_json
+from ..formats.text import json_digest
 from .headers import PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel, threads_for
 
@@ -110,7 +109,7 @@ class Contents:
         if self.path is not None:
             with suppress(RunFolderError):
                 files = {name: asdict(content) for name, content in sorted(self._known.items())}
-                record = {"version": VERSION, "photos": files, CHECKSUM: _checksum(files)}
+                record = {"version": VERSION, "photos": files, CHECKSUM: json_digest(files)}
                 write_json(self.path, record, durable=False)
 
 
@@ -157,16 +156,11 @@ def _remembered(path: Path) -> dict[str, Content]:
     if not isinstance(record, dict) or record.get("version") != VERSION:
         return {}
     photos = record.get("photos")
-    if not isinstance(photos, dict) or record.get(CHECKSUM) != _checksum(photos):
+    if not isinstance(photos, dict) or record.get(CHECKSUM) != json_digest(photos):
         return {}
     records = photos
     found = {name: _content(value) for name, value in records.items()}
     return {name: content for name, content in found.items() if content is not None}
-
-
-def _checksum(photos: Any) -> str:
-    """Of the records in the file."""
-    return hashlib.sha256(json.dumps(photos, sort_keys=True).encode()).hexdigest()
 
 
 def _content(value: Any) -> Content | None:

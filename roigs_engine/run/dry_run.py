@@ -14,6 +14,7 @@ from .executor import Executor
 from .manifest import check_version, from_json, manifest_difference, read_manifest
 from .memory import run_memory
 from .plan import POINTS, Plan, Stage
+from .stage_folder import StageResult
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
@@ -39,7 +40,8 @@ def describe_plan(
     check_version(run.folder)
     memory = run_memory(run, context)
     plan = plan_run(run, compare, context)
-    rows, seconds, saved = _stage_rows(run, plan, context, update=update)
+    finished = _finished(run, plan, context, update=update)
+    rows, seconds, saved = _stage_rows(run, plan, finished, context)
     lines = [*_head(run, plan), "", *_table(rows), ""]
     lines += [message.text for message in memory.messages()]
     lines.append(_time_line(seconds, saved, context))
@@ -48,11 +50,11 @@ def describe_plan(
 
 def expected_time(run: Run, plan: Plan, context: Context, *, update: bool) -> str | None:
     """One line with the minutes that a plan will take; None if that is little or nothing."""
-    executor = Executor(run, context, update=update)
-    missing = sum(s.config.steps for s in plan.stages if executor.finished(s) is None)
+    finished = _finished(run, plan, context, update=update)
+    missing = sum(stage.config.steps for stage in plan.stages if finished[stage.name] is None)
     if missing < WORTH_SAYING:
         return None
-    _, seconds, saved = _stage_rows(run, plan, context, update=update)
+    _, seconds, saved = _stage_rows(run, plan, finished, context)
     return _time_line(seconds, saved, context)
 
 
@@ -78,18 +80,25 @@ def _head(run: Run, plan: Plan) -> list[str]:
     return lines
 
 
-def _stage_rows(
+def _finished(
     run: Run, plan: Plan, context: Context, *, update: bool
+) -> dict[str, StageResult | None]:
+    """Stage -> its result, which is verified, or None."""
+    executor = Executor(run, context, update=update)
+    return {stage.name: executor.finished(stage) for stage in plan.stages}
+
+
+def _stage_rows(
+    run: Run, plan: Plan, finished: dict[str, StageResult | None], context: Context
 ) -> tuple[list[tuple[str, ...]], float, float]:
     """A row for each stage; seconds of the missing stages, and of the finished ones."""
-    executor = Executor(run, context, update=update)
     estimator = Estimator(run.train_scene, context)
     ends: dict[str, int] = {}
     estimates: list[StageEstimate] = []
     rows, missing, saved = [], 0.0, 0.0
     for stage in plan.stages:
         start = _start(stage, ends, len(run.train_scene.points))
-        done = executor.finished(stage)
+        done = finished[stage.name]
         if done is None:
             expected = estimator.estimate(stage, start)
             missing += expected.seconds

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from ..errors import RunFolderError
 from ..formats import run_files
 from ..formats.files import own_folder, read_json, write_json
 from ..formats.run_files import MANIFEST
+from ..formats.text import json_digest
 from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
 
@@ -50,8 +50,8 @@ def claim(
     if not update:
         raise _other_run(folder, difference)
     for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
-        archive_parts(home, RESULTS, manifest_digest(before))
-        restore_parts(home, RESULTS, manifest_digest(now))
+        archive_parts(home, RESULTS, json_digest(before))
+        restore_parts(home, RESULTS, json_digest(now))
     write_json(path, now)
     context.info(f"Updated {folder} to the new settings ({difference}).")
 
@@ -108,11 +108,6 @@ def check_version(folder: Path) -> None:
 def from_json(value: Any) -> Any:
     """The value after a round trip through JSON, which turns tuples into lists."""
     return json.loads(json.dumps(value))
-
-
-def manifest_digest(manifest: Any) -> str:
-    """Hash of a manifest, given as `from_json` returns it."""
-    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def manifest_difference(before: Any, now: Any, path: str = "") -> str:

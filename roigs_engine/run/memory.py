@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.events import Message
+from ..formats.text import in_gb
 from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage
 from ..training.config import TrainConfig
@@ -53,15 +54,15 @@ class MemoryPlan:
         """Messages for the user before the run starts."""
         kept = min(self.photos, self.cache)
         text = (
-            f"Memory: up to about {_gb(self.total)} of {_gb(self.machine)}: photos {_gb(kept)},"
-            f" {_gb(self.end)} if a model grows to {self.count:,} Gaussians,"
-            f" the rest {_gb(ENGINE + self.picture)}."
+            f"Memory: up to about {in_gb(self.total)} of {in_gb(self.machine)}: photos"
+            f" {in_gb(kept)}, {in_gb(self.end)} if a model grows to {self.count:,} Gaussians,"
+            f" the rest {in_gb(ENGINE + self.picture)}."
         )
         found = [Message(text=text)]
         if kept < self.photos:
             text = (
-                f"The decoded photos take {_gb(self.photos)}; {_gb(kept)} are kept in memory and"
-                " the others are decoded again for each use (--image-cache, --max-side)."
+                f"The decoded photos take {in_gb(self.photos)}; {in_gb(kept)} are kept in memory"
+                " and the others are decoded again for each use (--image-cache, --max-side)."
             )
             found.append(Message(text=text))
         if self.total > self.machine:
@@ -104,9 +105,9 @@ def plan_memory(
     left = machine - ENGINE - start
     if least + PER_PIXEL * largest > left:
         raise SceneError(
-            f"Training needs at least {_gb(machine - left + least + PER_PIXEL * largest)} of memory"
-            f" ({points:,} points, photos of up to {largest / 1e6:.1f} megapixels); this machine"
-            f" has {_gb(machine)}.",
+            f"Training needs at least {in_gb(machine - left + least + PER_PIXEL * largest)} of"
+            f" memory ({points:,} points, photos of up to {largest / 1e6:.1f} megapixels); this"
+            f" machine has {in_gb(machine)}.",
             _advice(images, left),
         )
     if cache is None:
@@ -134,7 +135,3 @@ def _advice(images: Sequence[PosedImage], left: int) -> str:
     largest = max((i.camera for i in images), key=lambda c: c.width * c.height)
     shrink = (pixels / (largest.width * largest.height)) ** 0.5
     return f"Use --max-side {max(1, int(shrink * max(largest.width, largest.height)))} or less."
-
-
-def _gb(size: int) -> str:
-    return f"{size / 1e9:.1f} GB"

@@ -7,12 +7,11 @@ stage's settings and photos, and the fingerprints of the stages that it starts f
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
+from ..formats.text import json_digest
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..selection import CameraSelection
@@ -95,7 +94,7 @@ class Stage:
             "start": self.start.fingerprint,
             "order": asdict(self.order),
         }
-        return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+        return json_digest(record)
 
     @property
     def inputs(self) -> tuple[Stage, ...]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from ..errors import RunFolderError
 from ..formats.files import UNREADABLE, read_bytes, sha256, write_json
+from ..formats.text import json_digest
 
 CHECKSUM = "checksum"
 
@@ -45,7 +44,7 @@ class StageRecord:
 def write_record(path: Path, record: StageRecord) -> None:
     """Write the record with its checksum; RunFolderError if that fails."""
     values = asdict(record)
-    write_json(path, values | {CHECKSUM: _checksum(values)})
+    write_json(path, values | {CHECKSUM: json_digest(values)})
 
 
 def read_record(path: Path) -> StageRecord | None:
@@ -63,7 +62,7 @@ def read_record(path: Path) -> StageRecord | None:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     except (ValueError, RecursionError) as error:
         raise DamagedError(f"{path} is damaged (not JSON)") from error
-    if not isinstance(value, dict) or value.pop(CHECKSUM, None) != _checksum(value):
+    if not isinstance(value, dict) or value.pop(CHECKSUM, None) != json_digest(value):
         raise DamagedError(f"{path} is damaged (wrong checksum)")
     try:
         record = StageRecord(
@@ -97,8 +96,3 @@ def check_model(path: Path, record: StageRecord) -> None:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     if found != record.model_sha256:
         raise DamagedError(f"{path} is damaged (wrong checksum)")
-
-
-def _checksum(values: dict[str, Any]) -> str:
-    """Of a record without its checksum."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -5,12 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -24,6 +20,7 @@ from roigs_engine.formats.files import (
     write_json,
     write_text,
 )
+from tests.engine.other_process import in_the_middle
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -105,19 +102,9 @@ with atomic_write(Path(sys.argv[1])) as file:
 """
 
 
-@contextmanager
-def writing(path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Another process that is half done with a file, until its standard input closes."""
-    command, pipe = [sys.executable, "-c", HALF, str(path)], subprocess.PIPE
-    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "half\n"
-        yield process
-
-
 def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
     path = tmp_path / "nest" / "renders" / "a.png"
-    with writing(path):
+    with in_the_middle(HALF, path, "half"):
         remove_leftovers(tmp_path)
         assert len(names(path.parent)) == 1
     assert path.read_bytes() == b"half and half"
@@ -126,7 +113,7 @@ def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
 
 def test_what_a_killed_process_has_left_goes(tmp_path: Path) -> None:
     path = tmp_path / "nest" / "a.png"
-    with writing(path) as process:
+    with in_the_middle(HALF, path, "half") as process:
         process.kill()
     assert len(names(path.parent)) == 1
     (tmp_path / ".notes.12.part").touch()  # not one of ours
@@ -143,7 +130,7 @@ def test_leftovers_without_locks_go_by_their_age(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    with writing(tmp_path / "a.png") as process:
+    with in_the_middle(HALF, tmp_path / "a.png", "half") as process:
         process.kill()
     monkeypatch.setattr(fcntl, "flock", refuse)
     write_text(tmp_path / "b.txt", "writing needs no locks")

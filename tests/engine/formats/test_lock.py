@@ -7,9 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from threading import Barrier
 
@@ -18,6 +16,7 @@ import pytest
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats import process
 from roigs_engine.formats.lock import check_held, holder, locked
+from tests.engine.other_process import in_the_middle
 
 ROOT = Path(__file__).resolve().parents[3]
 HOLD = """
@@ -50,18 +49,8 @@ def test_a_folder_that_stays_empty_goes_too(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-@contextmanager
-def engine_in(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Another process that holds the lock until it is killed or its input closes."""
-    command, pipe = [sys.executable, "-c", HOLD, str(folder)], subprocess.PIPE
-    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, text=True) as engine:
-        assert engine.stdout is not None
-        assert engine.stdout.readline() == "held\n"
-        yield engine
-
-
 def test_another_process_is_kept_out_until_it_dies(tmp_path: Path) -> None:
-    with engine_in(tmp_path) as engine:
+    with in_the_middle(HOLD, tmp_path, "held") as engine:
         with pytest.raises(RunFolderError, match=f"process {engine.pid}"), locked(tmp_path):
             pass
         engine.kill()
@@ -98,7 +87,7 @@ def test_a_deleted_lock_is_noticed(tmp_path: Path) -> None:
         check_held(tmp_path.parent)  # of another folder
         with pytest.raises(RunFolderError, match="deleted or replaced"):
             check_held(tmp_path / "scene")
-        with engine_in(tmp_path) as engine:
+        with in_the_middle(HOLD, tmp_path, "held") as engine:
             with pytest.raises(RunFolderError, match="deleted or replaced"):
                 check_held(tmp_path)
             assert holder(path) == engine.pid
@@ -110,7 +99,7 @@ def test_the_end_does_not_delete_the_lock_of_another(tmp_path: Path) -> None:
     path = tmp_path / "run.lock"
     with locked(tmp_path):
         path.unlink()
-        with engine_in(tmp_path) as engine:
+        with in_the_middle(HOLD, tmp_path, "held") as engine:
             with locked(tmp_path / "other"):
                 pass
             engine.kill()
