@@ -95,19 +95,6 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
             file.write(struct.pack(">I", len(data)) + kind + data + checksum)
 
 
-def read_png(path: Path) -> np.ndarray:
-    """(H, W, 3) uint8 of an 8-bit RGB picture, through Blender."""
-    import bpy
-
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return (pixels.reshape(height, width, 4)[::-1, :, :3] * 255).round().astype(np.uint8)
-
-
 def write_large_model(folder: Path, photos: int, points: int, seen: int) -> Path:
     """A binary model without photos' files: each photo observes `seen` points."""
     model = folder / "sparse" / "0"
