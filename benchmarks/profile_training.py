@@ -22,6 +22,7 @@ from benchmarks.training import all_photos
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import Context
 from roigs_engine.kernels import bindings, library
+from roigs_engine.machine import usable_cores
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run.presets import PRESETS, preset
@@ -140,7 +141,7 @@ def main() -> None:
     parser.add_argument("--max-side", type=int, default=640)
     parser.add_argument("--preset", choices=sorted(PRESETS), default="draft")
     parser.add_argument("--steps", type=int, default=1500)
-    parser.add_argument("--threads", type=int, default=library.usable_cores())
+    parser.add_argument("--threads", type=int, default=usable_cores())
     args = parser.parse_args()
     library.set_threads(args.threads)
     clock = watch_training()

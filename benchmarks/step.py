@@ -22,7 +22,7 @@ from benchmarks.flops import peak_libraries
 from benchmarks.results import Measurement, Row
 from benchmarks.variants import Variant, Worker, engines
 from roigs_engine.cuda.device import choose_device
-from roigs_engine.kernels import library
+from roigs_engine.machine import usable_cores
 
 DEFAULTS = {
     "cpu": ([50_000, 200_000, 1_000_000], [(480, 320), (1280, 853)]),
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(row, file=sys.stderr)
             measurements += measure(row, variants, peaks, question, options.rounds)
 
-    print(f"{platform.machine()}, {library.usable_cores()} cores, {options.rounds} rounds")
+    print(f"{platform.machine()}, {usable_cores()} cores, {options.rounds} rounds")
     if options.extras:
         _section("Render (raster stage) with optional outputs, relative to without, CPU time")
         print(tables.extras_table(measurements))
@@ -112,7 +112,7 @@ def measure(
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cpu")
-    cores = library.usable_cores()
+    cores = usable_cores()
     threads = [1, cores] if cores > 1 else [1]
     parser.add_argument("--gaussians", type=int, nargs="+", metavar="N")
     parser.add_argument("--size", type=_size, nargs="+", metavar="WxH")

@@ -19,12 +19,8 @@ from .formats.text import in_gb
 
 ENGINE = 330 << 20  # bytes of Python, torch, the libraries and the kernels, see `run/memory.py`
 GIB = 1 << 30
-MEMORY_FULL = (
-    "allocate memory",
-    "bad_alloc",
-    "failed to map segment",
-    "can't start new thread",
-)
+MEMORY_FULL = ("allocate memory", "bad_alloc", "can't start new thread")
+MEMORY_MAY_BE_FULL = "failed to map segment"  # or the disk is mounted noexec
 FALLBACK_MEMORY = 8 << 30  # bytes, if the machine's memory is unknown
 
 
@@ -54,6 +50,13 @@ def address_space() -> int | None:
     return min((limit for limit in limits if limit != resource.RLIM_INFINITY), default=None)
 
 
+def usable_cores() -> int:
+    """Number of cores this process may run on; fewer than the machine's if it is pinned."""
+    if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def is_memory_full(error: BaseException | None) -> bool:
     """Whether an error means that memory is full; Python, torch and the loader say it variously."""
     while error is not None:
@@ -61,8 +64,11 @@ def is_memory_full(error: BaseException | None) -> bool:
             return True
         if any(words in str(error).lower() for words in MEMORY_FULL):
             return True
+        limit = address_space()
+        if limit is not None and MEMORY_MAY_BE_FULL in str(error):
+            return True
         # Out of memory, some imports fail for reasons of their own.
-        if isinstance(error, (ImportError, SystemError)) and (address_space() or GIB) < GIB:
+        if isinstance(error, (ImportError, SystemError)) and (limit or GIB) < GIB:
             return True
         error = error.__cause__ or error.__context__
     return False
@@ -88,9 +94,12 @@ def _windows_memory() -> int:
 def disk_message(needed: int, folder: Path) -> Message:
     """Tells the bytes that a folder, which need not exist yet, will take; warns if less is free."""
     existing = folder.absolute()
-    while not existing.exists() and existing != existing.parent:
+    while not os.path.exists(existing) and existing != existing.parent:
         existing = existing.parent
-    free = shutil.disk_usage(existing).free
+    try:
+        free = shutil.disk_usage(existing).free
+    except OSError:
+        return Message(text=f"Disk: up to about {in_gb(needed)} more in {folder}.")
     text = f"Disk: up to about {in_gb(needed)} more in {folder}; {in_gb(free)} are free."
     if needed <= free:
         return Message(text=text)

@@ -20,7 +20,7 @@ from roigs_engine.evaluation.evaluate import Evaluation, evaluate
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats.names import safe_name
 from roigs_engine.kernels import library
-from roigs_engine.machine import processor_name
+from roigs_engine.machine import processor_name, usable_cores
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_configs, strategies
 from roigs_engine.run.config import RunConfig
@@ -205,7 +205,7 @@ def machine() -> dict[str, Any]:
     """What the seconds were measured on."""
     return {
         "cpu": processor_name(),
-        "cores": library.usable_cores(),
+        "cores": usable_cores(),
         "threads": library.threads(),
         "kernels": library.isa(),
         "torch": torch.__version__,

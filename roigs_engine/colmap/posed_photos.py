@@ -153,8 +153,8 @@ class PhotoLoader:
         self._plans[image.image_id] = plan
         return plan.target
 
-    def load(self, cache: Path | None, context: Context = QUIET) -> dict[int, PosedImage]:
-        """Image id -> photo; with `pixels` none is damaged, and distorted ones are undistorted.
+    def load(self, cache: Path | None, context: Context = QUIET) -> None:
+        """Look at the photos; with `pixels`, skip damaged ones and undistort distorted ones.
 
         Args:
             cache: see `load_colmap`.
@@ -167,7 +167,6 @@ class PhotoLoader:
             self._identify(cache, context)
         if self._pixels:
             self._undistort(cache, context)
-        return self.posed
 
     def _identify(self, cache: Path | None, context: Context) -> None:
         """Give the photos their digests; skip those that are damaged."""
@@ -185,7 +184,7 @@ class PhotoLoader:
             if key in self._plans:
                 self._plans[key] = replace(self._plans[key], digest=digest)
                 digest = self._plans[key].key()
-            self.posed[key] = replace(image, digest=digest)
+            self.posed[key] = replace(image, file_digest=content.digest, digest=digest)
 
     def _undistort(self, cache: Path | None, context: Context) -> None:
         """Undistort distorted photos, or take them from the cache, see `undistort_all`."""

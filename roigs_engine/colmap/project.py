@@ -13,7 +13,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.rois import FAR
 from ..formats.text import counted
-from ..model.scene import Float64, Int64, PosedImage, SfmScene
+from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
 from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
@@ -65,32 +65,28 @@ def load_colmap(
         context.warn(text)
     observed = _observations(model, ids, context)
     if check is not None and loader.posed:
-        check(without_strays(_scene(loader.posed, observed, points, colors)))
-    posed = loader.load(cache, context)
-    if not posed:
+        check(without_strays(_scene(loader, observed, points, colors)))
+    loader.load(cache, context)
+    if not loader.posed:
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
-    skipped = {reason: tuple(sorted(names)) for reason, names in loader.skipped.items() if names}
-    scene = replace(_scene(posed, observed, points, colors), skipped=skipped)
-    return _without_strays(scene, context)
+    return _without_strays(_scene(loader, observed, points, colors), context)
 
 
 def _scene(
-    posed: dict[int, PosedImage],
-    observed: dict[int, Int64],
-    points: Float64,
-    colors: NDArray[np.uint8],
+    loader: PhotoLoader, observed: dict[int, Int64], points: Float64, colors: NDArray[np.uint8]
 ) -> SfmScene:
-    """The scene of these photos, by their ids in the model."""
+    """The scene of the loader's photos."""
     found = [
         replace(image, point_indices=observed.get(image_id, NO_IDS))
-        for image_id, image in posed.items()
+        for image_id, image in loader.posed.items()
     ]
     return SfmScene(
         images=tuple(sorted(found, key=lambda image: image.name)),
         points=points,
         colors=colors,
         has_tracks=any(len(image.point_indices) for image in found),
+        skipped={why: tuple(sorted(names)) for why, names in loader.skipped.items() if names},
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from ..context import QUIET, Context
@@ -52,15 +52,26 @@ def undistort_all(
         context.emit(space)
     context.emit(StageStarted(stage=STAGE, total=len(missing)))
     started = time.monotonic()
-    work = in_parallel(lambda plan: undistort(plan, folder), missing, threads, context)
-    for step, (plan, job) in enumerate(work, start=1):
-        try:
-            job.result()
-        except PhotoError:
-            del paths[plan.key()]
-        context.progress(STAGE, step, len(missing), started)
+    jobs = in_parallel(lambda plan: undistort(plan, folder), missing, threads, context)
+    with closing(jobs) as work:
+        for step, (plan, job) in enumerate(work, start=1):
+            try:
+                job.result()
+            except PhotoError as error:
+                context.warn(error.message)
+                del paths[plan.key()]
+            context.progress(STAGE, step, len(missing), started)
     release_freed_memory()
     return paths
+
+
+def missing_in(cache: Path, images: Iterable[PosedImage]) -> list[PosedImage]:
+    """The photos that are not undistorted yet; `cache` may lack them all, or not exist."""
+    return [
+        image
+        for image in images
+        if image.distorted and not (cache / FOLDER / f"{image.digest}.png").is_file()
+    ]
 
 
 def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:

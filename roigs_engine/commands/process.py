@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from ..errors import EngineError
-from ..machine import address_space, is_memory_full
+from ..machine import address_space, is_memory_full, usable_cores
 from .stopping import INTERRUPTED, StopRequest
 from .streams import Stream, protect
 
@@ -40,7 +40,7 @@ def check_address_space(name: str, least: int, each: int) -> None:
     Raises:
         EngineError: the limit is smaller.
     """
-    limit, needed = address_space(), least + each * (os.cpu_count() or 1)
+    limit, needed = address_space(), least + each * usable_cores()
     if limit is not None and limit < needed:
         raise EngineError(
             f"This shell limits a program's memory to {limit >> 20} MB; {name} needs"

@@ -48,7 +48,7 @@ class Stream(io.TextIOBase):
         self._patience = PATIENCE
 
     def write(self, text: str) -> int:
-        """Write text at once, or not at all; returns its length."""
+        """Write text without a buffer; returns its length."""
         if text and not self.gone and not self._stop.leaving:
             self.in_line = not text.endswith("\n")
             lines = f"\n{text}" if self._torn else text
@@ -66,7 +66,9 @@ class Stream(io.TextIOBase):
     def _send(self, data: bytes) -> None:
         while data:
             self._wait()
-            written = self._raw.write(data[:PIECE])  # None: others have filled the pipe meanwhile
+            # A Windows console decodes each piece by itself: one must not end within a character.
+            piece = data[:PIECE] if os.name == "posix" else data
+            written = self._raw.write(piece)  # None: others have filled the pipe meanwhile
             data = data[written or 0 :]
 
     def _wait(self) -> None:

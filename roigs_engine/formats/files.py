@@ -214,7 +214,12 @@ def new_temporary(path: Path) -> tuple[Path, BinaryIO, int | None]:
         name = f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
         temporary = path.with_name(name)
         file = open(temporary, "wb", opener=_new)  # noqa: SIM115 - the caller closes it
-        owner = os_lock.keep(file)
+        try:
+            owner = os_lock.keep(file)
+        except OSError:
+            file.close()
+            temporary.unlink(missing_ok=True)
+            raise
         # `remove_leftovers` of another process may have come before the lock.
         if owner is None or temporary.exists():
             return temporary, file, owner

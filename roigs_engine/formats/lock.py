@@ -112,7 +112,7 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
                 raise BlockingIOError
             names = os.fstat(file.fileno()).st_nlink
             # The last holder may have removed the file between the lines above.
-            if _is_at(path, file) and names == 1:
+            if _is_at(path, file) and names <= 1:  # some file systems count none
                 write_record(file, _record_of_now(path))
                 return file
             if names > 1 and _is_at(path, file):  # a hard link: what it names is not ours to write

@@ -14,6 +14,7 @@ import warnings
 from pathlib import Path
 
 from ..errors import KernelError
+from ..machine import is_memory_full, usable_cores
 from . import build
 
 ISA_VARIABLE = "ROIGS_ISA"
@@ -34,7 +35,7 @@ def load() -> ctypes.CDLL:
             instruction set that is missing or cannot run here.
     """
     folder = _folder_with_libraries()
-    library = ctypes.CDLL(str(build.library_path(folder, _platform(), _choose_isa(folder))))
+    library = _opened(build.library_path(folder, _platform(), _choose_isa(folder)))
     _set_threads(library, None)
     return library
 
@@ -60,13 +61,6 @@ def available(folder: Path) -> list[str]:
     target = _platform()
     isas = build.PLATFORMS[target].isas
     return [name for name in isas if build.library_path(folder, target, name).is_file()]
-
-
-def usable_cores() -> int:
-    """Number of cores this process may run on; fewer than the machine's if it is pinned."""
-    if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _platform() -> str:
@@ -120,8 +114,20 @@ def _choose_isa(folder: Path) -> str:
     return wanted
 
 
+def _opened(path: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        if is_memory_full(error):
+            raise
+        raise KernelError(
+            f"The kernels cannot be loaded ({error}).",
+            "Install the engine on a disk whose files may be executed (not mounted noexec).",
+        ) from error
+
+
 def _best_isa(generic_library: Path) -> str:
-    library = ctypes.CDLL(str(generic_library))
+    library = _opened(generic_library)
     library.roigs_best_isa.restype = ctypes.c_char_p
     return str(library.roigs_best_isa().decode("ascii"))
 

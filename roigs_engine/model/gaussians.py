@@ -145,12 +145,15 @@ class Gaussians:
 
         Args:
             path: the file.
-            scaled: False: the frame has the world's unit, so that all values stay bit for bit.
+            scaled: False: the frame is the world if the file has float32 positions; else it has
+                the world's unit. So all values stay bit for bit.
 
         Raises:
             RunFolderError: the file is not one.
         """
         arrays = read_ply(path)
+        if not scaled and arrays["means"].dtype == np.float32:
+            return cls.from_arrays(arrays), LocalFrame.world()
         frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))
         if not scaled:
             frame = replace(frame, scale=1.0)

@@ -17,7 +17,8 @@ from .roi import OrientedBox
 from .scene import Float64, SfmScene
 
 BASE = 16.0  # a scene's extent in its local frame is from 1 to BASE
-FAR = 64.0  # the local frame's origin is a multiple of this many local units
+FAR = 1000.0  # local units; float32 resolves a pixel's fraction in a scene up to there
+STEP = 64.0  # local units; the origin is a multiple of this
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,8 +45,10 @@ class LocalFrame:
             return cls.world()
         exponent = (math.frexp(extent)[1] - 1) // 4  # floor of the logarithm to base 16
         scale = BASE**-exponent
-        step = FAR / scale
-        return cls(origin=np.round(np.median(points, axis=0) / step) * step, scale=scale)
+        middle, step = np.median(points, axis=0), STEP / scale
+        far = np.abs(middle).max() * scale > FAR
+        origin = np.round(middle / step) * step if far else np.zeros(3)
+        return cls(origin=origin, scale=scale)
 
     @classmethod
     def of_scene(cls, scene: SfmScene) -> LocalFrame:

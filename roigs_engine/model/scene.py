@@ -70,7 +70,8 @@ class PosedImage:
         camera: pinhole intrinsics at the resolution used for training.
         world_to_camera: (4, 4) rigid transform, COLMAP's `cam_from_world`.
         point_indices: (M,) rows of `SfmScene.points` that this photo observes, unique, ascending.
-        digest: hash of all that decides the photo's pixels, except its size; empty: not known.
+        digest: hash of all that decides the pixels of the photo at `path`; empty: not known.
+        file_digest: hash of the photo's own file; empty: not known.
         remake: makes the file at `path` again, if the engine made it from the photo.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
@@ -82,6 +83,7 @@ class PosedImage:
     world_to_camera: Float64
     point_indices: Int64
     digest: str = ""
+    file_digest: str = ""
     remake: Callable[[], None] | None = None
     distorted: bool = False
 

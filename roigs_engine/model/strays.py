@@ -16,7 +16,7 @@ STRAY = "with a camera far from all others"
 STRAY_REACH = 10.0  # a camera farther than this (see `scene.reaches`) is suspect
 FEW_POINTS = 10  # observed points that a photo needs to clear its camera
 SPREAD = 0.05  # of the projected points over the photo, standard deviation as share of its width
-FAR_POINT = 1000.0  # a point farther than this from the cameras, in their extents, is left out
+FAR_POINT = 1000.0  # times the cameras' extent or the points' median distance: a stray point
 
 
 def without_strays(scene: SfmScene) -> SfmScene:
@@ -64,11 +64,12 @@ def _shows_its_points(image: PosedImage, points: Float64) -> bool:
 
 def _without_far_points(scene: SfmScene) -> SfmScene:
     """The scene without points far from all cameras; `point_indices` follow."""
-    limit = FAR_POINT * scene.extent()
     centres = scene.centres()
-    if len(centres) == 0:
+    if not len(centres) or not len(scene.points):
         return scene
-    near = np.linalg.norm(scene.points - np.median(centres, axis=0), axis=1) <= limit
+    distances = np.linalg.norm(scene.points - np.median(centres, axis=0), axis=1)
+    # Cameras close together, as of a panorama, may see a wide scene.
+    near = distances <= FAR_POINT * max(scene.extent(), float(np.median(distances)))
     if near.all() or not near.any():
         return scene
     new_rows = np.cumsum(near) - 1

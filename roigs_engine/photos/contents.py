@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,10 @@ class Content:
     whole: bool | None = None
 
 
+UNREAD = Content(size=-1, modified=0, changed=0, whole=False)
+"""Of a file that could not be read this time; no file has its stamp."""
+
+
 class Contents:
     """What is known of the files of photos, by their names in the scene.
 
@@ -80,15 +84,16 @@ class Contents:
             context.emit(StageStarted(stage=STAGE, total=len(missing)))
         started = last = time.monotonic()
         threads = threads_for(max((_memory(photos[name]) for name in missing), default=0))
-        work = in_parallel(lambda n: _read(photos[n], check, context), missing, threads, context)
+        jobs = in_parallel(lambda n: _read(photos[n], check, context), missing, threads, context)
         try:
-            for step, (name, job) in enumerate(work, start=1):
-                found[name] = self._known[name] = job.result()
-                if check:
-                    context.progress(STAGE, step, len(missing), started)
-                if check and time.monotonic() - last > WRITE_SECONDS:
-                    last = time.monotonic()
-                    self._write()
+            with closing(jobs) as work:
+                for step, (name, job) in enumerate(work, start=1):
+                    found[name] = self._known[name] = job.result()
+                    if check:
+                        context.progress(STAGE, step, len(missing), started)
+                    if check and time.monotonic() - last > WRITE_SECONDS:
+                        last = time.monotonic()
+                        self._write()
         finally:
             if missing and check:
                 self._write()
@@ -128,14 +133,16 @@ def _read(path: Path, check: bool, context: Context) -> Content:
         stamp = _stamp(path)
         digest = content_digest(path)
     except OSError:
-        return Content(size=0, modified=0, changed=0, whole=False)
+        return UNREAD
     content = replace(stamp, digest=digest)
     if not check:
         return content
     try:
         check_whole(path)
-    except PhotoError:
-        return replace(content, whole=False)
+    except PhotoError as error:
+        # A disk that fails once is no reason to remember that the photo is damaged.
+        passing = getattr(error.__cause__, "errno", None) is not None
+        return UNREAD if passing else replace(content, whole=False)
     return replace(content, whole=True)
 
 
@@ -158,8 +165,7 @@ def _remembered(path: Path) -> dict[str, Content]:
     photos = record.get("photos")
     if not isinstance(photos, dict) or record.get(CHECKSUM) != json_digest(photos):
         return {}
-    records = photos
-    found = {name: _content(value) for name, value in records.items()}
+    found = {name: _content(value) for name, value in photos.items()}
     return {name: content for name, content in found.items() if content is not None}
 
 

@@ -2,7 +2,8 @@
 
 Pillow reports files that break off, bytes that are no image data, and damaged PNG data. It says
 nothing when the data of a JPEG end before the photo does: libjpeg then fills the rest with one
-colour. `_ends_early` finds that. What nothing here can find is damage that a JPEG decodes to other
+colour. `_ends_early` finds that, in progressive JPEGs if their first scan is cut; later scans add
+detail that they then lack. What nothing here can find is damage that a JPEG decodes to other
 colours, for example a single changed bit: the format has no checksum.
 """
 
@@ -52,7 +53,7 @@ def _eighth(file: BinaryIO) -> Pixels:
     from PIL import Image
 
     with Image.open(file, formats=("JPEG",)) as photo:
-        photo.draft("RGB", (photo.width // 8, photo.height // 8))
+        photo.draft("RGB", (max(1, photo.width // 8), max(1, photo.height // 8)))
         return np.asarray(photo.convert("RGB"))
 
 

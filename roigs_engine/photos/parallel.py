@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TypeVar
 
 from ..context import Context
-from ..machine import machine_memory
+from ..machine import machine_memory, usable_cores
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -29,13 +28,15 @@ def decoding_bytes(path: Path, size: tuple[int, int]) -> int:
 def threads_for(largest: int) -> int:
     """The number of threads if each takes at most `largest` bytes."""
     fitting = machine_memory() // SHARE // max(1, largest)
-    return max(1, min(MOST, os.cpu_count() or 1, fitting))
+    return max(1, min(MOST, usable_cores(), fitting))
 
 
 def in_parallel(
     work: Callable[[Item], Result], items: Sequence[Item], threads: int, context: Context
-) -> Iterator[tuple[Item, Future[Result]]]:
+) -> Generator[tuple[Item, Future[Result]]]:
     """Each item, in order, with its finished work; the caller reads the result or the error.
+
+    Close it (`contextlib.closing`): that waits for work that has begun, and drops the rest.
 
     Raises:
         Stopped: on request; work that has begun is waited for.

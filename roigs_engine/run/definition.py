@@ -18,7 +18,7 @@ from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
 from .config import RunConfig
 
-MANIFEST_VERSION = 2  # increase it if an older run folder cannot be resumed
+MANIFEST_VERSION = 3  # increase it if an older run folder cannot be resumed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +70,7 @@ def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any
         "photos": len(images),
         "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
         "model": scene.digest()[:16],
-        "contents": {image.name: image.digest for image in images},
+        "contents": {image.name: image.file_digest or image.digest for image in images},
     }
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from ..colmap.undistorted_photos import PER_PIXEL
+from ..colmap.undistorted_photos import PER_PIXEL, missing_in
 from ..formats.events import Message
+from ..formats.run_files import CACHE
 from ..machine import disk_message
 from .definition import Run
 from .forecast import Forecast
@@ -17,9 +18,8 @@ OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a prev
 def disk_space(run: Run, expected: Forecast) -> Message:
     """What the run will write at most; a warning if less is free."""
     missing = [stage.whole.end for stage in expected.stages if not stage.is_done]
-    needed = PER_PIXEL * sum(
-        image.camera.width * image.camera.height for image in run.scene.images if image.distorted
-    )
+    distorted = missing_in(run.folder / CACHE, run.scene.images)
+    needed = PER_PIXEL * sum(image.camera.width * image.camera.height for image in distorted)
     if missing:
         largest = max(missing)
         needed += PER_STATE * CHECKPOINTS * largest

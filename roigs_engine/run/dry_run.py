@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..colmap.undistorted_photos import missing_in
 from ..context import QUIET, Context
 from ..formats.lock import holder
-from ..formats.run_files import LOCK, MANIFEST
+from ..formats.run_files import CACHE, LOCK, MANIFEST
 from ..formats.text import counted
 from .definition import Run
 from .disk import disk_space
@@ -47,7 +48,7 @@ def _head(run: Run, plan: Plan) -> list[str]:
     config, images = run.config, run.scene.images
     count = len(images)
     notes = []
-    distorted = sum(image.distorted for image in images)
+    distorted = len(missing_in(run.folder / CACHE, images))
     if distorted:
         what = "all" if distorted == count else f"{distorted:,}"
         notes.append(f"lens distortion is removed from {what} first")

@@ -104,7 +104,8 @@ class Executor:
         for folder, selections in plan.selections.items():
             for chosen in selections:
                 place = own_folder(self.run.folder, folder, run_files.SELECTION)
-                write_json(place / f"{chosen.roi}.json", chosen.to_dict())
+                record = chosen.in_units(self.run.frame.scale).to_dict()
+                write_json(place / f"{chosen.roi}.json", record)
         models = []
         for planned in plan.models:
             models.append(self.model(planned))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ..context import Context
+from ..errors import EngineError
 from ..formats.text import counted
 from ..kernels import library
 from .definition import Run
@@ -83,7 +85,7 @@ def forecast(run: Run, plan: Plan, context: Context, *, update: bool) -> Forecas
 
 
 def forecast_if_long(run: Run, plan: Plan, context: Context, *, update: bool) -> Forecast | None:
-    """`forecast`; None if little or nothing is left to train."""
+    """`forecast`; None if little is left to train, or if it fails: it is only a text."""
     statuses = _statuses(run, plan, context, update=update)
     left = [
         stage.config.steps - status.step
@@ -92,7 +94,9 @@ def forecast_if_long(run: Run, plan: Plan, context: Context, *, update: bool) ->
     ]
     if sum(left) < WORTH_SAYING:
         return None
-    return _forecast(run, plan, statuses, context)
+    with suppress(EngineError, MemoryError, RuntimeError):
+        return _forecast(run, plan, statuses, context)
+    return None
 
 
 def _statuses(run: Run, plan: Plan, context: Context, *, update: bool) -> list[StageStatus]:

@@ -14,6 +14,7 @@ from ..formats.run_files import MANIFEST
 from ..formats.text import json_digest
 from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
+from .definition import MANIFEST_VERSION
 
 FORMER_NAME = "request.json"  # until 0.1.0
 CONTENTS = "contents"  # the key of the photos' digests
@@ -57,9 +58,9 @@ def claim(
 
 
 def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
-    """Raise RunFolderError if the folder has a run of other settings, boxes or photos' names.
+    """Raise RunFolderError if the folder has a run of other settings or boxes, or another scene.
 
-    As `claim`, of a manifest without the photos' contents: before these are looked at.
+    As `claim`, before the photos are looked at: without what depends on which of them are damaged.
     """
     path, now = folder / MANIFEST, from_json(manifest)
     if path.exists():
@@ -73,8 +74,8 @@ def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 def _without_contents(manifest: dict[str, Any]) -> dict[str, Any]:
-    """What does not depend on the photos' pixels: a damaged photo changes their number, too."""
-    return {key: manifest.get(key) for key in ("config", "rois", "manual")}
+    """What does not depend on the photos' pixels: a damaged one changes the others' use, too."""
+    return {key: manifest.get(key) for key in ("config", "rois")}
 
 
 def _other_run(folder: Path, difference: str) -> RunFolderError:
@@ -94,13 +95,17 @@ def read_manifest(path: Path) -> Any:
 
 
 def check_version(folder: Path) -> None:
-    """Raise RunFolderError if an earlier version of the engine made the folder."""
+    """Raise RunFolderError if another version of the engine made the folder."""
     path = folder / MANIFEST
     record = read_manifest(path) if path.exists() else None
-    older = isinstance(record, dict) and "config" in record and "version" not in record
-    if older or (record is None and (folder / FORMER_NAME).exists()):
+    version = MANIFEST_VERSION
+    if isinstance(record, dict) and "config" in record:
+        version = record.get("version", 0)
+    if version != MANIFEST_VERSION or (record is None and (folder / FORMER_NAME).exists()):
+        newer = isinstance(version, int) and version > MANIFEST_VERSION
         raise RunFolderError(
-            f"{folder} was made by an earlier version; this version cannot resume it.",
+            f"{folder} was made by {'a later' if newer else 'an earlier'} version; this version"
+            " cannot resume it.",
             "Choose another run folder (--run-dir); the results in this one stay as they are.",
         )
 

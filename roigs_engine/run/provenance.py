@@ -21,7 +21,7 @@ from ..formats.files import read_json, write_json
 from ..formats.lock import check_held
 from ..formats.run_files import PROVENANCE, STAGE
 from ..kernels import library
-from ..machine import machine_memory, processor_name
+from ..machine import machine_memory, processor_name, usable_cores
 from .stage_record import DamagedError, read_record
 
 PACKAGES = ("torch", "numpy", "scipy", "scikit-learn", "pillow", "pycolmap")
@@ -45,7 +45,7 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
         "machine": {
             "system": platform.platform(),
             "chip": processor_name(),
-            "cores": library.usable_cores(),
+            "cores": usable_cores(),
             "memory": machine_memory(),
         },
         "kernels": library.isa(),

@@ -56,13 +56,14 @@ def read_record(path: Path) -> StageRecord | None:
     """
     try:
         value = json.loads(read_bytes(path))
+        damaged = not isinstance(value, dict) or value.pop(CHECKSUM, None) != json_digest(value)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     except (ValueError, RecursionError) as error:
         raise DamagedError(f"{path} is damaged (not JSON)") from error
-    if not isinstance(value, dict) or value.pop(CHECKSUM, None) != json_digest(value):
+    if damaged:
         raise DamagedError(f"{path} is damaged (wrong checksum)")
     try:
         record = StageRecord(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 
@@ -45,6 +45,14 @@ class CameraSelection:
     candidates: tuple[str, ...]
     flags: tuple[str, ...] = ()
     features: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def in_units(self, unit: float) -> CameraSelection:
+        """The selection with its distances divided by a unit's length."""
+        features = {
+            name: {**values, "distance": values["distance"] / unit}
+            for name, values in self.features.items()
+        }
+        return replace(self, features=features)
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""

@@ -36,7 +36,7 @@ def large(folder: Path, width: int, height: int, count: int = 3) -> Path:
 def machine(monkeypatch: pytest.MonkeyPatch, memory: int) -> None:
     for module in (parallel, undistorted_photos):
         monkeypatch.setattr(module, "machine_memory", lambda: memory)
-    monkeypatch.setattr(parallel.os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(parallel, "usable_cores", lambda: 8)
 
 
 def test_as_many_threads_as_fit(monkeypatch: pytest.MonkeyPatch) -> None:

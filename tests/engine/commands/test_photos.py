@@ -19,10 +19,12 @@ from tests.engine.synthetic_colmap import Project, camera, write_project
 LENS = camera("SIMPLE_RADIAL", 96, 72, [100.0, 48.0, 36.0, 0.05])
 
 
-def scene(folder: Path, *, distorted: bool = False, suffix: str = "jpg") -> Project:
+def scene(
+    folder: Path, *, distorted: bool = False, suffix: str = "jpg", binary: bool = True
+) -> Project:
     names = [f"{k}.{suffix}" for k in range(10)]
     cameras = [LENS] if distorted else []
-    return write_project(folder / "scene", names=names, dots=True, cameras=cameras)
+    return write_project(folder / "scene", names=names, dots=True, cameras=cameras, binary=binary)
 
 
 def arguments(project: Project, run: Path, *more: str) -> list[str]:
@@ -123,6 +125,63 @@ def test_changed_photos_are_refused_or_trained_again(
     assert main(arguments(project, run, "--update")) == 0
     assert "already finished" in capsys.readouterr().err
     assert {name: data for name, data in plys(run).items() if "archive" not in name} == before
+
+
+def selected(project: Project, folder: Path) -> list[str]:
+    """The photos of a selection of all candidates in `folder`, best first."""
+    words = ["select", str(project.folder), "--roi", BOX, "--count", "9", "--out", str(folder)]
+    assert main(words) == 0
+    names = json.loads((folder / "thing.json").read_text(encoding="utf-8"))["names"]
+    return [str(name) for name in names]
+
+
+def test_a_selected_photo_that_is_lost_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = scene(tmp_path), tmp_path / "run"
+    name = selected(project, tmp_path / "chosen")[0]
+    (project.folder / "images" / name).unlink()
+    capsys.readouterr()
+    words = arguments(project, run, "--selection", str(tmp_path / "chosen"))
+    assert main(words) == 0
+    assert f"Skipped 1 selected photo of box 'thing', which cannot be used: {name}" in (
+        capsys.readouterr().err
+    )
+
+
+def test_a_run_with_selected_and_damaged_photos_resumes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Which photos are damaged is known only after they are decoded."""
+    project, run = scene(tmp_path), tmp_path / "run"
+    name = selected(project, tmp_path / "chosen")[0]
+    photo = project.folder / "images" / name
+    photo.write_bytes(photo.read_bytes()[: photo.stat().st_size // 2] + b"\xff\xd9")
+    words = arguments(project, run, "--selection", str(tmp_path / "chosen"))
+    assert main(words) == 0
+    before = plys(run)
+    capsys.readouterr()
+    assert main(words) == 0
+    assert "already finished" in capsys.readouterr().err
+    assert plys(run) == before
+
+
+def test_other_cameras_are_not_called_changed_photos(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = scene(tmp_path, distorted=True, binary=False), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    capsys.readouterr()
+    assert main(arguments(project, run, "--dry-run")) == 0
+    assert "lens distortion" not in capsys.readouterr().out  # it is removed already
+    (cameras,) = project.folder.rglob("cameras.txt")
+    lines = cameras.read_text(encoding="utf-8").splitlines()
+    words = lines[-1].split()
+    words[4] = str(float(words[4]) * 1.001)  # the focal length
+    cameras.write_text("\n".join([*lines[:-1], " ".join(words)]) + "\n", encoding="utf-8")
+    assert main(arguments(project, run)) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "has another run" in error and "photo" not in error
 
 
 def test_one_changed_photo_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine import machine
+from roigs_engine.commands import process
+from roigs_engine.errors import EngineError
 from roigs_engine.machine import is_memory_full
 from tests.engine.commands.command_line import BOX, ROOT
 from tests.engine.synthetic_colmap import Project
@@ -54,9 +57,21 @@ def test_enough_memory(project: Project) -> None:
     assert result.returncode == 0 and result.stderr == ""
 
 
-def test_memory_that_is_full_has_many_names() -> None:
+def test_cores_that_are_not_ours_need_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "address_space", lambda: 1500 << 20)
+    monkeypatch.setattr(machine.os, "cpu_count", lambda: 128)
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda pid: {0, 1}, raising=False)
+    process.check_address_space("training", 1200 << 20, 100 << 20)
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda pid: set(range(4)), raising=False)
+    with pytest.raises(EngineError, match="needs 1600 MB"):
+        process.check_address_space("training", 1200 << 20, 100 << 20)
+
+
+def test_memory_that_is_full_has_many_names(monkeypatch: pytest.MonkeyPatch) -> None:
     wrapped = ImportError("numpy could not be imported")
     wrapped.__cause__ = ImportError("numpy.so: failed to map segment from shared object")
+    assert not is_memory_full(wrapped)  # no limit is set: the disk is mounted noexec
+    monkeypatch.setattr(machine, "address_space", lambda: 2 * machine.GIB)
     full = (
         MemoryError(),
         wrapped,

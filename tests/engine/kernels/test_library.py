@@ -15,6 +15,7 @@ import torch
 
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import bindings, build, library
+from roigs_engine.machine import usable_cores
 from roigs_engine.training.losses import photo_loss
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -120,7 +121,7 @@ def test_threads() -> None:
     library.set_threads(0)
     assert library.threads() == 1
     library.set_threads(None)
-    assert library.threads() == library.usable_cores()
+    assert library.threads() == usable_cores()
 
 
 def test_pointer() -> None:

@@ -90,3 +90,19 @@ def test_far_points_are_left_out_and_tracks_follow(scene: SfmScene) -> None:
     for before, after in zip(scene.images, cleaned.images, strict=True):
         wanted = scene.points[[row for row in before.point_indices if row != 5]]
         np.testing.assert_array_equal(cleaned.points[after.point_indices], wanted)
+
+
+@pytest.mark.parametrize("baseline", [0.3, 0.01, 1e-3])
+def test_a_panorama_keeps_its_points(scene: SfmScene, baseline: float) -> None:
+    """Cameras close together in a wide place: far from them is not far in it."""
+    rng = np.random.default_rng(0)
+    rays = rng.normal(size=(len(scene.points), 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    points = rays * rng.uniform(2, 60, (len(rays), 1))
+    images = []
+    for k, image in enumerate(scene.images):
+        angle = 2 * np.pi * k / len(scene.images)
+        eye = baseline * np.array([np.cos(angle), np.sin(angle), 0])
+        images.append(replace(image, world_to_camera=look_at(eye, 10 * eye)))
+    panorama = replace(scene, images=tuple(images), points=points)
+    assert without_strays(panorama).stray_points == 0

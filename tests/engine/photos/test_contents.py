@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +17,10 @@ from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, StageStarted
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos import damage
-from roigs_engine.photos.contents import Content, Contents
+from roigs_engine.photos.contents import UNREAD, Contents
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.headers import PhotoError
+from roigs_engine.photos.parallel import in_parallel
 
 
 @pytest.fixture
@@ -102,10 +106,46 @@ def test_a_damaged_memory_is_made_again(
 
 def test_a_photo_that_cannot_be_read_is_looked_at_again(tmp_path: Path) -> None:
     memory, path = tmp_path / "photos.json", tmp_path / "a.png"
-    lost = Content(size=0, modified=0, changed=0, whole=False)
-    assert Contents(memory).read({"a": path}) == {"a": lost}
+    assert Contents(memory).read({"a": path}) == {"a": UNREAD}
     Image.new("RGB", (20, 20)).save(path)
     assert Contents(memory).read({"a": path})["a"].whole
+
+
+def test_a_disk_that_fails_once_does_not_damage_a_photo(
+    photos: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory, check = tmp_path / "photos.json", damage.check_whole
+
+    def failing(path: Path) -> None:
+        raise PhotoError("unreadable") from OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(damage, "check_whole", failing)
+    assert Contents(memory).read(photos)["0.png"].whole is False
+    monkeypatch.setattr(damage, "check_whole", check)
+    assert Contents(memory).read(photos)["0.png"].whole
+    assert Contents(memory).read(photos)["4.png"].whole is False
+
+
+def test_after_an_error_no_photo_is_looked_at(tmp_path: Path) -> None:
+    seen: list[int] = []
+
+    def work(item: int) -> int:
+        time.sleep(0.01)
+        seen.append(item)
+        if item == 3:
+            raise OSError(errno.ENOSPC, "No space left")
+        return item
+
+    def read_all() -> None:
+        with closing(in_parallel(work, range(100), 2, Context())) as jobs:
+            for _, job in jobs:
+                job.result()
+
+    with pytest.raises(OSError, match="No space left"):
+        read_all()
+    count = len(seen)
+    time.sleep(0.1)
+    assert len(seen) == count < 20
 
 
 def test_a_stop_keeps_what_was_found(

@@ -111,3 +111,9 @@ def test_other_kinds(tmp_path: Path, suffix: str, mode: str) -> None:
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(PhotoError):
         check_whole(path)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 40), (40, 7)])
+def test_tiny_jpegs_are_whole(tmp_path: Path, size: tuple[int, int]) -> None:
+    Image.effect_noise(size, 50).convert("RGB").save(tmp_path / "a.jpg")
+    check_whole(tmp_path / "a.jpg")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,6 +84,17 @@ def test_the_strategy_with_a_stage_for_each_box(
     moved, box = in_units(scene, BOX, 1e-3, 1e6)
     psnr = trained_psnr(tmp_path, moved, box, "independent")
     assert psnr == pytest.approx(usual["independent"], abs=0.1)
+
+
+def test_selected_photos_have_distances_in_the_users_unit(scene: SfmScene, tmp_path: Path) -> None:
+    small, box = in_units(scene, BOX, 0.01, 0.0)
+    found = []
+    for folder, photos, roi in ((tmp_path / "a", scene, BOX), (tmp_path / "b", small, box)):
+        train_run(define_run(folder, photos, [roi], settled("joint")))
+        text = (folder / "selection" / f"{roi.name}.json").read_text(encoding="utf-8")
+        features = json.loads(text)["features"]
+        found.append([features[name]["distance"] for name in sorted(features)])
+    np.testing.assert_allclose(found[1], 0.01 * np.array(found[0]), rtol=1e-6)
 
 
 def test_a_file_in_millimetres_is_drawn_the_same(scene: SfmScene, tmp_path: Path) -> None:
