@@ -106,8 +106,7 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
     console = Console(json_lines="--events" in argv, stop=stop)
 
     def work() -> int:
-        args = parser.parse_args(argv)
-        args = with_options_file(parser, commands[args.command], args, argv)
+        args = with_options_file(parser, commands, argv)
         console.watch()
         console.context.check_cancelled()
         if args.command in WITH_TORCH:
