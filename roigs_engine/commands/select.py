@@ -14,8 +14,10 @@ from .options import (
     add_selection_options,
     boxes,
     load_scene,
+    read_files,
     selection_options,
 )
+from .out_folder import refuse_inputs
 from .values import PATH
 
 HELP = "choose the photos that show each box best"
@@ -35,6 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Select photos for every box; `--test-every` removes test photos first."""
     rois = boxes(args)
+    files = {roi.name: args.out / f"{roi.name}.json" for roi in rois} if args.out else {}
+    refuse_inputs(files.values(), read_files(args))
     config = replace(SelectionConfig(), **selection_options(args))
     scene = load_scene(args, console)
     if args.test_every is not None:
@@ -46,7 +50,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         selection = select_cameras(scene, roi, config, console.context)
         console.print(format_selection(selection))
         if args.out:
-            path = args.out / f"{roi.name}.json"
-            write_json(path, selection.to_dict())
-            outputs[roi.name] = str(path)
+            write_json(files[roi.name], selection.to_dict())
+            outputs[roi.name] = str(files[roi.name])
     return outputs

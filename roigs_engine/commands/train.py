@@ -25,7 +25,7 @@ from .options import (
     load_scene,
     run_config,
 )
-from .out_folder import claimed
+from .out_folder import refuse_run_files
 from .values import PATH, Number
 
 if TYPE_CHECKING:
@@ -112,8 +112,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.provenance import recorded
 
     inputs = _inputs(args)
-    claim = claimed(args.run_dir, option="--run-dir")
-    with claim, locked(args.run_dir, console.context.warn):
+    with locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)
@@ -154,7 +153,8 @@ def show_plan(
 
 
 def _inputs(args: argparse.Namespace) -> dict[str, Any]:
-    """Boxes, settings and manual photos for `define_run`."""
+    """Boxes, settings and manual photos for `define_run`, whose folder is not another run's."""
+    refuse_run_files(args.run_dir, option="--run-dir")
     rois, config = boxes(args), run_config(args)
     manual = load_manual(args.selection, rois) if args.selection else {}
     return {"rois": rois, "config": config, "manual": manual}
