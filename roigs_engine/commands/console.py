@@ -37,6 +37,7 @@ class Console:
             sys.stdout.encoding = "utf-8"  # escapes for what a locale lacks would not be JSON
         self._bar: tqdm[None] | None = None
         self._log: TextIO | None = None
+        self._early: list[str] | None = None  # for the log, until it is open
 
     def watch(self) -> None:
         """Start to watch for stop requests: signals, and standard input (JSON lines)."""
@@ -53,8 +54,12 @@ class Console:
         """The context of a command's work, with this console's events and stop requests."""
         return Context(emit=self.emit, should_stop=self.should_stop)
 
+    def log_later(self) -> None:
+        """Keep the events from now on for `log_to`."""
+        self._early = []
+
     def log_to(self, folder: Path) -> None:
-        """Also append every event as a JSON line to `folder`/events.jsonl.
+        """Also append every event as a JSON line to `folder`/events.jsonl, those kept first.
 
         Raises:
             RunFolderError: the file cannot be written.
@@ -64,11 +69,16 @@ class Console:
             self._log = open_log(path)
         except OSError as error:
             raise cannot_write(path, error) from error
+        early, self._early = self._early or [], None
+        if early:
+            self._append("\n".join(early), self._log)
 
     def emit(self, event: Event) -> None:
         """Show one event."""
         if self._log is not None:
             self._append(to_json(event), self._log)
+        elif self._early is not None:
+            self._early.append(to_json(event))
         if self._json_lines:
             _write(to_json(event), sys.stdout)
         else:

@@ -102,7 +102,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run, Context]]:
     """The run of the options; its folder is open and locked during the block.
 
-    Events are also written to the folder.
+    Events are also written to the folder, once it is known that it may be this run's.
     """
     from ..colmap.undistorted_photos import remove_unused
     from ..run.definition import define_run
@@ -111,6 +111,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.memory import run_memory
     from ..run.provenance import recorded
 
+    console.log_later()
     inputs = _inputs(args)
     with locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
@@ -122,13 +123,13 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
             run = define_run(args.run_dir, cameras, context=quiet, **inputs)
             if not args.update:
                 refuse_other_run(args.run_dir, run.manifest())
+            console.log_to(args.run_dir)
 
         quiet = replace(context, emit=QUIET.emit)
         scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
         remove_unused(args.run_dir / run_files.CACHE, scene.images)
-        console.log_to(args.run_dir)
         for message in run_memory(run, context).messages():
             console.emit(message)
         with recorded(args.run_dir, run.config.seed, context.device):
