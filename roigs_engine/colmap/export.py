@@ -36,9 +36,7 @@ def write_export(scene: SfmScene, folder: Path) -> dict[str, str]:
             np.save(file, array, allow_pickle=False)
     record = inspect_scene(scene)
     del record["rois"]
-    write_json(
-        folder / SCENE, {**record, "images": [_image_record(i) for i in scene.images]}
-    )
+    write_json(folder / SCENE, {**record, "images": [_image_record(i) for i in scene.images]})
     files = {"scene": SCENE, **{name: f"{name}.npy" for name in arrays}}
     return {name: str(folder / file) for name, file in files.items()}
 

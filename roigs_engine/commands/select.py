@@ -41,13 +41,15 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     refuse_inputs(files.values(), read_files(args))
     config = replace(SelectionConfig(), **selection_options(args))
     scene = load_scene(args, console)
+    tests = None
     if args.test_every is not None:
         from ..selection.split import choose_test_views
 
-        scene = scene.without(set(choose_test_views(scene, rois, args.test_every, console.context)))
+        test = choose_test_views(scene, rois, args.test_every, console.context)
+        scene, tests = scene.without(set(test)), scene.select(test)
     outputs = {}
     for roi in rois:
-        selection = select_cameras(scene, roi, config, console.context)
+        selection = select_cameras(scene, roi, config, console.context, tests=tests)
         console.print(format_selection(selection))
         if args.out:
             write_json(files[roi.name], selection.to_dict())

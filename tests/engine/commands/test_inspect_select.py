@@ -81,6 +81,7 @@ def test_test_photos_are_not_selected(project: Project, tmp_path: Path) -> None:
     assert main(["select", str(project.folder), *arguments]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert len(stored["candidates"]) == 6
+    assert "(2 of the 8 that see it are test photos)" in stored["flags"][0]
 
 
 def test_inspect_in_json(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
