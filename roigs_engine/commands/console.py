@@ -14,6 +14,7 @@ from ..context import Context
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 from ..formats.files import cannot_write, open_log
 from ..formats.run_files import EVENTS
+from ..formats.text import printable
 from .stopping import StopRequest
 from .streams import Stream
 
@@ -96,8 +97,12 @@ class Console:
             self.emit(Message(text=text, level="warning"))
 
     def print(self, text: str) -> None:
-        """Print the command's answer: to standard output, but to standard error beside JSON."""
+        """Print the command's answer: to standard output, but to standard error beside JSON.
+
+        Control characters become escapes, here and in `_line`: names come from files.
+        """
         self.close_bar()
+        text = "\n".join(map(printable, text.split("\n")))
         _write(text, sys.stderr if self._json_lines else sys.stdout)
 
     def close_bar(self) -> None:
@@ -118,7 +123,7 @@ class Console:
                 self._line(f"warning: {text}" if level == "warning" else text)
             case Failed(message=message, hint=hint):
                 self.close_bar()
-                _write(f"error: {message} {hint}".rstrip(), sys.stderr)
+                self._line(f"error: {message} {hint}".rstrip())
             case Done(stopped=True):
                 how = "resumes from here" if self._log is not None else "starts again"
                 self._line(f"Stopped. The same command {how}.")
@@ -134,7 +139,7 @@ class Console:
         except ImportError:
             self._line(f"{stage} …")
             return
-        self._bar = tqdm(total=total, desc=stage, file=sys.stderr, dynamic_ncols=True)
+        self._bar = tqdm(total=total, desc=printable(stage), file=sys.stderr, dynamic_ncols=True)
 
     def _advance(self, event: Progress) -> None:
         if self._bar is None:
@@ -148,6 +153,7 @@ class Console:
         self._bar.update(event.step - self._bar.n)
 
     def _line(self, text: str) -> None:
+        text = printable(text)
         if self._bar is not None:
             self._bar.write(text, file=sys.stderr)
         else:

@@ -11,7 +11,7 @@ import pytest
 from roigs_engine.errors import EngineError, RoiError
 from roigs_engine.formats.files import read_json
 from roigs_engine.formats.rois import read_rois
-from roigs_engine.formats.text import RepeatedKeyError, counted, decode_text, parse_json
+from roigs_engine.formats.text import RepeatedKeyError, counted, decode_text, parse_json, printable
 
 VALUE = {"name": "Büste", "x": [1.5, None]}
 ENCODINGS = [f"utf-{width}{order}" for width in (16, 32) for order in ("", "-le", "-be")]
@@ -83,6 +83,14 @@ def test_a_key_that_is_there_twice_is_named(text: str, tmp_path: Path) -> None:
 
 def test_one_key_in_two_objects_is_fine() -> None:
     assert parse_json(b'[{"a": 1}, {"a": {"a": 2}}]') == [{"a": 1}, {"a": {"a": 2}}]
+
+
+def test_control_characters_become_escapes() -> None:
+    assert printable("a\x1b[2J\r\n\t\0\x7f\x9b\u2028\u202e") == (
+        r"a\x1b[2J\r\n\t\x00\x7f\x9b\u2028\u202e"
+    )
+    plain = "Größe 模型 \u00a0 🙂 \\ \udce9 e\u0301 \u200d"
+    assert printable(plain) == plain
 
 
 def test_counts_in_sentences() -> None:
