@@ -105,6 +105,11 @@ class Console:
         text = "\n".join(map(printable, text.split("\n")))
         _write(text, sys.stderr if self._json_lines else sys.stdout)
 
+    def print_places(self, outputs: dict[str, str]) -> None:
+        """Print where a command has written what."""
+        for what, path in outputs.items():
+            self.print(f"{what + ':':10}{path}")
+
     def close_bar(self) -> None:
         """End the progress bar, if there is one."""
         if self._bar is not None:

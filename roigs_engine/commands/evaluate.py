@@ -107,7 +107,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out, context=context)
     console.print(format_markdown(evaluation))
-    return {"report": str(args.out / REPORT), "pictures": str(args.out / CROPS)}
+    outputs = {"report": str(args.out / REPORT), "pictures": str(args.out / CROPS)}
+    console.print_places(outputs)
+    return outputs
 
 
 def _model_files(texts: Sequence[str]) -> dict[str, Path]:

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 
 from ..formats.files import write_json
+from ..formats.text import counted
 from ..selection import SelectionConfig, format_selection, select_cameras
 from .console import Console
 from .options import (
@@ -54,4 +55,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         if args.out:
             write_json(files[roi.name], selection.to_dict())
             outputs[roi.name] = str(files[roi.name])
+    if outputs:
+        console.print(f"{counted(len(outputs), 'list')} of photos in {args.out}")
     return outputs

@@ -23,6 +23,7 @@ def test_select_end_to_end(
     arguments = ["--roi", BOX, "--method", "greedy", "--count", "3", "--out", str(tmp_path)]
     assert main(["select", str(project.folder), *arguments]) == 0
     shown = capsys.readouterr().out
+    assert shown.endswith(f"\n1 list of photos in {tmp_path}\n")
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["roi"], stored["method"], len(stored["names"])) == ("thing", "greedy", 3)
     assert set(stored["names"]) <= set(project.names)
