@@ -473,9 +473,9 @@ FAMILIES: dict[str, tuple[Family, int]] = {
 
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
-    from tests.fuzz import people
+    from tests.fuzz import people, texts
 
-    return FAMILIES | people.FAMILIES
+    return FAMILIES | people.FAMILIES | texts.FAMILIES
 
 
 def make(family: str, number: int, folder: Path) -> Case:
