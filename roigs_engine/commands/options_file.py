@@ -17,7 +17,7 @@ NOT_KEYS = {"help", "events"}  # options that an options file must not set
 
 def with_options_file(
     parser: argparse.ArgumentParser,
-    commands: Mapping[str, argparse.ArgumentParser],
+    parsers: Mapping[str, argparse.ArgumentParser],
     argv: Sequence[str],
 ) -> argparse.Namespace:
     """The parsed command line; a scene that is an options file gives what it leaves out.
@@ -26,14 +26,14 @@ def with_options_file(
 
     Args:
         parser: of the whole command line.
-        commands: its parser of each command.
+        parsers: its parser of each command.
         argv: the command line.
 
     Raises:
         ConfigError: the command line does not fit, the file cannot be read, a key is unknown or
             there twice, or a value does not fit its option.
     """
-    required = [a for c in commands.values() for a in c._actions if a.required and a.option_strings]
+    required = [a for c in parsers.values() for a in c._actions if a.required and a.option_strings]
     for action in required:
         action.required = False
     first = argparse.Namespace()
@@ -44,7 +44,7 @@ def with_options_file(
     path = getattr(first, "scene", None)
     if not isinstance(path, Path) or path.suffix.lower() != ".json" or first.command == "render":
         return parser.parse_args(argv)
-    command = commands[first.command]
+    command = parsers[first.command]
     values = _checked(path, _read(path), command, first)
     scene = values.pop("scene")
     for action in required:

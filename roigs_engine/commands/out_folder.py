@@ -24,9 +24,10 @@ def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:
     """
     folder = None if out is None else _run_folder(out, above=option == "--run-dir")
     if folder is not None:
+        free = folder / ("other.ply" if out and out.suffix.lower() == ".ply" else "other")
         raise ConfigError(
             f"{option} {out} would replace files of the run in {folder}.",
-            f"Choose another place; in that folder, {folder / 'other'} is free.",
+            f"Choose another place; in that folder, {free} is free.",
         )
 
 
