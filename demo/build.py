@@ -266,6 +266,19 @@ def lathe(
     return mesh_object(name, points, quads, np.stack([u, v], -1), material, frame, True, roi)
 
 
+def resample(profile: tuple[tuple[float, float], ...], count: int) -> list[tuple[float, float]]:
+    """`count` points along the profile of a lathe."""
+    values = np.asarray(profile)
+    at = np.linspace(0, len(values) - 1, count)
+    return [
+        (
+            float(np.interp(x, np.arange(len(values)), values[:, 0])),
+            float(np.interp(x, np.arange(len(values)), values[:, 1])),
+        )
+        for x in at
+    ]
+
+
 def sheet(
     name: str,
     points: np.ndarray,

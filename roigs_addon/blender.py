@@ -91,6 +91,14 @@ def camera_of(item: bpy.types.Object) -> bpy.types.Camera:
     return item.data
 
 
+def delete(item: bpy.types.Object) -> None:
+    """Delete an object, and its data if nothing else uses it."""
+    data = item.data
+    bpy.data.objects.remove(item)
+    if data is not None and not data.users:
+        bpy.data.batch_remove([data])
+
+
 def persistent(handler: Handler) -> Handler:
     """Have Blender keep a handler when another file is loaded."""
     kept: Handler = bpy.app.handlers.persistent(handler)

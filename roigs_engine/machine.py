@@ -8,12 +8,16 @@ import errno
 import functools
 import os
 import platform
+import shutil
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-ENGINE = 260 << 20  # bytes of Python, torch and the kernels, see `run/memory.py`
+from .formats.events import Message
+from .formats.text import in_gb
+
+ENGINE = 330 << 20  # bytes of Python, torch, the libraries and the kernels, see `run/memory.py`
 GIB = 1 << 30
 MEMORY_FULL = (
     "allocate memory",
@@ -79,6 +83,19 @@ def _windows_memory() -> int:
     status = Status(length=ctypes.sizeof(Status))
     kernel = getattr(ctypes, "windll").kernel32  # noqa: B009 (absent elsewhere: not for mypy)
     return int(status.total) if kernel.GlobalMemoryStatusEx(ctypes.byref(status)) else 0
+
+
+def disk_message(needed: int, folder: Path) -> Message:
+    """Tells the bytes that a folder, which need not exist yet, will take; warns if less is free."""
+    existing = folder.absolute()
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    free = shutil.disk_usage(existing).free
+    text = f"Disk: up to about {in_gb(needed)} more in {folder}; {in_gb(free)} are free."
+    if needed <= free:
+        return Message(text=text)
+    text += " If the disk gets full, the run stops and can be resumed once there is space."
+    return Message(text=text, level="warning")
 
 
 def release_freed_memory() -> None:

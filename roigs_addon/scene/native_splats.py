@@ -17,7 +17,7 @@ import bpy
 from mathutils import Matrix
 
 from .. import blender
-from ..blender import view_layer_of
+from ..blender import delete, view_layer_of
 
 FIRST_VERSION = (5, 3, 0)
 ATTRIBUTES = {"position", "scale", "rotation", "radiance:base"}
@@ -45,20 +45,13 @@ def import_splats(path: Path) -> bpy.types.Object | None:
             made[0].matrix_basis = Matrix()
             return made[0]
         for item in made:
-            _remove(item)
+            delete(item)
         return None
 
 
 def _is_splats(item: bpy.types.Object) -> bool:
     attributes = {attribute.name for attribute in getattr(item.data, "attributes", ())}
     return item.type == "POINTCLOUD" and attributes >= ATTRIBUTES
-
-
-def _remove(item: bpy.types.Object) -> None:
-    data = item.data
-    bpy.data.objects.remove(item)
-    if data is not None and not data.users:
-        bpy.data.batch_remove([data])
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender import mesh_of
+from ..blender import delete, mesh_of
 from ..errors import AddonError
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..properties import object_props, scene_props
@@ -55,7 +55,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     for item in lookup.splats(scene):
         props = object_props(item)
         if props.level in ("ROI", "SCENE") and not os.path.isfile(props.ply):
-            _delete(item)
+            delete(item)
     return shown
 
 
@@ -108,18 +108,11 @@ def remove_preview(scene: bpy.types.Scene) -> None:
     for item in lookup.splats(scene):
         level = object_props(item).level
         if level == "PREVIEW":
-            _delete(item)
+            delete(item)
             continue
         coarse = level == "SCENE"
         _hide(scene, item, coarse)
         item.hide_render = coarse
-
-
-def _delete(item: bpy.types.Object) -> None:
-    data = item.data
-    bpy.data.objects.remove(item)
-    if data is not None and not data.users:
-        bpy.data.batch_remove([data])
 
 
 def _hide_sparse(scene: bpy.types.Scene) -> None:

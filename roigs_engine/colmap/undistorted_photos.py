@@ -12,7 +12,7 @@ from ..errors import SceneError
 from ..formats.events import StageStarted
 from ..formats.files import cannot_write, own_folder
 from ..formats.text import in_gb
-from ..machine import ENGINE, machine_memory
+from ..machine import ENGINE, disk_message, machine_memory, release_freed_memory
 from ..model.scene import PosedImage
 from ..photos.headers import PhotoError
 from ..photos.parallel import in_parallel, threads_for
@@ -20,6 +20,7 @@ from .undistort import UndistortionPlan, temporary_folder, undistort
 
 FOLDER = "undistorted"
 STAGE = "undistort"
+PER_PIXEL = 3  # bytes of a PNG, at most; photos take about 2
 
 
 def undistort_all(
@@ -44,6 +45,11 @@ def undistort_all(
     if not missing:
         return paths
     threads = _threads(missing, context)
+    space = disk_message(
+        PER_PIXEL * sum(plan.target.width * plan.target.height for plan in missing), folder
+    )
+    if space.level == "warning":
+        context.emit(space)
     context.emit(StageStarted(stage=STAGE, total=len(missing)))
     started = time.monotonic()
     work = in_parallel(lambda plan: undistort(plan, folder), missing, threads, context)
@@ -53,6 +59,7 @@ def undistort_all(
         except PhotoError:
             del paths[plan.key()]
         context.progress(STAGE, step, len(missing), started)
+    release_freed_memory()
     return paths
 
 

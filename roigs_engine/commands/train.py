@@ -118,14 +118,16 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)
         context = _context(args, console)
+        quiet = replace(context, emit=QUIET.emit)
 
         def check(cameras: SfmScene) -> None:
-            run = define_run(args.run_dir, cameras, context=quiet, **inputs)
+            """What is wrong with the options is said before minutes go into the photos."""
+            without_pixels = define_run(args.run_dir, cameras, context=quiet, **inputs)
             if not args.update:
-                refuse_other_run(args.run_dir, run.manifest())
+                refuse_other_run(args.run_dir, without_pixels.manifest())
             console.log_to(args.run_dir)
 
-        quiet = replace(context, emit=QUIET.emit)
+        # Damaged photos are found only now: without them, other photos may be test photos.
         scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)

@@ -1,26 +1,23 @@
-"""The plan of a run as text: its stages, photos, steps, memory and minutes."""
+"""The plan of a run as text: its stages, photos, steps, memory, disk and minutes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from ..context import QUIET, Context
-from ..formats.run_files import MANIFEST
+from ..formats.lock import holder
+from ..formats.run_files import LOCK, MANIFEST
 from ..formats.text import counted
-from ..kernels import library
 from .definition import Run
-from .estimate import Estimator, StageEstimate, evaluation_seconds
-from .executor import Executor
+from .disk import disk_space
+from .forecast import StageForecast, forecast
 from .manifest import check_version, from_json, manifest_difference, read_manifest
 from .memory import run_memory
-from .plan import POINTS, Plan, Stage
-from .stage_folder import StageResult
+from .plan import Plan
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
 LEFT = (0, 4, 7)  # columns of text
-
-WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
 
 
 def describe_plan(
@@ -40,35 +37,26 @@ def describe_plan(
     check_version(run.folder)
     memory = run_memory(run, context)
     plan = plan_run(run, compare, context)
-    finished = _finished(run, plan, context, update=update)
-    rows, seconds, saved = _stage_rows(run, plan, finished, context)
-    lines = [*_head(run, plan), "", *_table(rows), ""]
-    lines += [message.text for message in memory.messages()]
-    lines.append(_time_line(seconds, saved, context))
-    return "\n".join([*lines, *_folder_note(run, update=update)])
-
-
-def expected_time(run: Run, plan: Plan, context: Context, *, update: bool) -> str | None:
-    """One line with the minutes that a plan will take; None if that is little or nothing."""
-    finished = _finished(run, plan, context, update=update)
-    missing = sum(stage.config.steps for stage in plan.stages if finished[stage.name] is None)
-    if missing < WORTH_SAYING:
-        return None
-    _, seconds, saved = _stage_rows(run, plan, finished, context)
-    return _time_line(seconds, saved, context)
-
-
-def _time_line(seconds: float, saved: float, context: Context) -> str:
-    threads = counted(library.threads(), "thread") if context.device == "cpu" else context.device
-    done = f"; {_minutes(saved)} are already done" if saved else ""
-    return f"Time: about {_minutes(seconds)} on this machine ({threads}){done}."
+    expected = forecast(run, plan, context, update=update)
+    lines = [*_head(run, plan), "", *_table([_row(stage) for stage in expected.stages]), ""]
+    lines += [message.text for message in (*memory.messages(), disk_space(run, expected))]
+    return "\n".join([*lines, expected.time_line(), *_folder_notes(run, update=update)])
 
 
 def _head(run: Run, plan: Plan) -> list[str]:
-    config, count = run.config, len(run.scene.images)
+    config, images = run.config, run.scene.images
+    count = len(images)
+    notes = []
+    distorted = sum(image.distorted for image in images)
+    if distorted:
+        what = "all" if distorted == count else f"{distorted:,}"
+        notes.append(f"lens distortion is removed from {what} first")
+    if not all(image.digest for image in images):
+        notes.append("a run decodes them first and leaves damaged ones out")
     lines = [
         f"Plan of {run.folder}: preset {config.preset}, {config.strategy}, seed {config.seed}",
-        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} to test on",
+        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} to test on"
+        + "".join(f"; {note}" for note in notes),
     ]
     for folder, selections in plan.selections.items():
         where = f" ({folder})" if folder else ""
@@ -80,58 +68,25 @@ def _head(run: Run, plan: Plan) -> list[str]:
     return lines
 
 
-def _finished(
-    run: Run, plan: Plan, context: Context, *, update: bool
-) -> dict[str, StageResult | None]:
-    """Stage -> its result, which is verified, or None."""
-    executor = Executor(run, context, update=update)
-    return {stage.name: executor.finished(stage) for stage in plan.stages}
-
-
-def _stage_rows(
-    run: Run, plan: Plan, finished: dict[str, StageResult | None], context: Context
-) -> tuple[list[tuple[str, ...]], float, float]:
-    """A row for each stage; seconds of the missing stages, and of the finished ones."""
-    estimator = Estimator(run.train_scene, context)
-    ends: dict[str, int] = {}
-    estimates: list[StageEstimate] = []
-    rows, missing, saved = [], 0.0, 0.0
-    for stage in plan.stages:
-        start = _start(stage, ends, len(run.train_scene.points))
-        done = finished[stage.name]
-        if done is None:
-            expected = estimator.estimate(stage, start)
-            missing += expected.seconds
-        else:
-            each = done.seconds / max(stage.config.steps, 1)
-            expected = StageEstimate(end=done.count, seconds=done.seconds, step_seconds=each)
-            saved += done.seconds
-        ends[stage.name] = expected.end
-        estimates.append(expected)
-        rows.append(_row(stage, expected, is_done=done is not None))
-    return rows, missing + evaluation_seconds(estimates, len(run.test)), saved
-
-
-def _start(stage: Stage, ends: dict[str, int], points: int) -> int:
-    """The expected number of Gaussians at the start of the stage."""
-    if stage.start.kind == POINTS:
-        return points
-    return max(ends[needed.name] for needed in stage.start.inputs)
-
-
-def _row(stage: Stage, expected: StageEstimate, *, is_done: bool) -> tuple[str, ...]:
+def _row(expected: StageForecast) -> tuple[str, ...]:
+    stage = expected.stage
     largest = max((i.camera for i in stage.images), key=lambda c: c.width * c.height)
-    count = f"{expected.end:,}" if is_done else f"~{round(expected.end, -3):,}"
+    end = expected.whole.end
     return (
         stage.name,
         str(len(stage.images)),
         f"{largest.width}x{largest.height}",
         f"{stage.config.steps:,}",
         ", ".join(dict.fromkeys(s.name for s in stage.start.inputs)) or "sparse points",
-        count,
-        f"{expected.seconds / 60:.1f}",
-        "done" if is_done else "",
+        f"{end:,}" if expected.is_done else f"~{round(end, -3):,}",
+        f"{expected.whole.seconds / 60:.1f}",
+        _state(expected),
     )
+
+
+def _state(expected: StageForecast) -> str:
+    step = expected.status.step
+    return "done" if expected.is_done else f"{step:,} steps done" if step else ""
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
@@ -146,20 +101,20 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     ]
 
 
-def _folder_note(run: Run, *, update: bool) -> list[str]:
-    """A note if the folder already has another run."""
+def _folder_notes(run: Run, *, update: bool) -> list[str]:
+    """Notes if an engine is at work in the folder, or the folder already has another run."""
+    notes = []
+    process = holder(run.folder / LOCK)
+    if process:
+        notes.append(f"Folder: process {process} is at work in it. Wait for it, or stop it.")
     path = run.folder / MANIFEST
     if not path.exists():
-        return []
+        return notes
     difference = manifest_difference(read_manifest(path), from_json(run.manifest()))
-    if not difference:
-        return []
-    if update:
-        return [f"Folder: another run ({difference}) would be archived."]
-    return [f"Folder: it has another run ({difference}). Add --update to archive that run."]
-
-
-def _minutes(seconds: float) -> str:
-    if seconds < 90:
-        return counted(max(1, round(seconds)), "second")
-    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
+    if difference and update:
+        notes.append(f"Folder: another run ({difference}) would be archived.")
+    elif difference:
+        notes.append(
+            f"Folder: it has another run ({difference}). Add --update to archive that run."
+        )
+    return notes

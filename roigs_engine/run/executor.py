@@ -23,7 +23,7 @@ from ..training.trainer import StageData
 from .definition import Run
 from .memory import run_memory
 from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
-from .stage_folder import StageFolder, StageResult
+from .stage_folder import StageFolder, StageResult, StageStatus
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,8 +149,8 @@ class Executor:
             by_roi=by_roi,
         )
 
-    def finished(self, stage: Stage) -> StageResult | None:
-        """The stage's result if it is finished, or None; nothing is trained or moved."""
+    def status(self, stage: Stage) -> StageStatus:
+        """How far the stage is; nothing is trained or moved."""
         return self._folder(stage).peek()
 
     def close(self) -> None:

@@ -9,8 +9,9 @@ from ..formats.files import write_json
 from ..formats.run_files import SPLIT
 from ..model.scene_warnings import scene_warnings
 from .definition import Run
-from .dry_run import expected_time
+from .disk import disk_space
 from .executor import Executor, TrainedModel
+from .forecast import forecast_if_long
 from .manifest import claim
 from .memory import run_memory
 from .strategies import plan_run
@@ -55,9 +56,12 @@ def train_opened(
         As `plan_run` and `Executor.execute`.
     """
     plan = plan_run(run, compare, context)
-    time = expected_time(run, plan, context, update=update)
-    if time:
-        context.info(time)
+    expected = forecast_if_long(run, plan, context, update=update)
+    if expected is not None:
+        context.info(expected.time_line())
+        space = disk_space(run, expected)
+        if space.level == "warning":
+            context.emit(space)
     executor = Executor(run, context, update=update, preview_seconds=preview_seconds)
     return executor.execute(plan)
 

@@ -14,12 +14,16 @@ from ..formats.events import Message
 from ..formats.text import in_gb
 from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage
+from ..rasterize.inputs import TILE
 from ..training.config import TrainConfig
 from .config import RunConfig
 from .definition import Run
 
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
-PER_PIXEL = 80  # bytes: the render, its gradient and the loss's images, of the largest photo
+PER_PIXEL = 80  # bytes at least, of the largest photo: render, gradient, the loss's images
+PER_PAIR = 95  # bytes: a Gaussian's place in a tile's list, and its gradient there (kernels/view.h)
+PAIRS = 200  # in a tile, with Gaussians larger than a tile; real scenes had up to 190
+PER_PIXEL_AT_MOST = 120 + PER_PAIR * PAIRS // TILE**2
 PER_DENSIFICATION = 30_000  # Gaussians that one adds, on average; the largest of four scenes
 AHEAD = 3  # photos in memory at least: the one in use, and two that are decoded ahead
 DEFAULT_SHARE = 4  # the cache takes at most 1/4 of the machine's memory
@@ -111,12 +115,12 @@ def plan_memory(
             _advice(images, left),
         )
     if cache is None:
-        cache = min(machine // DEFAULT_SHARE, left - PER_PIXEL * largest)
+        cache = min(machine // DEFAULT_SHARE, left - PER_PIXEL_AT_MOST * largest)
     return MemoryPlan(
         machine=machine,
         photos=photos,
         cache=max(cache, least),
-        picture=PER_PIXEL * largest,
+        picture=PER_PIXEL_AT_MOST * largest,
         end=PER_GAUSSIAN * count,
         count=count,
     )

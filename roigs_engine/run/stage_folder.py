@@ -27,6 +27,7 @@ from ..training.callbacks import PeriodicCallback
 from ..training.checkpoint import (
     checkpoint_exists,
     checkpoint_fingerprint,
+    checkpoint_step,
     load_checkpoint,
     remove_checkpoint,
     save_checkpoint,
@@ -69,6 +70,19 @@ class StageResult:
         return self.trained or Gaussians.load_ply(self.model_path, self.frame)
 
 
+@dataclass(frozen=True, kw_only=True)
+class StageStatus:
+    """How far a stage is.
+
+    Attributes:
+        result: its result; None: it is not finished.
+        step: of its checkpoint, from which it would be resumed; 0: there is none.
+    """
+
+    result: StageResult | None = None
+    step: int = 0
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageFolder:
     """The folder that a stage is trained in.
@@ -99,23 +113,24 @@ class StageFolder:
     def _record(self) -> Path:
         return self.folder / run_files.STAGE
 
-    def peek(self) -> StageResult | None:
-        """The stage's result if it is finished, or None; changes nothing.
+    def peek(self) -> StageStatus:
+        """How far the stage is; changes nothing.
 
         With `update`, it may be in the archive, from where `finished` would restore it.
         """
         found = self._peek()
-        if found is None and self.update:
+        if found == StageStatus() and self.update:
             with suppress(RunFolderError):
                 place = archived(self.folder, self.fingerprint)
                 found = replace(self, folder=place)._peek()
         return found
 
-    def _peek(self) -> StageResult | None:
+    def _peek(self) -> StageStatus:
         with suppress(RunFolderError, DamagedError):
             record = read_record(self._record)
-            return None if record is None else self._verified(record)
-        return None
+            if record is not None:
+                return StageStatus(result=self._verified(record))
+        return StageStatus(step=checkpoint_step(self._checkpoint, self.fingerprint))
 
     def finished(self, context: Context = QUIET) -> StageResult | None:
         """The stage's result if it is finished, or None; `update` archives another stage first.

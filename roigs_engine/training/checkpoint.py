@@ -21,6 +21,7 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -122,6 +123,19 @@ def checkpoint_fingerprint(path: Path) -> str:
         except (OSError, _DamagedError) as error:
             problems.append(f"The checkpoint {name} {_because(error)}.")
     raise _unusable(path, problems)
+
+
+def checkpoint_step(path: Path, fingerprint: str) -> int:
+    """The step of the newest readable checkpoint of that fingerprint; 0: there is none."""
+    for name in _present(path):
+        with (
+            suppress(OSError, _DamagedError, *HEADER_ERRORS),
+            open(name, "rb", opener=regular) as file,
+        ):
+            header = _header(file)
+            if header["fingerprint"] == fingerprint:
+                return max(0, int(header["state"]["step"]))
+    return 0
 
 
 def checkpoint_exists(path: Path) -> bool:

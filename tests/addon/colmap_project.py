@@ -8,20 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.poses import Y_DOWN, look_at
+
 WIDTH, HEIGHT = 64, 48
 PARAMS = (60.0, 54.0, 30.0, 26.0)  # fx, fy, cx, cy
 POINTS = 200
-
-
-def look_at_origin(eye: np.ndarray) -> np.ndarray:
-    """(4, 4) world to camera, OpenCV axes, the world's y down."""
-    forward = -eye / np.linalg.norm(eye)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = [right, np.cross(forward, right), forward]
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    return pose
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
@@ -39,7 +30,7 @@ def ring(count: int, radius: float = 3.0) -> np.ndarray:
     """(count, 4, 4) poses around the origin, all looking at it."""
     angles = 2 * np.pi * (np.arange(count) + 0.25) / count
     eyes = np.stack([radius * np.sin(angles), np.full(count, -1.0), -radius * np.cos(angles)], 1)
-    return np.array([look_at_origin(eye) for eye in eyes])
+    return np.array([look_at(eye, up=Y_DOWN) for eye in eyes])
 
 
 def write_project(folder: Path, photos: int = 8, *, tracks: bool = True) -> Path:
@@ -93,19 +84,6 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
         for kind, data in chunks:
             checksum = struct.pack(">I", zlib.crc32(kind + data))
             file.write(struct.pack(">I", len(data)) + kind + data + checksum)
-
-
-def read_png(path: Path) -> np.ndarray:
-    """(H, W, 3) uint8 of an 8-bit RGB picture, through Blender."""
-    import bpy
-
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return (pixels.reshape(height, width, 4)[::-1, :, :3] * 255).round().astype(np.uint8)
 
 
 def write_large_model(folder: Path, photos: int, points: int, seen: int) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
 from types import ModuleType
@@ -54,6 +55,11 @@ def status(scene):
     from roigs_addon.jobs import run_folders
 
     return run_status.read(run_folders.run_folder(scene))
+
+
+def options(folder: Path, name: str) -> dict:
+    """The options file of that name in a run folder, as a job has written it."""
+    return json.loads((folder / "blender" / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def record(roi, scene) -> dict[str, object]:

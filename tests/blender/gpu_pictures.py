@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 
 import bpy
 import gpu
@@ -41,17 +40,6 @@ def perspective(camera: dict, near: float, far: float) -> Matrix:
             (0, 0, -1, 0),
         )
     )
-
-
-def load_png(path: Path) -> np.ndarray:
-    """(H, W, 3) sRGB values, first row on top."""
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    width, height = image.size
-    pixels = np.zeros(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[::-1, :, :3]
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:

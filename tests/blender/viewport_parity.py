@@ -24,7 +24,8 @@ from mathutils import Matrix, Vector
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from roigs_addon import properties
 from roigs_addon.viewport import draw
-from tests.blender.gpu_pictures import load_png, perspective, picture, psnr, with_gpu
+from tests.addon.pictures import load_png
+from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
 LEAST = 35.0  # dB
 NEAR, FAR = 0.01, 1000.0  # clip planes, units of the object

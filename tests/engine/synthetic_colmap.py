@@ -10,6 +10,8 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
+from tests.poses import Y_DOWN, look_at
+
 Array = np.ndarray
 
 
@@ -53,22 +55,11 @@ def project(cam: pycolmap.Camera, local: Array) -> Array:
     return pixels
 
 
-def look_at(centre: Array) -> Array:
-    """(4, 4) world to camera of a camera at `centre` looking at the origin, the world's y down."""
-    forward = -centre / np.linalg.norm(centre)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = [right, np.cross(forward, right), forward]
-    pose[:3, 3] = -pose[:3, :3] @ centre
-    return pose
-
-
 def ring(count: int, arc: float = 2 * np.pi, radius: float = 4.0, height: float = -1.0) -> Array:
     """(count, 4, 4) poses on a ring (or an arc of it) around the origin, all looking at it."""
     angles = arc * np.arange(count) / max(count, 1)
     centres = np.stack([radius * np.sin(angles), np.full(count, height), -radius * np.cos(angles)])
-    return np.array([look_at(centre) for centre in centres.T]).reshape(-1, 4, 4)
+    return np.array([look_at(centre, up=Y_DOWN) for centre in centres.T]).reshape(-1, 4, 4)
 
 
 def paint(cam: pycolmap.Camera, pixels: Array, sigma: float = 1.5) -> Array:

@@ -12,20 +12,10 @@ from roigs_engine.model.gaussians import SH_C0, Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.rasterize import rasterize
+from tests.poses import look_at
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
 BOX = OrientedBox.axis_aligned("thing", [-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
-
-
-def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) world_to_camera, OpenCV axes, z up in the world."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
-    return matrix
 
 
 def truth(count: int = 300, seed: int = 0) -> Gaussians:
@@ -56,7 +46,7 @@ def make_scene(folder: Path, views: int = 12) -> SfmScene:
     for k in range(views):
         angle = 2 * np.pi * k / views
         eye = np.array([np.cos(angle), np.sin(angle), 0.35]) * (1.5 + 0.3 * (k % 3))
-        pose = look_at(eye, np.zeros(3))
+        pose = look_at(eye)
         output = rasterize(
             model.means,
             model.quats,

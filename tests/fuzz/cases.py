@@ -69,12 +69,25 @@ def write_scene(folder: Path, files: dict[str, bytes], photos: dict[str, bytes])
 
 PHOTOS = {name: inputs.photo("JPEG" if name.endswith("jpg") else "PNG") for name in inputs.NAMES}
 MODEL = inputs.model()
+QUICK = ["--steps-factor", "0.003", "--max-side", "24", "--threads", "1", "--test-every", "4",
+         "--device", "cpu", "--seed", "1"]  # fmt: skip
+"""Options of a training of a few steps."""
+
+
+def good_scene(folder: Path) -> Path:
+    write_scene(folder / "in", inputs.binary_files(MODEL), PHOTOS)
+    return folder / "in"
+
+
+def good_boxes(folder: Path) -> str:
+    """A good `rois.json`."""
+    return str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
 
 
 def looked_at(dice: random.Random, folder: Path) -> Command:
     """A command that reads the scene in `folder`/in and says or writes something about it."""
     scene, out = str(folder / "in"), str(folder / "out")
-    rois = str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
+    rois = good_boxes(folder)
     method = dice.choice(("coverage", "static", "greedy", "fvs", "random"))
     return dice.choice(
         (
@@ -275,7 +288,7 @@ def gaussians(dice: random.Random, folder: Path) -> Command:
     path = str(write(folder / "in" / "a.ply", data))
     other = str(write(folder / "in" / "b.ply", inputs.good_ply()))
     cameras = str(write(folder / "in" / "path.json", json.dumps(inputs.camera_path())))
-    rois = str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
+    rois = good_boxes(folder)
     out = folder / "out"
     pair = [path, other] if dice.random() < 0.5 else [other, path]
     return dice.choice(
@@ -311,11 +324,6 @@ def json_bytes(dice: random.Random, value: Any) -> bytes:
     return data
 
 
-def good_scene(folder: Path) -> Path:
-    write_scene(folder / "in", inputs.binary_files(MODEL), PHOTOS)
-    return folder / "in"
-
-
 def odd_tree(dice: random.Random, tree: Any) -> Any:
     """The tree with values that may be of any type, or something else altogether."""
     if dice.random() < 0.2:
@@ -345,7 +353,7 @@ def rois(dice: random.Random, folder: Path) -> Command:
 def requests(dice: random.Random, folder: Path) -> Command:
     """Request files of every wrong shape."""
     scene = good_scene(folder)
-    boxes = str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
+    boxes = good_boxes(folder)
     command = dice.choice(("inspect", "select", "claim", "claim", "export"))
     tree: dict[str, Any] = {
         "scene": str(scene),
@@ -382,7 +390,7 @@ def requests(dice: random.Random, folder: Path) -> Command:
 def selections(dice: random.Random, folder: Path) -> Command:
     """Files of `--selection` of every wrong shape."""
     scene = good_scene(folder)
-    boxes = str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
+    boxes = good_boxes(folder)
     names = dice.sample(inputs.NAMES, 3)
     tree = {"roi": "thing", "method": "given", "names": names, "scores": [0.1, 0.2, 0.3],
             "candidates": inputs.NAMES, "flags": [], "features": {}}  # fmt: skip
@@ -414,28 +422,10 @@ def paths(dice: random.Random, folder: Path) -> Command:
     return ["render", model, "--path", path, "--out", str(folder / "out"), "--threads", "1"]
 
 
-def run_folders(dice: random.Random, folder: Path) -> Command:
-    """A run folder whose records are damaged."""
-    scene = good_scene(folder)
-    boxes = str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
-    out = folder / "out"
-    tree = {
-        "config": {"preset": "draft", "seed": 0},
-        "rois": [inputs.TURNED],
-        "photos": 4,
-        "sizes": ["24x18"],
-    }
-    for name in ("request.json", "split.json", "run.lock", "selection/thing.json"):
-        if dice.random() < 0.6:
-            write(out / name, json_bytes(dice, odd_tree(dice, tree)))
-    command = ["claim", str(scene), "--rois", boxes, "--max-side", "24", "--run-dir", str(out)]
-    return command + ["--update"] * dice.randrange(2)
-
-
 def splits(dice: random.Random, folder: Path) -> Command:
     """Files of `evaluate --split` of every wrong shape."""
     scene = good_scene(folder)
-    boxes = str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
+    boxes = good_boxes(folder)
     model = str(write(folder / "in" / "a.ply", inputs.good_ply()))
     split = str(
         write(
@@ -465,7 +455,6 @@ FAMILIES: dict[str, tuple[Family, int]] = {
     "requests": (requests, 600),
     "selections": (selections, 150),
     "paths": (paths, 220),
-    "run_folders": (run_folders, 120),
     "splits": (splits, 50),
 }
 """Family -> how a case is made, and how many there are in the long run; `all_families` has more."""
@@ -473,9 +462,9 @@ FAMILIES: dict[str, tuple[Family, int]] = {
 
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
-    from tests.fuzz import people, texts
+    from tests.fuzz import run_folders, texts, user_input
 
-    return FAMILIES | people.FAMILIES | texts.FAMILIES
+    return FAMILIES | run_folders.FAMILIES | user_input.FAMILIES | texts.FAMILIES
 
 
 def make(family: str, number: int, folder: Path) -> Case:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.fuzz import inputs
-from tests.fuzz.cases import PHOTOS, Case, good_scene, write, write_scene
-from tests.fuzz.people import QUICK, boxes, good_line
+from tests.fuzz.cases import PHOTOS, QUICK, Case, good_boxes, good_scene, write, write_scene
+from tests.fuzz.user_input import good_line
 
 SMALL = ("--device", "cpu", "--max-side", "24")
 CONTROLS = ("\x1b[2J", "\x1b]0;title\x07", "\n", "\nerror: all is lost.", "\r", "\x7f", "\x9b1m",
@@ -25,7 +25,7 @@ CONTROLS = ("\x1b[2J", "\x1b]0;title\x07", "\n", "\nerror: all is lost.", "\r", 
 
 def twice(dice: random.Random, folder: Path) -> Case:
     """A JSON file that a person writes, one object of which has a key twice: it is named."""
-    scene, rois, out = good_scene(folder), boxes(folder), str(folder / "out")
+    scene, rois, out = good_scene(folder), good_boxes(folder), str(folder / "out")
     ply = str(write(folder / "in" / "a.ply", inputs.good_ply()))
     kind = dice.choice(("rois", "options", "selection", "path", "split"))
     name = f"{kind}.json"
@@ -108,7 +108,7 @@ def controls(dice: random.Random, folder: Path) -> Case:
             image[3] = odd(name)
             photos[image[3]] = photos.pop(name) if dice.random() < 0.6 else b""
     write_scene(folder / "in", inputs.binary_files(tree), photos)
-    scene, rois, out = str(folder / "in"), boxes(folder), str(folder / "out")
+    scene, rois, out = str(folder / "in"), good_boxes(folder), str(folder / "out")
     ply = str(write(folder / "in" / "a.ply", inputs.good_ply()))
     line = dice.choice(
         (

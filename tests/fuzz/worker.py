@@ -25,7 +25,7 @@ from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_engine import cli
 from roigs_engine.commands import train
 from roigs_engine.errors import EngineError
-from tests.fuzz import cases, people
+from tests.fuzz import cases, run_folders
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 20.0
@@ -148,7 +148,7 @@ def main(chosen: list[tuple[str, int]]) -> None:
     sys.modules["torch"].set_num_threads(1)
     complaint("model_bytes", 0)  # loads what is loaded late
     if {"checkpoints", "stage_records"} & {family for family, _ in chosen}:
-        people.stopped_runs()  # kept: making them would count against a case's time
+        run_folders.stopped_runs()  # kept: making them would count against a case's time
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

@@ -1,4 +1,4 @@
-"""Select Cameras and Train give what the engine's command line gives."""
+"""Train gives what the engine's command line gives."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from tests.addon.scenes import (
     add_box,
     command_line,
     imported,
+    options,
     ready,
     record,
     start_training,
@@ -22,14 +23,6 @@ from tests.addon.scenes import (
 )
 
 pytestmark = pytest.mark.blender
-
-
-def chosen(roi) -> list[str]:
-    return [item.name for item in roi.roigs.selection]
-
-
-def options(folder: Path, name: str) -> dict:
-    return json.loads((folder / "blender" / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def plys(folder: Path) -> dict[str, bytes]:
@@ -40,233 +33,6 @@ def plys(folder: Path) -> dict[str, bytes]:
         for path in paths
         if path.name != "preview.ply"
     }
-
-
-# --- selection ---
-
-
-@pytest.mark.parametrize("method", ["coverage", "greedy", "static", "fvs", "random"])
-def test_the_selection_is_the_engines(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path, method: str
-) -> None:
-    from roigs_addon import settings
-    from roigs_addon.scene import lookup
-
-    bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    add_box(bpy, "zweite", (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
-    scene.roigs.method, scene.roigs.count = method, 4
-    assert bpy.ops.roigs.select_cameras() == {"FINISHED"}
-    out = tmp_path / "by hand"
-    engine = settings.engine(("numpy",))
-    command_line(engine, "select", tmp_path / "run" / "blender" / "select.json", "--out", out)
-    for roi in lookup.rois(scene):
-        record = json.loads((out / f"{roi.name}.json").read_text(encoding="utf-8"))
-        assert chosen(roi) == record["names"] and len(chosen(roi)) == 4
-        assert [item.score for item in roi.roigs.selection] == pytest.approx(record["scores"])
-    # The same boxes and options given by hand.
-    arguments = ["--method", method, "--count", 4, "--max-side", 640, "--seed", 0]
-    rois = tmp_path / "run" / "blender" / "rois.json"
-    command_line(engine, "select", project, "--rois", rois, *arguments, "--out", tmp_path / "2")
-    for path in out.iterdir():
-        assert (tmp_path / "2" / path.name).read_bytes() == path.read_bytes()
-
-
-def test_chosen_cameras_are_coloured_and_collected(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.scene import lookup
-    from roigs_addon.scene.selections import CHOSEN_COLOUR
-
-    bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    scene.roigs.count = 3
-    bpy.ops.roigs.select_cameras()
-    roi = lookup.rois(scene)[0]
-    found = lookup.cameras(scene)
-    green = {
-        name for name, item in found.items() if tuple(item.color) == pytest.approx(CHOSEN_COLOUR)
-    }
-    assert green == set(chosen(roi))
-    collection = scene.collection.children["thing Photos"]
-    assert set(collection.objects) == {found[name] for name in green}
-    scene.roigs.count = 2
-    bpy.ops.roigs.select_cameras()
-    assert len(collection.objects) == 2
-    bpy.ops.roigs.remove_roi()
-    assert "thing Photos" not in scene.collection.children
-    assert len(lookup.cameras(scene)) == 8
-
-
-def test_the_list_can_be_edited(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.jobs import options_files
-    from roigs_addon.scene import lookup
-
-    bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    edit = bpy.ops.roigs.edit_selection
-    roi = lookup.rois(scene)[0]
-    edit(action="ADD", photo="photo 2.png")
-    lookup.cameras(scene)["photo 5.png"].select_set(True)
-    lookup.cameras(scene)["photo 2.png"].select_set(True)
-    edit(action="ADD")
-    edit(action="ADD", photo="photo 7.png")
-    assert chosen(roi) == ["photo 2.png", "photo 5.png", "photo 7.png"]
-    roi.roigs.selection_index = 2
-    edit(action="UP")
-    edit(action="UP")
-    edit(action="UP")
-    assert chosen(roi) == ["photo 7.png", "photo 2.png", "photo 5.png"]
-    assert roi.roigs.selection_index == 0
-    edit(action="DOWN")
-    assert chosen(roi) == ["photo 2.png", "photo 7.png", "photo 5.png"]
-    edit(action="REMOVE")
-    assert chosen(roi) == ["photo 2.png", "photo 5.png"]
-    options_files.write_train_options(scene, [roi], 0.0)
-    given = tmp_path / "run" / "blender" / "selection" / "thing.json"
-    assert json.loads(given.read_text("utf-8"))["names"] == ["photo 2.png", "photo 5.png"]
-    edit(action="CLEAR")
-    edit(action="REMOVE")
-    edit(action="DOWN")
-    assert chosen(roi) == []
-    path = options_files.write_train_options(scene, [roi], 0.0)
-    assert "selection" not in json.loads(path.read_text("utf-8"))
-
-
-def test_the_papers_preset_is_the_papers_way(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.jobs import options_files
-    from roigs_addon.scene import lookup
-
-    scene = ready(blender, project, tmp_path / "run")
-    settings, rois = scene.roigs, lookup.rois(scene)
-
-    def asked() -> tuple[str, str]:
-        options_files.write_train_options(scene, rois, 0.0)
-        values = options(tmp_path / "run", "train")
-        return values["strategy"], values["method"]
-
-    settings.preset = "paper"
-    assert asked() == ("independent", "gp9")
-    settings.preset = "standard"
-    assert asked() == ("joint", "coverage")
-    settings.method = "greedy"  # by hand: stays
-    settings.preset = "paper"
-    assert asked() == ("independent", "greedy")
-    settings.strategy = "joint"
-    settings.preset = "draft"
-    assert asked() == ("joint", "greedy")
-
-
-def test_numbers_reach_the_engine_as_given(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.jobs import options_files
-    from roigs_addon.scene import lookup
-
-    scene = ready(blender, project, tmp_path / "run")
-    scene.roigs.steps_factor, scene.roigs.max_side = 20.0, 32
-    options_files.write_train_options(scene, lookup.rois(scene), 0.0)
-    values = options(tmp_path / "run", "train")
-    assert (values["steps_factor"], values["max_side"]) == (20.0, 32)
-
-
-def test_rendering_works_where_training_does(
-    blender: ModuleType, addon: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from roigs_addon import settings
-    from roigs_addon.jobs import options_files
-
-    assert options_files.machine_options() == ["--device", "auto"]
-    chosen = settings.Settings(device="cpu", threads=3)
-    monkeypatch.setattr(settings, "get", lambda: chosen)
-    assert options_files.machine_options() == ["--device", "cpu", "--threads", "3"]
-
-
-def test_the_name_of_a_box_cannot_lead_elsewhere(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    """A .blend may come from anybody and contain any names."""
-    from roigs_addon.errors import AddonError
-    from roigs_addon.jobs import options_files
-    from roigs_addon.scene import lookup
-
-    scene = ready(blender, project, tmp_path / "run")
-    roi = lookup.rois(scene)[0]
-    roi.roigs.selection.add().name = "photo 0.png"
-    for name in ("../../../out", str(tmp_path / "out"), "..\\out", ".."):
-        roi.name = name
-        with pytest.raises(AddonError, match="cannot name a file"):
-            options_files.write_train_options(scene, [roi], 0.0)
-        with pytest.raises(AddonError, match="cannot name a file"):
-            options_files.write_select_options(scene, [roi])
-    assert {path.name for path in tmp_path.iterdir()} <= {"run"}
-
-
-def test_the_list_is_kept_in_the_file(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.scene import lookup, selections
-
-    bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    scene.roigs.count = 3
-    bpy.ops.roigs.select_cameras()
-    roi = lookup.rois(scene)[0]
-    names, before = chosen(roi), record(roi, scene)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
-    scene = bpy.context.scene
-    roi = lookup.active_roi(bpy.context)
-    assert chosen(roi) == names and record(roi, scene) == before
-    assert not selections.is_stale(roi, scene)
-    roi.location.x += 0.1
-    bpy.context.view_layer.update()
-    assert selections.is_stale(roi, scene)
-
-
-# --- what cannot be done says why ---
-
-
-def test_errors_say_what_is_missing(
-    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.errors import AddonError
-    from roigs_addon.jobs import options_files
-
-    bpy, scene = blender, blender.context.scene
-    for operator in (bpy.ops.roigs.select_cameras, bpy.ops.roigs.train_roi, bpy.ops.roigs.render):
-        assert not operator.poll()
-    with pytest.raises(AddonError, match="No COLMAP model"):
-        options_files.common_options(scene, [])
-    ready(bpy, project, tmp_path / "run")
-    with pytest.raises(AddonError, match="no boxes"):
-        options_files.common_options(scene, [])
-    scene.roigs.colmap = str(tmp_path / "gone")
-    with pytest.raises(RuntimeError, match="no longer exists"):
-        bpy.ops.roigs.select_cameras()
-    scene.roigs.colmap = str(project)
-    (tmp_path / "file").touch()
-    scene.roigs.run_dir = str(tmp_path / "file")
-    with pytest.raises(RuntimeError, match="cannot be created"):
-        bpy.ops.roigs.select_cameras()
-
-
-def test_the_engines_error_is_the_operators(
-    blender: ModuleType, engine, project: Path, tmp_path: Path
-) -> None:
-    from roigs_addon.jobs import current
-
-    bpy = blender
-    ready(bpy, project, tmp_path / "run")
-    bpy.ops.roigs.edit_selection(action="ADD", photo="no such photo.png")
-    with pytest.raises(RuntimeError, match=r"no such photo\.png") as error:
-        bpy.ops.roigs.train_roi()
-    assert "Traceback" not in str(error.value)
-    assert "no such photo.png" in current.state().error
-    assert bpy.ops.roigs.show_log() == {"FINISHED"}
-
-
-# --- training ---
 
 
 @pytest.fixture(scope="module")
@@ -393,6 +159,21 @@ def test_resuming_trains_the_same_boxes(
     Asker.resume = True
     bpy.data.objects.remove(scene.objects["jug"])
     assert trained() == ["thing", "vase"]
+
+
+def test_the_engines_error_is_the_operators(
+    blender: ModuleType, engine, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import current
+
+    bpy = blender
+    ready(bpy, project, tmp_path / "run")
+    bpy.ops.roigs.edit_selection(action="ADD", photo="no such photo.png")
+    with pytest.raises(RuntimeError, match=r"no such photo\.png") as error:
+        bpy.ops.roigs.train_roi()
+    assert "Traceback" not in str(error.value)
+    assert "no such photo.png" in current.state().error
+    assert bpy.ops.roigs.show_log() == {"FINISHED"}
 
 
 def test_a_run_is_found_again_in_a_reopened_file(

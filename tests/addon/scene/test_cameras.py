@@ -7,8 +7,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.colmap_project import look_at_origin
 from tests.addon.geometry.test_frames import rotation
+from tests.poses import Y_DOWN, look_at
 
 pytestmark = pytest.mark.blender
 
@@ -86,7 +86,7 @@ def project(k, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 def test_points_fall_where_colmap_sees_them(
     blender: ModuleType, addon: ModuleType, shape: tuple, kind: str
 ) -> None:
-    pose = look_at_origin(np.array([2.0, -1.5, -3.0]))
+    pose = look_at([2.0, -1.5, -3.0], up=Y_DOWN)
     root = new_root(blender, kind)
     item = new_camera(blender, shape, pose, root)
     points = np.random.default_rng(0).uniform(-0.8, 0.8, (200, 3))
@@ -104,7 +104,7 @@ def test_what_goes_back_to_colmap_is_what_came(
     from roigs_addon.geometry import frames
     from roigs_addon.scene import cameras, lookup
 
-    pose = look_at_origin(np.array([2.0, -1.5, -3.0]))
+    pose = look_at([2.0, -1.5, -3.0], up=Y_DOWN)
     root = new_root(blender, kind)
     item = new_camera(blender, shape, pose, root)
     assert cameras.photo_of(item, root) == photo(shape, pose)
@@ -119,7 +119,7 @@ def test_what_goes_back_to_colmap_is_what_came(
 def test_a_moved_camera_goes_where_it_was_moved(blender: ModuleType, addon: ModuleType) -> None:
     from roigs_addon.scene import cameras
 
-    pose = look_at_origin(np.array([2.0, -1.5, -3.0]))
+    pose = look_at([2.0, -1.5, -3.0], up=Y_DOWN)
     root = new_root(blender, "turned and scaled")
     item = new_camera(blender, SHAPES[0], pose, root)
     item.location.x += 0.5  # below the root: in COLMAP's units
@@ -179,7 +179,7 @@ def test_a_camera_without_perspective_cannot_be_rendered(
 ) -> None:
     from roigs_addon.scene import cameras
 
-    item = new_camera(blender, SHAPES[0], look_at_origin(np.array([2.0, -1.5, -3.0])), None)
+    item = new_camera(blender, SHAPES[0], look_at([2.0, -1.5, -3.0], up=Y_DOWN), None)
     item.data.type = "ORTHO"
     assert cameras.scene_camera(blender.context.scene, None) is None
     blender.context.scene.camera = None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.run_files import BACKGROUND
-from tests.addon.colmap_project import read_png
+from tests.addon.pictures import read_png
 from tests.addon.scenes import command_line, drawn_points, imported
 from tests.addon.splat_cases import random_arrays, random_ply
 

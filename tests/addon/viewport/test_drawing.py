@@ -13,11 +13,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.addon.scenes import ROOT
 from tests.addon.splat_cases import random_ply
+from tests.poses import look_at
 
 pytestmark = pytest.mark.blender
 
@@ -54,17 +54,6 @@ def run(blender: str, script: str, folder: Path) -> str:
     return done.stdout
 
 
-def look_at_origin(eye: tuple[float, float, float]) -> np.ndarray:
-    """world_to_camera of a camera at `eye`."""
-    forward = -np.array(eye) / np.linalg.norm(eye)
-    right = np.cross(forward, [0.0, 0.1, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = [right, np.cross(forward, right), forward]
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    return pose
-
-
 def cameras() -> list[dict]:
     """Square and oblong, off-centre, with fx ≠ fy, from outside and from among the Gaussians."""
     shapes = [
@@ -76,7 +65,7 @@ def cameras() -> list[dict]:
     return [
         {
             **dict(zip(names, shape[:7], strict=True)),
-            "world_to_camera": look_at_origin(shape[7]).tolist(),
+            "world_to_camera": look_at(shape[7], up=(0.0, 0.1, 1.0)).tolist(),
         }
         for shape in shapes
     ]

@@ -52,7 +52,7 @@ def test_what_is_expected_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     load_colmap(tmp_path, cache=tmp_path / "cache", context=Context(emit=events.append))
     said = [event.text for event in events if isinstance(event, Message)]
     assert said == [
-        "Memory: up to about 0.3 GB of 0.3 GB while photos are undistorted, 3 at a time."
+        "Memory: up to about 0.4 GB of 0.4 GB while photos are undistorted, 3 at a time."
     ]
     events.clear()
     load_colmap(tmp_path, cache=tmp_path / "cache", context=Context(emit=events.append))
@@ -64,7 +64,7 @@ def test_what_cannot_fit_is_refused_with_what_does(
 ) -> None:
     large(tmp_path, 900, 600, 1)
     machine(monkeypatch, ENGINE + 6 * MB)
-    with pytest.raises(SceneError, match=r"0\.5 megapixels needs 0\.3 GB") as raised:
+    with pytest.raises(SceneError, match=r"0\.5 megapixels needs 0\.4 GB") as raised:
         load_colmap(tmp_path)
     side = int(raised.value.hint.split("--max-side ")[1].split()[0])
     assert 100 < side < 900

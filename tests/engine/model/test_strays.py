@@ -9,7 +9,8 @@ import pytest
 
 from roigs_engine.model.scene import PosedImage, SfmScene
 from roigs_engine.model.strays import STRAY, without_strays
-from tests.engine.synthetic_scene import look_at, make_scene
+from tests.engine.synthetic_scene import make_scene
+from tests.poses import look_at
 
 
 @pytest.fixture(scope="module")

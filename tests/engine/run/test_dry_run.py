@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from roigs_engine.errors import RunFolderError
+from roigs_engine.context import Context
+from roigs_engine.errors import RunFolderError, Stopped
+from roigs_engine.formats.events import Event, Message
+from roigs_engine.formats.lock import locked
 from roigs_engine.model.scene import SfmScene
+from roigs_engine.run import forecast
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
 from roigs_engine.run.estimate import MOST_MEASURED, Estimator, expected_counts, model_of_size
@@ -63,6 +71,49 @@ def test_what_is_done_is_said(scene: SfmScene, tmp_path: Path) -> None:
     train_run(other, update=True)
     archived = rows(describe_plan(run, update=True))  # restored, if this run goes on
     assert {name for name, row in archived.items() if row[-1] == "done"} == {"scene", "joint"}
+
+
+def test_an_unfinished_stage_is_said_with_its_steps(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    asked = itertools.count()
+    with pytest.raises(Stopped):  # asked once in a step: in the middle of the second stage
+        train_run(run, context=Context(should_stop=lambda: next(asked) > 40))
+    text = describe_plan(run)
+    unfinished = {name: row for name, row in rows(text).items() if row[-2:] == ["steps", "done"]}
+    assert len(unfinished) == 1
+    assert "are already done" in text
+    other = replace(run, config=tiny("joint", seed=1))
+    assert "steps done" not in describe_plan(other)
+
+
+def test_a_folder_in_use_is_said(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], tiny("joint"))
+    assert "at work" not in describe_plan(run)
+    with locked(tmp_path):
+        assert f"process {os.getpid()} is at work" in describe_plan(run)
+
+
+def test_photos_that_nobody_has_looked_at_are_said(scene: SfmScene, tmp_path: Path) -> None:
+    unknown = replace(scene, images=tuple(replace(i, digest="") for i in scene.images))
+    distorted = replace(
+        scene, images=tuple(replace(i, distorted=k < 3) for k, i in enumerate(scene.images))
+    )
+    for photos, text in ((unknown, "leaves damaged ones out"), (distorted, "removed from 3 first")):
+        run = define_run(tmp_path, photos, [BOX], tiny("joint"))
+        assert text in describe_plan(run)
+
+
+def test_the_disk_space_is_said(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = define_run(tmp_path / "missing/run", scene, [BOX], tiny("joint"))
+    assert "Disk: up to about" in describe_plan(run)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1))
+    monkeypatch.setattr(forecast, "WORTH_SAYING", 1)
+    events: list[Event] = []
+    train_run(run, context=Context(emit=events.append))
+    (warning,) = [e for e in events if isinstance(e, Message) and e.text.startswith("Disk:")]
+    assert warning.level == "warning" and "can be resumed" in warning.text
 
 
 def test_a_folder_of_an_earlier_version_is_refused(scene: SfmScene, tmp_path: Path) -> None:

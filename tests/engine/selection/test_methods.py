@@ -27,21 +27,12 @@ from roigs_engine.selection.gp import FEATURE_NAMES, gp_inputs, order_gp
 from roigs_engine.selection.greedy import order_greedy
 from roigs_engine.selection.score import DensityOccupancy, voxel_indices
 from roigs_engine.selection.static import order_static
+from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
 BOX = OrientedBox.axis_aligned("box", [-1, -0.5, -1], [1, 0.5, 1])
+UP = (0.1, 0.2, 1.0)  # no camera looks along it
 seeds = st.integers(0, 10_000)
-
-
-def pose(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """world_to_camera of a camera at `centre` that looks at `target`."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.1, 0.2, 1.0])
-    right /= np.linalg.norm(right)
-    transform = np.eye(4)
-    transform[:3, :3] = [right, np.cross(forward, right), forward]
-    transform[:3, 3] = -transform[:3, :3] @ centre
-    return transform
 
 
 def instance(
@@ -57,7 +48,7 @@ def instance(
         centre *= rng.uniform(2.5, 8) / np.linalg.norm(centre)
         if flat:
             centre[2] = 0.5
-        transform = pose(centre, rng.uniform(-0.3, 0.3, 3))
+        transform = look_at(centre, rng.uniform(-0.3, 0.3, 3), UP)
         images.append(
             PosedImage(
                 name=f"{view:03d}.jpg",
@@ -213,7 +204,7 @@ def test_coverage_prefers_the_sharper_of_two_photos_in_one_direction():
             name=name,
             path=Path("none"),
             camera=CAMERA,
-            world_to_camera=pose(centre, np.zeros(3)),
+            world_to_camera=look_at(centre, up=UP),
             point_indices=np.arange(3),
         )
         for name, centre in (("far.jpg", far), ("near.jpg", near))
@@ -238,7 +229,7 @@ def test_a_grazing_photo_counts_less_on_a_surface():
             name=f"{i}.jpg",
             path=Path("none"),
             camera=CAMERA,
-            world_to_camera=pose(centre, np.zeros(3)),
+            world_to_camera=look_at(centre, up=UP),
             point_indices=np.arange(60),
         )
         for i, centre in enumerate((beside, above))

@@ -22,6 +22,7 @@ from roigs_engine.selection import (
     select_cameras,
     visible_images,
 )
+from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)
 BOX = OrientedBox.axis_aligned("cube", [-1, -1, -1], [1, 1, 1])
@@ -29,19 +30,13 @@ BOX = OrientedBox.axis_aligned("cube", [-1, -1, -1], [1, 1, 1])
 
 def photo(name: str, centre, target=(0.0, 0.0, 0.0), sees=(), camera: Camera = CAMERA):
     """A photo at `centre` that looks at `target` and observes the points `sees`."""
-    centre, target = np.asarray(centre, float), np.asarray(target, float)
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    helper = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    right = np.cross(forward, helper)
-    right /= np.linalg.norm(right)
-    transform = np.eye(4)
-    transform[:3, :3] = [right, np.cross(forward, right), forward]
-    transform[:3, 3] = -transform[:3, :3] @ centre
+    way = np.subtract(target, centre)
+    steep = abs(way[2]) >= 0.9 * np.linalg.norm(way)
     return PosedImage(
         name=name,
         path=Path(name),
         camera=camera,
-        world_to_camera=transform,
+        world_to_camera=look_at(centre, target, (1.0, 0.0, 0.0) if steep else (0.0, 0.0, 1.0)),
         point_indices=np.unique(np.asarray(sees, dtype=np.int64)),
     )
 

@@ -18,7 +18,7 @@ from roigs_engine.training.view_spacing import (
     learning_rates_for_spacing,
     view_spacing,
 )
-from tests.engine.synthetic_scene import look_at
+from tests.poses import look_at
 
 BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
 

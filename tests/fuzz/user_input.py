@@ -1,4 +1,4 @@
-"""More families: what people give (options, encodings, devices) and what a run folder holds.
+"""Families: what people give: options, encodings, devices in place of files, scenes of any scale.
 
 Each case says how it may end: see `Case`.
 """
@@ -7,204 +7,31 @@ from __future__ import annotations
 
 import argparse
 import codecs
-import contextlib
 import copy
-import functools
-import io
 import json
-import math
 import os
 import random
-import struct
-import tempfile
-from collections.abc import Callable, Iterable
+import shutil
+import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
 from tests.fuzz import inputs
 from tests.fuzz.cases import (
     PHOTOS,
+    QUICK,
     Case,
     Command,
+    good_boxes,
     good_scene,
     json_bytes,
-    odd_tree,
     write,
     write_scene,
 )
-from tests.fuzz.damage import ODD_FLOATS, ODD_TEXTS, ODD_VALUES, bytes_damaged
-
-QUICK = ["--steps-factor", "0.003", "--max-side", "24", "--threads", "1", "--test-every", "4",
-         "--device", "cpu", "--seed", "1"]  # fmt: skip
-
-
-def boxes(folder: Path) -> str:
-    """A good `rois.json`."""
-    return str(write(folder / "in" / "rois.json", json.dumps(inputs.ROIS)))
-
-
-def training(folder: Path) -> Command:
-    """A training of a few steps, in `folder`/out."""
-    scene = good_scene(folder)
-    run = ["--rois", boxes(folder), "--run-dir", str(folder / "out")]
-    return ["train", str(scene), *run, *QUICK]
-
-
-# Run folders
-
-
-@functools.cache
-def run_files(stage: int = 0) -> dict[str, bytes]:
-    """The files of a good run folder; of one that was stopped in its first or second stage."""
-    from roigs_engine import cli
-    from roigs_engine.commands.console import Console
-    from roigs_engine.training.trainer import Trainer
-
-    step = Trainer.train_step
-    trainers: list[Trainer] = []
-
-    def train_step(trainer: Trainer) -> None:
-        step(trainer)
-        if trainer not in trainers:
-            trainers.append(trainer)
-
-    def should_stop(console: Console) -> bool:
-        return 0 < stage == len(trainers) and trainers[-1].step >= 2
-
-    with tempfile.TemporaryDirectory(prefix="roigs-fuzz-") as name:
-        folder = Path(name)
-        silent = io.StringIO()
-        with (
-            contextlib.redirect_stderr(silent),
-            contextlib.redirect_stdout(silent),
-            mock.patch.object(Console, "should_stop", should_stop),
-            mock.patch.object(Trainer, "train_step", train_step),
-        ):
-            status = cli.main(training(folder))
-        assert status == (3 if stage else 0), silent.getvalue()
-        out = folder / "out"
-        return {
-            str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()
-        }
-
-
-def stopped_runs() -> tuple[dict[str, bytes], ...]:
-    """Runs that were stopped in the first and in the second stage, with a checkpoint."""
-    return run_files(1), run_files(2)
-
-
-def resumed(dice: random.Random, folder: Path, files: dict[str, bytes]) -> Case:
-    """The command that resumes the run of these files."""
-    for name, data in files.items():
-        write(folder / "out" / name, data)
-    command = training(folder)
-    return Case(command + ["--update"] * (dice.random() < 0.3))
-
-
-def stage_records(dice: random.Random, folder: Path) -> Case:
-    """A run folder whose records (JSON files) are damaged."""
-    files = dict(dice.choice((run_files(), run_files(), *stopped_runs())))
-    names = [name for name in files if name.endswith(".json")]
-    for name in dice.sample(names, dice.choice((1, 1, 2))):
-        tree = json.loads(files[name])
-        match dice.randrange(6):
-            case 0:
-                files[name] = bytes_damaged(dice, files[name])
-            case 1:
-                files[name] = json_bytes(dice, dice.choice(ODD_VALUES))
-            case 2 if isinstance(tree, dict) and tree:
-                tree[dice.choice(list(tree))] = dice.choice(ODD_VALUES)
-                files[name] = json_bytes(dice, tree)
-            case 3 if name.endswith("stage.json"):
-                tree["fingerprint"] = dice.choice(
-                    (*ODD_TEXTS, "/../../x", "../../..", "\0" * 8, [], 5)
-                )
-                files[name] = json_bytes(dice, tree)
-            case _:
-                files[name] = json_bytes(dice, odd_tree(dice, tree))
-    if dice.random() < 0.2:
-        del files[dice.choice(list(files))]
-    return resumed(dice, folder, files)
-
-
-def header_of(data: bytes) -> tuple[Any, bytes]:
-    """Header and tensors of a checkpoint."""
-    length = struct.unpack_from("<8sQI", data)[1]
-    return json.loads(data[20 : 20 + length]), data[20 + length : -4]
-
-
-def sealed(header: Any, tensors: bytes) -> bytes:
-    """A checkpoint with valid checksums."""
-    import zlib
-
-    text = header if isinstance(header, bytes) else json.dumps(header).encode()
-    head = struct.pack("<8sQI", b"ROIGSck3", len(text), zlib.crc32(text))
-    return head + text + tensors + struct.pack("<I", zlib.crc32(tensors))
-
-
-ODD_TENSORS = (
-    *(["float64", [3]], ["int64", [3, 3]], ["bool", []], ["pickle", [1]], ["float32", [10**15]]),
-    *(["float32", [-1]], ["float32", "x"], ["float32", [1.5]], [[], []], {}, None, "__import__"),
-    *(["float32", [0]], ["float32", [0, 10**30]], ["uint8", [1] * 70], ["float32", [[2]]]),
-)
-
-
-def checkpoints(dice: random.Random, folder: Path) -> Case:
-    """Checkpoints of valid checksums with fields, shapes, types and numbers that are wrong."""
-    files = dict(dice.choice(stopped_runs()))
-    names = [name for name in files if name.endswith("checkpoint.bin")]
-    for name in names:
-        header, tensors = header_of(files[name])
-        match dice.randrange(8):
-            case 0 | 1:
-                header["state"] = odd_tree(dice, header["state"])
-            case 2:
-                places = list(tensor_places(header["state"]))
-                home, key = dice.choice(places)
-                home[key] = {"<tensor>": copy.deepcopy(dice.choice(ODD_TENSORS))}
-            case 3:
-                places = list(tensor_places(header["state"]))
-                home, key = dice.choice(places)
-                shape = home[key]["<tensor>"][1]
-                shape[:] = dice.choice((shape[::-1], [math.prod(shape)], [*shape, 1], [1, *shape]))
-            case 4 | 5 if len(tensors) >= 8:
-                bad = bytearray(tensors)
-                for _ in range(dice.choice((1, 1, 50))):
-                    at = 4 * dice.randrange(len(bad) // 4)
-                    value = dice.choice((*ODD_FLOATS, 1e30, -1e30, 88.0, 1e-40))
-                    with np.errstate(all="ignore"):
-                        bad[at : at + 4] = np.float32(value).tobytes()
-                tensors = bytes(bad)
-            case 6:
-                key = dice.choice(("step", "seconds", "cpu_seconds", "loss", "psnr"))
-                header["state"][key] = copy.deepcopy(dice.choice(ODD_VALUES))
-            case _:
-                part = dice.choice([k for k, v in header["state"].items() if isinstance(v, dict)])
-                header["state"][part] = odd_tree(dice, header["state"][part])
-        if dice.random() < 0.1:
-            header = dice.choice(([], {}, b"[" * 9000, {"fingerprint": header["fingerprint"]}, 5))
-        try:
-            files[name] = sealed(header, tensors)
-        except (ValueError, TypeError, UnicodeError):
-            files[name] = sealed({}, b"")
-        if dice.random() < 0.3:
-            before = name.replace("checkpoint.bin", "checkpoint.before.bin")
-            files[before] = dice.choice((files[name], b"", sealed({"state": 1}, b"")))
-    return resumed(dice, folder, files)
-
-
-def tensor_places(state: Any) -> Iterable[tuple[Any, Any]]:
-    """Every (dict, key) of a tensor's placeholder."""
-    for key, value in state.items():
-        if isinstance(value, dict):
-            if "<tensor>" in value:
-                yield state, key
-            else:
-                yield from tensor_places(value)
-
+from tests.fuzz.damage import ODD_TEXTS, ODD_VALUES
 
 # The command line
 
@@ -215,7 +42,7 @@ NUMBERS = ("-1", "0", "1", "1e303", "-1e303", "nan", "inf", "-inf", "1" + "0" * 
 
 def good_line(command: str, folder: Path) -> Command:
     """A good command line of any command, quick to run."""
-    scene, out, rois = str(good_scene(folder)), str(folder / "out"), boxes(folder)
+    scene, out, rois = str(good_scene(folder)), str(folder / "out"), good_boxes(folder)
     ply = str(write(folder / "in" / "a.ply", inputs.good_ply()))
     path = str(write(folder / "in" / "path.json", json.dumps(inputs.camera_path())))
     match command:
@@ -314,7 +141,7 @@ def in_options_file(
 ) -> Case:
     """A value of any type in an options file."""
     scene, out = str(folder / "in"), str(folder / "out")
-    tree = {"scene": scene, "rois": boxes(folder)}
+    tree = {"scene": scene, "rois": good_boxes(folder)}
     tree[option.dest] = copy.deepcopy(dice.choice((*ODD_VALUES, *NUMBERS)))
     if option.dest in ("out", "run_dir"):
         del tree[option.dest]
@@ -346,7 +173,7 @@ def bom(dice: random.Random, folder: Path) -> Case:
     kind = dice.choice(("rois", "options", "selection", "path", "split", "model"))
     encode, scene, out = ENCODINGS[coding], good_scene(folder), str(folder / "out")
     umlauts = {"note": "größe"}  # ignored, and not ASCII
-    given, rois, name = folder / "in" / "given", boxes(folder), f"{kind}.json"
+    given, rois, name = folder / "in" / "given", good_boxes(folder), f"{kind}.json"
     ply = str(write(folder / "in" / "a.ply", inputs.good_ply()))
     match kind:
         case "rois":
@@ -413,9 +240,6 @@ KINDS = (
 
 def put_device(kind: str, path: Path) -> None:
     """Put something else in the place of an input."""
-    import shutil
-    import socket
-
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     path.unlink(missing_ok=True)
@@ -523,8 +347,6 @@ def rotation_of(quaternion: Any) -> Any:
 
 
 FAMILIES: dict[str, tuple[Callable[[random.Random, Path], Case], int]] = {
-    "stage_records": (stage_records, 350),
-    "checkpoints": (checkpoints, 350),
     "options": (options, 600),
     "bom": (bom, 200),
     "devices": (devices, 240),

@@ -1,0 +1,107 @@
+"""What the engine is asked to do: the options files of jobs, and why one cannot be written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.addon.scenes import options, ready
+
+pytestmark = pytest.mark.blender
+
+
+def test_errors_say_what_is_missing(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import options_files
+
+    bpy, scene = blender, blender.context.scene
+    for operator in (bpy.ops.roigs.select_cameras, bpy.ops.roigs.train_roi, bpy.ops.roigs.render):
+        assert not operator.poll()
+    with pytest.raises(AddonError, match="No COLMAP model"):
+        options_files.common_options(scene, [])
+    ready(bpy, project, tmp_path / "run")
+    with pytest.raises(AddonError, match="no boxes"):
+        options_files.common_options(scene, [])
+    scene.roigs.colmap = str(tmp_path / "gone")
+    with pytest.raises(RuntimeError, match="no longer exists"):
+        bpy.ops.roigs.select_cameras()
+    scene.roigs.colmap = str(project)
+    (tmp_path / "file").touch()
+    scene.roigs.run_dir = str(tmp_path / "file")
+    with pytest.raises(RuntimeError, match="cannot be created"):
+        bpy.ops.roigs.select_cameras()
+
+
+def test_the_papers_preset_is_the_papers_way(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import lookup
+
+    scene = ready(blender, project, tmp_path / "run")
+    settings, rois = scene.roigs, lookup.rois(scene)
+
+    def asked() -> tuple[str, str]:
+        options_files.write_train_options(scene, rois, 0.0)
+        values = options(tmp_path / "run", "train")
+        return values["strategy"], values["method"]
+
+    settings.preset = "paper"
+    assert asked() == ("independent", "gp9")
+    settings.preset = "standard"
+    assert asked() == ("joint", "coverage")
+    settings.method = "greedy"  # by hand: stays
+    settings.preset = "paper"
+    assert asked() == ("independent", "greedy")
+    settings.strategy = "joint"
+    settings.preset = "draft"
+    assert asked() == ("joint", "greedy")
+
+
+def test_numbers_reach_the_engine_as_given(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import lookup
+
+    scene = ready(blender, project, tmp_path / "run")
+    scene.roigs.steps_factor, scene.roigs.max_side = 20.0, 32
+    options_files.write_train_options(scene, lookup.rois(scene), 0.0)
+    values = options(tmp_path / "run", "train")
+    assert (values["steps_factor"], values["max_side"]) == (20.0, 32)
+
+
+def test_rendering_works_where_training_does(
+    blender: ModuleType, addon: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon import settings
+    from roigs_addon.jobs import options_files
+
+    assert options_files.machine_options() == ["--device", "auto"]
+    chosen = settings.Settings(device="cpu", threads=3)
+    monkeypatch.setattr(settings, "get", lambda: chosen)
+    assert options_files.machine_options() == ["--device", "cpu", "--threads", "3"]
+
+
+def test_the_name_of_a_box_cannot_lead_elsewhere(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    """A .blend may come from anybody and contain any names."""
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import lookup
+
+    scene = ready(blender, project, tmp_path / "run")
+    roi = lookup.rois(scene)[0]
+    roi.roigs.selection.add().name = "photo 0.png"
+    for name in ("../../../out", str(tmp_path / "out"), "..\\out", ".."):
+        roi.name = name
+        with pytest.raises(AddonError, match="cannot name a file"):
+            options_files.write_train_options(scene, [roi], 0.0)
+        with pytest.raises(AddonError, match="cannot name a file"):
+            options_files.write_select_options(scene, [roi])
+    assert {path.name for path in tmp_path.iterdir()} <= {"run"}
