@@ -17,7 +17,7 @@ from . import __version__
 from .commands import compose, evaluate, export, inspect, render, run, select, train
 from .commands.console import Console
 from .commands.options_file import with_options_file
-from .commands.out_folder import claimed
+from .commands.out_folder import refuse_run_files
 from .commands.process import NO_MEMORY, check_address_space, more_memory
 from .commands.stopping import INTERRUPTED, StopRequest
 from .errors import ConfigError, EngineError, Stopped
@@ -106,14 +106,13 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
     console = Console(json_lines="--events" in argv, stop=stop)
 
     def work() -> int:
-        args = parser.parse_args(argv)
-        args = with_options_file(parser, commands[args.command], args, argv)
+        args = with_options_file(parser, commands, argv)
         console.watch()
         console.context.check_cancelled()
         if args.command in WITH_TORCH:
             check_address_space(args.command, MIN_TORCH, MIN_TORCH_CORE)
-        with claimed(getattr(args, "out", None)):
-            outputs = COMMANDS[args.command].run(args, console)
+        refuse_run_files(getattr(args, "out", None))
+        outputs = COMMANDS[args.command].run(args, console)
         console.emit(Done(outputs=outputs))
         return 0
 

@@ -12,6 +12,8 @@ from ..formats.files import atomic_write, write_json
 from ..model.scene import PosedImage, SfmScene
 from .inspect import inspect_scene
 
+SCENE = "scene.json"
+
 
 def write_export(scene: SfmScene, folder: Path) -> dict[str, str]:
     """Write the scene's files to `folder`; returns name -> path.
@@ -34,10 +36,8 @@ def write_export(scene: SfmScene, folder: Path) -> dict[str, str]:
             np.save(file, array, allow_pickle=False)
     record = inspect_scene(scene)
     del record["rois"]
-    write_json(
-        folder / "scene.json", {**record, "images": [_image_record(i) for i in scene.images]}
-    )
-    files = {"scene": "scene.json", **{name: f"{name}.npy" for name in arrays}}
+    write_json(folder / SCENE, {**record, "images": [_image_record(i) for i in scene.images]})
+    files = {"scene": SCENE, **{name: f"{name}.npy" for name in arrays}}
     return {name: str(folder / file) for name, file in files.items()}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.text import counted
+from ..formats.text import counted, printable
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.scene_warnings import few_photos, scene_warnings
@@ -106,4 +106,4 @@ def format_inspection(record: dict[str, Any]) -> str:
         if roi["cameras_inside"]:
             lines.append(f"         {counted(roi['cameras_inside'], 'camera')} inside the box")
     lines += [f"warning: {text}" for text in record["warnings"]]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))

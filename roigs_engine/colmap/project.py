@@ -54,7 +54,7 @@ def load_colmap(
         ConfigError: `downscale` or `max_side` out of range.
         RunFolderError: `cache` cannot be written.
     """
-    shrink = _shrink(downscale, max_side)
+    shrink = smaller(downscale, max_side)
     folder = find_model(Path(path), context)
     model = read_model(folder, context)
     ids, points, colors = _points(model, folder, context)
@@ -141,8 +141,8 @@ def _children(folder: Path) -> list[Path]:
         return []
 
 
-def _shrink(downscale: float | None, max_side: int | None) -> Shrink:
-    """The function from a photo's (width, height) to the requested ones."""
+def smaller(downscale: float | None, max_side: int | None) -> Shrink:
+    """The function from a photo's (width, height) to the requested ones, see `load_colmap`."""
     if downscale is not None and not 1 <= downscale <= MAX_DOWNSCALE:
         raise ConfigError(
             f"downscale is {downscale:g}.", f"Use a number from 1 to {MAX_DOWNSCALE:,}."

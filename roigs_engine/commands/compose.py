@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
-from contextlib import suppress
 from pathlib import Path
 
 from ..errors import ConfigError, RoiError
 from ..formats.text import counted
 from .console import Console
 from .options import add_roi_options, boxes
+from .out_folder import refuse_inputs
 from .values import NAME, PATH, named_file
 
 HELP = "replace a scene's Gaussians in the boxes by those of object models"
@@ -52,8 +51,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         objects[name] = path
     if args.out.suffix.lower() != ".ply":
         raise ConfigError(f"--out {args.out} is not the name of a PLY.", "Write FILE.ply.")
-    if any(_is_same(args.out, path) for path in (args.scene_ply, *objects.values())):
-        raise ConfigError(f"{args.out} is an input of this command.", "Choose another --out.")
+    refuse_inputs([args.out], [args.scene_ply, *objects.values()])
     scene, frame = Gaussians.load_framed(args.scene_ply, scaled=False)
     pairs = [
         (frame.box(by_name[name]), Gaussians.load_ply(path, frame))
@@ -68,10 +66,3 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     composed.save_ply(args.out, frame)
     console.print(f"{counted(len(composed), 'Gaussian')} in {args.out}")
     return {"result": str(args.out)}
-
-
-def _is_same(path: Path, other: Path) -> bool:
-    """Whether two names stand for one file."""
-    with suppress(OSError):
-        return os.path.samefile(path, other)
-    return False

@@ -14,6 +14,7 @@ from ..context import Context
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 from ..formats.files import cannot_write, open_log
 from ..formats.run_files import EVENTS
+from ..formats.text import printable
 from .stopping import StopRequest
 from .streams import Stream
 
@@ -37,6 +38,7 @@ class Console:
             sys.stdout.encoding = "utf-8"  # escapes for what a locale lacks would not be JSON
         self._bar: tqdm[None] | None = None
         self._log: TextIO | None = None
+        self._early: list[str] | None = None  # for the log, until it is open
 
     def watch(self) -> None:
         """Start to watch for stop requests: signals, and standard input (JSON lines)."""
@@ -53,8 +55,12 @@ class Console:
         """The context of a command's work, with this console's events and stop requests."""
         return Context(emit=self.emit, should_stop=self.should_stop)
 
+    def log_later(self) -> None:
+        """Keep the events from now on for `log_to`."""
+        self._early = []
+
     def log_to(self, folder: Path) -> None:
-        """Also append every event as a JSON line to `folder`/events.jsonl.
+        """Also append every event as a JSON line to `folder`/events.jsonl, those kept first.
 
         Raises:
             RunFolderError: the file cannot be written.
@@ -64,11 +70,16 @@ class Console:
             self._log = open_log(path)
         except OSError as error:
             raise cannot_write(path, error) from error
+        early, self._early = self._early or [], None
+        if early:
+            self._append("\n".join(early), self._log)
 
     def emit(self, event: Event) -> None:
         """Show one event."""
         if self._log is not None:
             self._append(to_json(event), self._log)
+        elif self._early is not None:
+            self._early.append(to_json(event))
         if self._json_lines:
             _write(to_json(event), sys.stdout)
         else:
@@ -86,9 +97,18 @@ class Console:
             self.emit(Message(text=text, level="warning"))
 
     def print(self, text: str) -> None:
-        """Print the command's answer: to standard output, but to standard error beside JSON."""
+        """Print the command's answer: to standard output, but to standard error beside JSON.
+
+        Control characters become escapes, here and in `_line`: names come from files.
+        """
         self.close_bar()
+        text = "\n".join(map(printable, text.split("\n")))
         _write(text, sys.stderr if self._json_lines else sys.stdout)
+
+    def print_places(self, outputs: dict[str, str]) -> None:
+        """Print where a command has written what."""
+        for what, path in outputs.items():
+            self.print(f"{what + ':':10}{path}")
 
     def close_bar(self) -> None:
         """End the progress bar, if there is one."""
@@ -108,7 +128,7 @@ class Console:
                 self._line(f"warning: {text}" if level == "warning" else text)
             case Failed(message=message, hint=hint):
                 self.close_bar()
-                _write(f"error: {message} {hint}".rstrip(), sys.stderr)
+                self._line(f"error: {message} {hint}".rstrip())
             case Done(stopped=True):
                 how = "resumes from here" if self._log is not None else "starts again"
                 self._line(f"Stopped. The same command {how}.")
@@ -124,7 +144,7 @@ class Console:
         except ImportError:
             self._line(f"{stage} …")
             return
-        self._bar = tqdm(total=total, desc=stage, file=sys.stderr, dynamic_ncols=True)
+        self._bar = tqdm(total=total, desc=printable(stage), file=sys.stderr, dynamic_ncols=True)
 
     def _advance(self, event: Progress) -> None:
         if self._bar is None:
@@ -138,6 +158,7 @@ class Console:
         self._bar.update(event.step - self._bar.n)
 
     def _line(self, text: str) -> None:
+        text = printable(text)
         if self._bar is not None:
             self._bar.write(text, file=sys.stderr)
         else:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
-from ..formats.run_files import CACHE
+from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA
 from ..formats.splat_ply import check_ply
 from ..model.scene import SfmScene
 from .console import Console
@@ -19,7 +19,9 @@ from .options import (
     boxes,
     context_on_device,
     load_scene,
+    read_files,
 )
+from .out_folder import refuse_inputs
 from .values import NAME, PATH, integer, named_file
 
 HELP = "compare PLYs on test photos, in each box and on the whole image"
@@ -68,6 +70,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..selection.split import choose_test_views
 
     files = _model_files(args.model)
+    reports = (args.out / REPORT, args.out / REPORT_DATA)
+    refuse_inputs(reports, [*read_files(args), args.split, *files.values()])
     rois, test = boxes(args), _split(args.split) if args.split else []
     for path in files.values():
         check_ply(path)
@@ -103,7 +107,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out, context=context)
     console.print(format_markdown(evaluation))
-    return {"report": str(args.out / "report.md"), "pictures": str(args.out / "crops")}
+    outputs = {"report": str(args.out / REPORT), "pictures": str(args.out / CROPS)}
+    console.print_places(outputs)
+    return outputs
 
 
 def _model_files(texts: Sequence[str]) -> dict[str, Path]:

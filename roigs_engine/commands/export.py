@@ -6,7 +6,8 @@ import argparse
 
 from ..formats.text import counted
 from .console import Console
-from .options import add_scene_options, load_scene
+from .options import add_scene_options, load_scene, read_files
+from .out_folder import refuse_inputs
 from .values import PATH
 
 HELP = "write the cameras and points of a COLMAP model as JSON and NumPy files"
@@ -23,7 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the model and write the files."""
-    from ..colmap.export import write_export
+    from ..colmap.export import SCENE, write_export
+
+    refuse_inputs([args.out / SCENE], read_files(args))
 
     scene = load_scene(args, console)
     outputs = write_export(scene, args.out)

@@ -198,6 +198,11 @@ def load_scene(
     )
 
 
+def read_files(args: argparse.Namespace) -> list[Path | None]:
+    """The files that these options name, as far as a command has them."""
+    return [getattr(args, name, None) for name in ("options_file", "rois")]
+
+
 def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBox]:
     """The boxes of `add_roi_options`.
 

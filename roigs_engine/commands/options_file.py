@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +17,63 @@ NOT_KEYS = {"help", "events"}  # options that an options file must not set
 
 def with_options_file(
     parser: argparse.ArgumentParser,
-    command: argparse.ArgumentParser,
-    args: argparse.Namespace,
-    argv: Sequence[str] | None,
+    parsers: Mapping[str, argparse.ArgumentParser],
+    argv: Sequence[str],
 ) -> argparse.Namespace:
-    """If the scene is an options file, use its values as defaults; the command line wins.
+    """The parsed command line; a scene that is an options file gives what it leaves out.
+
+    The command line wins. Options that are required may be in the file.
+
+    Args:
+        parser: of the whole command line.
+        parsers: its parser of each command.
+        argv: the command line.
 
     Raises:
-        ConfigError: the file cannot be read, a key is unknown, or a value does not fit its option.
+        ConfigError: the command line does not fit, the file cannot be read, a key is unknown or
+            there twice, or a value does not fit its option.
     """
-    path = getattr(args, "scene", None)
-    if not isinstance(path, Path) or path.suffix.lower() != ".json" or args.command == "render":
-        return args
+    required = [a for c in parsers.values() for a in c._actions if a.required and a.option_strings]
+    for action in required:
+        action.required = False
+    first = argparse.Namespace()
+    with suppress(ConfigError):  # said below, with all that is missing
+        first = parser.parse_args(argv)
+    for action in required:
+        action.required = True
+    path = getattr(first, "scene", None)
+    if not isinstance(path, Path) or path.suffix.lower() != ".json" or first.command == "render":
+        return parser.parse_args(argv)
+    command = parsers[first.command]
+    values = _checked(path, _read(path), command, first)
+    scene = values.pop("scene")
+    for action in required:
+        action.required = not values.get(action.dest)
+    command.set_defaults(**values)
+    args = parser.parse_args(argv)
+    args.scene, args.options_file = scene, path
+    return args
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The object in an options file, which has a scene."""
     record = read_json(path, ConfigError, "docs/files.md describes options files.")
     if not isinstance(record, dict) or not isinstance(record.get("scene"), str):
         raise ConfigError(
             f"The options file {path} has no scene.", 'Add the key "scene": "FOLDER".'
         )
+    return record
+
+
+def _checked(
+    path: Path,
+    record: dict[str, Any],
+    command: argparse.ArgumentParser,
+    args: argparse.Namespace,
+) -> dict[str, Any]:
+    """The values of the file's options by name, without those that exclude one of `args`."""
     options = {action.dest: action for action in command._actions}
+    keys: dict[str, str] = {}
     values: dict[str, Any] = {}
     for key, value in record.items():
         name = key.replace("-", "_")
@@ -42,6 +82,11 @@ def with_options_file(
             raise ConfigError(
                 f"The options file {path} has an unknown key '{key:.60}'.",
                 f"The known keys are: {known}.",
+            )
+        if keys.setdefault(name, key) != key:
+            raise ConfigError(
+                f"The options file {path} has both '{keys[name]}' and '{key}', which are one key.",
+                "Remove one.",
             )
         if value is not None:  # null: as if the key were missing
             values[name] = _typed(options[name], value, f"'{key}' in {path}")
@@ -53,11 +98,7 @@ def with_options_file(
             )
         if any(getattr(args, name) != command.get_default(name) for name in names):
             values = {key: value for key, value in values.items() if key not in names}
-    scene = values.pop("scene")
-    command.set_defaults(**values)
-    args = parser.parse_args(argv)
-    args.scene = scene
-    return args
+    return values
 
 
 def _typed(option: argparse.Action, value: Any, where: str) -> Any:

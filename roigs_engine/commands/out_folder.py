@@ -1,34 +1,49 @@
-"""Where a command writes: not to the files of a run that an engine works on."""
+"""Where a command writes: not to a run's own files, and not to what it reads."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
-from ..formats.lock import locked
+from ..errors import ConfigError
 from ..formats.run_files import LOCK, MANIFEST, SPLIT, is_own
 
 
-@contextmanager
-def claimed(out: Path | None, *, option: str = "--out") -> Iterator[None]:
-    """Hold the lock of the run folder whose own files a command may overwrite.
+def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:
+    """Refuse a place where a command may replace the own files of a run.
 
     Args:
         out: where the command writes, if it does. Other folders in a run folder, such as
-            `renders`, need no lock.
-        option: the one that names `out`. Of `--run-dir`, only the run folders above it count.
+            `renders`, are free.
+        option: the one that names `out`. A `--run-dir` may be a run folder, but not lie in another.
 
     Raises:
-        RunFolderError: an engine is at work in that run folder.
+        ConfigError: it is a run folder, or one of its own files or folders.
     """
     folder = None if out is None else _run_folder(out, above=option == "--run-dir")
-    if folder is None:
-        yield
-        return
-    with locked(folder, option=option):
-        yield
+    if folder is not None:
+        free = folder / ("other.ply" if out and out.suffix.lower() == ".ply" else "other")
+        raise ConfigError(
+            f"{option} {out} would replace files of the run in {folder}.",
+            f"Choose another place; in that folder, {free} is free.",
+        )
+
+
+def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Raise ConfigError if a command would replace one of the files that it reads."""
+    given = [path for path in inputs if path is not None]
+    for output in outputs:
+        if any(_is_same(output, path) for path in given):
+            raise ConfigError(f"{output} is an input of this command.", "Choose another --out.")
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Whether two names stand for one file."""
+    with suppress(OSError):
+        return os.path.samefile(path, other)
+    return False
 
 
 def _run_folder(out: Path, *, above: bool) -> Path | None:

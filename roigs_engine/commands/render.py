@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
+from ..formats.text import counted
 from .console import Console
-from .options import add_device_option, add_size_options, context_on_device
+from .options import add_device_option, add_size_options, context_on_device, load_scene
 from .values import NAME, PATH
+
+if TYPE_CHECKING:
+    from ..rasterize.camera_path import CameraPath
 
 HELP = "render a PLY from the cameras of a COLMAP model or along a camera path"
 EXAMPLES = """\
@@ -21,7 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--scene", type=PATH, metavar="DIR", help="COLMAP project with the cameras")
     source.add_argument(
-        "--path", type=PATH, metavar="FILE", help="camera path, a JSON file (docs/files.md)"
+        "--path",
+        type=PATH,
+        metavar="FILE",
+        help="camera path, a JSON file (docs/files.md); --downscale and --max-side apply to it",
     )
     parser.add_argument(
         "--name",
@@ -41,22 +49,15 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Render every camera to a PNG."""
     import torch
 
-    from ..kernels.library import set_threads
     from ..model.gaussians import Gaussians
-    from ..rasterize.camera_path import load_camera_path
     from ..rasterize.sequence import render_sequence
-    from .options import load_scene
 
+    if args.path and args.images:
+        raise ConfigError("--images has no meaning with --path.", "Leave it out.")
     gaussians, frame = Gaussians.load_framed(args.ply)
     context = context_on_device(args, console)
     gaussians = gaussians.to(torch.device(context.device))
-    if args.path:
-        if args.threads is not None:
-            set_threads(args.threads)
-        cameras = load_camera_path(args.path)
-    else:
-        scene = load_scene(args, console)
-        cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
+    cameras = _cameras(args, console)
     unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
     if unknown:
         first = ", ".join(f"'{name}'" for name, _, _ in cameras[:3])
@@ -67,5 +68,24 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
     local = [(name, camera, frame.transform(pose)) for name, camera, pose in cameras]
-    render_sequence(gaussians, local, args.out, context)
+    written = render_sequence(gaussians, local, args.out, context)
+    console.print(f"{counted(len(written), 'picture')} in {args.out}")
     return {"pictures": str(args.out)}
+
+
+def _cameras(args: argparse.Namespace, console: Console) -> CameraPath:
+    """The cameras of the scene or of the path, at the size of the options."""
+    from ..colmap.project import smaller
+    from ..kernels.library import set_threads
+    from ..rasterize.camera_path import load_camera_path
+
+    if args.scene:
+        scene = load_scene(args, console)
+        return [(i.name, i.camera, i.world_to_camera) for i in scene.images]
+    if args.threads is not None:
+        set_threads(args.threads)
+    shrink = smaller(args.downscale, args.max_side)
+    return [
+        (name, camera.resized(*shrink(camera.width, camera.height)), pose)
+        for name, camera, pose in load_camera_path(args.path)
+    ]

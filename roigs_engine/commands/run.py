@@ -59,12 +59,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
     console.print(format_markdown(evaluation))
-    outputs = {
+    places = {
         "report": run_files.REPORT,
         "pictures": run_files.CROPS,
         "result": run_files.RESULT,
         "rois": run_files.FINE,
     }
-    for what, where in outputs.items():
-        console.print(f"{what + ':':10}{args.run_dir / where}")
-    return {what: str(args.run_dir / where) for what, where in outputs.items()}
+    outputs = {what: str(args.run_dir / where) for what, where in places.items()}
+    console.print_places(outputs)
+    return outputs

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 
 from ..formats.files import write_json
+from ..formats.text import counted
 from ..selection import SelectionConfig, format_selection, select_cameras
 from .console import Console
 from .options import (
@@ -14,8 +15,10 @@ from .options import (
     add_selection_options,
     boxes,
     load_scene,
+    read_files,
     selection_options,
 )
+from .out_folder import refuse_inputs
 from .values import PATH
 
 HELP = "choose the photos that show each box best"
@@ -35,18 +38,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Select photos for every box; `--test-every` removes test photos first."""
     rois = boxes(args)
+    files = {roi.name: args.out / f"{roi.name}.json" for roi in rois} if args.out else {}
+    refuse_inputs(files.values(), read_files(args))
     config = replace(SelectionConfig(), **selection_options(args))
     scene = load_scene(args, console)
+    tests = None
     if args.test_every is not None:
         from ..selection.split import choose_test_views
 
-        scene = scene.without(set(choose_test_views(scene, rois, args.test_every, console.context)))
+        test = choose_test_views(scene, rois, args.test_every, console.context)
+        scene, tests = scene.without(set(test)), scene.select(test)
     outputs = {}
     for roi in rois:
-        selection = select_cameras(scene, roi, config, console.context)
+        selection = select_cameras(scene, roi, config, console.context, tests=tests)
         console.print(format_selection(selection))
         if args.out:
-            path = args.out / f"{roi.name}.json"
-            write_json(path, selection.to_dict())
-            outputs[roi.name] = str(path)
+            write_json(files[roi.name], selection.to_dict())
+            outputs[roi.name] = str(files[roi.name])
+    if outputs:
+        console.print(f"{counted(len(outputs), 'list')} of photos in {args.out}")
     return outputs

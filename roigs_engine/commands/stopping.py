@@ -49,9 +49,12 @@ class StopRequest:
             self._interrupts += 1
         if self._interrupts > 1:
             self._leave()
-        if not self.asked:
-            self.asked = True
-            _say("Stopping after this step. Press Ctrl-C again to quit at once.")
+        words = [] if self.asked else ["Stopping after this step."]
+        self.asked = True
+        if number == signal.SIGINT:
+            words.append("Press Ctrl-C again to quit at once.")
+        if words:
+            _say(" ".join(words))
 
     def _leave(self) -> None:
         """Raise KeyboardInterrupt, so that temporary files and locks are removed; once.

@@ -25,7 +25,7 @@ from .options import (
     load_scene,
     run_config,
 )
-from .out_folder import claimed
+from .out_folder import refuse_run_files
 from .values import PATH, Number
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run, Context]]:
     """The run of the options; its folder is open and locked during the block.
 
-    Events are also written to the folder.
+    Events are also written to the folder, once it is known that it may be this run's.
     """
     from ..colmap.undistorted_photos import remove_unused
     from ..run.definition import define_run
@@ -111,9 +111,9 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.memory import run_memory
     from ..run.provenance import recorded
 
+    console.log_later()
     inputs = _inputs(args)
-    claim = claimed(args.run_dir, option="--run-dir")
-    with claim, locked(args.run_dir, console.context.warn):
+    with locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)
@@ -125,13 +125,13 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
             without_pixels = define_run(args.run_dir, cameras, context=quiet, **inputs)
             if not args.update:
                 refuse_other_run(args.run_dir, without_pixels.manifest())
+            console.log_to(args.run_dir)
 
         # Damaged photos are found only now: without them, other photos may be test photos.
         scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
         remove_unused(args.run_dir / run_files.CACHE, scene.images)
-        console.log_to(args.run_dir)
         for message in run_memory(run, context).messages():
             console.emit(message)
         with recorded(args.run_dir, run.config.seed, context.device):
@@ -156,7 +156,8 @@ def show_plan(
 
 
 def _inputs(args: argparse.Namespace) -> dict[str, Any]:
-    """Boxes, settings and manual photos for `define_run`."""
+    """Boxes, settings and manual photos for `define_run`, whose folder is not another run's."""
+    refuse_run_files(args.run_dir, option="--run-dir")
     rois, config = boxes(args), run_config(args)
     manual = load_manual(args.selection, rois) if args.selection else {}
     return {"rois": rois, "config": config, "manual": manual}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..formats.files import write_json, write_text
 from ..formats.run_files import REPORT, REPORT_DATA
-from ..formats.text import counted
+from ..formats.text import counted, printable
 from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores
 
 NONE = "–"  # a cell without a number
@@ -32,7 +32,7 @@ def format_markdown(evaluation: Evaluation) -> str:
     lines = [f"# Evaluation on {count} test photo{'' if count == 1 else 's'}", ""]
     for scores in evaluation.rois:
         lines += [f"## box '{_text(scores.roi)}'", "", *_table(scores.rows), ""]
-        lines += [f"- {line}" for line in _notes(scores, evaluation)]
+        lines += [f"- {printable(line)}" for line in _notes(scores, evaluation)]
         lines.append("")
     lines += [
         "PSNR: mean squared error over the mask's pixels and 3 channels, in dB, for each photo, "
@@ -53,8 +53,8 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
 
 
 def _text(text: str) -> str:
-    """The text, escaped for a table cell."""
-    return " ".join(text.split()).replace("|", "\\|")
+    """The text on one line, escaped for a table cell."""
+    return printable(" ".join(text.split())).replace("|", "\\|")
 
 
 def _table(rows: Sequence[ModelScore]) -> list[str]:

@@ -12,6 +12,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from .text import CONTROLS
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageStarted:
@@ -93,6 +95,8 @@ def to_json(event: Event) -> str:
         missing = isinstance(value, float) and not math.isfinite(value)
         record[key] = None if missing else value
     line = json.dumps(record, ensure_ascii=False, allow_nan=False)
+    # JSON allows the others, which end a line for some readers, and which a terminal obeys.
+    line = CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", line)
     # A file name that is no UTF-8 comes with surrogates, which no stream could write.
     return line.encode("utf-8", "backslashreplace").decode("utf-8")
 

@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, TextIO
 
 from ..errors import EngineError, RunFolderError
 from . import os_lock
-from .text import parse_json
+from .text import RepeatedKeyError, parse_json
 
 UNREADABLE = "Check that the file exists and that you may read it."
 DAMAGED = "Write the file again, or choose another."
@@ -275,11 +275,14 @@ def read_json(path: Path, kind: type[EngineError] = RunFolderError, hint: str = 
         hint: what to do about a file that is not JSON.
 
     Raises:
-        EngineError: of that `kind`: the file is missing, unreadable or not JSON.
+        EngineError: of that `kind`: the file is missing, unreadable or not JSON, or an object in
+            it has a key twice.
     """
     try:
         return parse_json(read_bytes(path))
     except OSError as error:
         raise kind(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    except RepeatedKeyError as error:
+        raise kind(f"{path} is ambiguous: {error}.", "Keep one of the two.") from error
     except ValueError as error:
         raise kind(f"{path} is not JSON ({error}).", hint) from error

@@ -5,9 +5,18 @@ from __future__ import annotations
 import codecs
 import hashlib
 import json
+import re
+from collections import Counter
 from typing import Any
 
-WIDE_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_BE)
+# What moves a terminal's cursor, ends a line or turns the order of letters.
+CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+UTF32_MARKS = (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)  # the first begins with one of UTF-16
+
+
+class RepeatedKeyError(ValueError):
+    """A JSON object has a key twice; one of the values would be lost."""
 
 
 def decode_text(data: bytes, *, replace: bool = False) -> str:
@@ -20,32 +29,63 @@ def decode_text(data: bytes, *, replace: bool = False) -> str:
     Raises:
         ValueError: the text has another encoding; the message says which, if that is known.
     """
-    # UTF-16 without a mark: each ASCII character brings a zero byte.
-    if data.startswith(WIDE_MARKS) or b"\0" in data[:2]:
-        raise ValueError("it is UTF-16 text; save it as UTF-8")
+    encoding = _wide_encoding(data)
+    if encoding:
+        raise ValueError(f"it is {encoding} text; save it as UTF-8")
     try:
         return data.decode("utf-8-sig", errors="replace" if replace else "strict")
     except UnicodeDecodeError as error:
         raise ValueError("it is not UTF-8 text; save it as UTF-8") from error
 
 
+def _wide_encoding(data: bytes) -> str:
+    """The encoding of text that is not made of single bytes; empty for any other data.
+
+    Without a mark, each ASCII character brings one zero byte in UTF-16, and three in UTF-32.
+
+    Raises:
+        ValueError: it is no text.
+    """
+    head = data[:4]
+    if head == bytes(4):
+        raise ValueError("it begins with zero bytes, so it is damaged or no text")
+    if head.startswith(UTF32_MARKS) or head.count(0) == 3:
+        return "UTF-32"
+    return "UTF-16" if head.startswith(UTF16_MARKS) or 0 in head[:2] else ""
+
+
 def parse_json(data: bytes) -> Any:
     """The JSON value of a file's bytes.
 
     Raises:
+        RepeatedKeyError: an object has a key twice.
         ValueError: it is none; the message says where or why.
     """
     text = decode_text(data)
     if not text.strip():
         raise ValueError("it is empty")
     try:
-        return json.loads(text)
-    except json.JSONDecodeError:
+        return json.loads(text, object_pairs_hook=_object)
+    except (json.JSONDecodeError, RepeatedKeyError):
         raise
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except ValueError as error:  # Python's limit for text that becomes an integer
         raise ValueError("it has a number of thousands of digits") from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The object of these keys and values; RepeatedKeyError if a key is there twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice, _ = Counter(key for key, _ in pairs).most_common(1)[0]
+        raise RepeatedKeyError(f"it has the key '{twice:.60}' twice in one object")
+    return found
+
+
+def printable(text: str) -> str:
+    """The text on one line, with escapes (`\\x1b`) in the place of control characters."""
+    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def counted(count: int, noun: str) -> str:

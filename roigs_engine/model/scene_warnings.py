@@ -28,18 +28,42 @@ def _without_points_of_their_own(scene: SfmScene, rois: list[OrientedBox]) -> li
     return found
 
 
-def few_photos(roi: str, count: int, *, points: int = 1) -> list[str]:
-    """The warning about a box with `points` points that `count` photos see, if it is too little."""
+def few_photos(roi: str, count: int, *, points: int = 1, tests: int = 0) -> list[str]:
+    """The warning about a box that too few photos see, if they are too few.
+
+    Args:
+        roi: the box's name.
+        count: photos that see it, without test photos.
+        points: in the box.
+        tests: test photos that see it.
+    """
+    kind, others = kind_of_photos(count, tests)
     if points == 0:
         return [f"No point lies in box '{roi}': move it onto the object, or enlarge it."]
     match count:
         case 0:
             return [f"No photo sees box '{roi}': move or enlarge it, or add photos of it."]
         case 1:
-            return [f"Only one photo sees box '{roi}': that is too few to reconstruct an object."]
+            return [
+                f"Only one {kind} sees box '{roi}'{others}: that is too few to reconstruct an"
+                " object."
+            ]
         case _ if count < FEW:
             return [
-                f"Only {count} photos see box '{roi}': it will look right only from their"
-                " directions. Add photos of it."
+                f"Only {count} {kind}s see box '{roi}'{others}: it will look right only from"
+                " their directions. Add photos of it."
             ]
     return []
+
+
+def kind_of_photos(count: int, tests: int) -> tuple[str, str]:
+    """What photos of a box are called, and the words about test photos behind its name.
+
+    Args:
+        count: photos that see the box, without test photos.
+        tests: test photos that see it.
+    """
+    if not tests:
+        return "photo", ""
+    are = "is a test photo" if tests == 1 else "are test photos"
+    return "training photo", f" ({tests} of the {count + tests} that see it {are})"

@@ -50,6 +50,11 @@ class Run:
         """The scene without its test photos."""
         return self.scene.without(set(self.test))
 
+    @property
+    def test_scene(self) -> SfmScene:
+        """The scene with its test photos only."""
+        return self.scene.select(self.test)
+
     @cached_property
     def extent(self) -> float:
         """Extent of the training cameras, local units (`SfmScene.extent`)."""

@@ -39,7 +39,7 @@ class PhotoSets:
         scene, manual = self.run.train_scene, self.run.manual
         if roi.name in manual:
             return manual_selection(scene, roi, manual[roi.name], self.context)
-        return select_cameras(scene, roi, config, self.context)
+        return select_cameras(scene, roi, config, self.context, tests=self.run.test_scene)
 
     def selections(self) -> tuple[CameraSelection, ...]:
         """The selections of all boxes, in the boxes' order."""

@@ -217,7 +217,8 @@ class StageFolder:
         try:
             trainer = self._trained(start, data, config, context)
         except TrainingError as error:
-            context.warn(f"{self.name}: {error.message} Trying again from the last checkpoint.")
+            again = "last checkpoint" if checkpoint_exists(self._checkpoint) else "start"
+            context.warn(f"{self.name}: {error.message} Trying again from the {again}.")
             trainer = self._trained(start, data, config, context)
         for text in trainer.health.outliers():
             context.warn(f"{self.name}: {text}")
@@ -259,7 +260,8 @@ class StageFolder:
         state = load_checkpoint(self._checkpoint, self.fingerprint, context, check)
         trainer = Trainer(Gaussians(**state["parameters"]), data, config)
         trainer.load_state_dict(state)
-        context.info(f"{self.name}: resumes at step {trainer.step}.")
+        how = f"resumes at step {trainer.step}" if trainer.step else "starts at step 0"
+        context.info(f"{self.name}: {how}.")
         return trainer
 
     def _save(self, trainer: Trainer) -> None:

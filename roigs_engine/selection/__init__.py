@@ -14,8 +14,8 @@ from __future__ import annotations
 from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
-from ..model.scene_warnings import few_photos
-from ..model.visibility import Candidates, find_candidates, visible_images
+from ..model.scene_warnings import FEW, few_photos, kind_of_photos
+from ..model.visibility import Candidates, find_candidates, observations, visible_images
 from .baselines import order_fvs, order_random
 from .config import METHODS, SelectionConfig
 from .coverage import order_coverage, prefix_coverage
@@ -41,6 +41,8 @@ def select_cameras(
     roi: OrientedBox,
     config: SelectionConfig,
     context: Context = QUIET,
+    *,
+    tests: SfmScene | None = None,
 ) -> CameraSelection:
     """Select the photos of a box, best first.
 
@@ -49,6 +51,7 @@ def select_cameras(
         roi: the box.
         config: method and settings.
         context: receives a warning for each degenerate case; checked for cancellation.
+        tests: the model with its test photos only; a warning about few photos counts them.
 
     Raises:
         RoiError: no point lies in the box, or no photo sees one that does.
@@ -64,7 +67,7 @@ def select_cameras(
     flags = (
         *candidates.flags,
         *features.flags(candidates),
-        *_count_flags(roi, config, len(candidates)),
+        *_count_flags(roi, config, len(candidates), tests, context),
         *_picks_flags(picks),
     )
     for flag in flags:
@@ -115,17 +118,25 @@ def _order(
             raise AssertionError(f"`METHODS` has {config.method}, but nothing orders by it.")
 
 
-def _count_flags(roi: OrientedBox, config: SelectionConfig, candidates: int) -> tuple[str, ...]:
+def _count_flags(
+    roi: OrientedBox,
+    config: SelectionConfig,
+    candidates: int,
+    tests: SfmScene | None,
+    context: Context,
+) -> tuple[str, ...]:
     """Warnings about too few candidates."""
-    few = few_photos(roi.name, candidates)
+    if candidates >= FEW and (config.count is None or candidates >= config.count):
+        return ()
+    testing = 0 if tests is None else len(observations(tests, roi, context))
+    few = few_photos(roi.name, candidates, tests=testing)
     if few:
         return tuple(few)
-    if config.count is not None and candidates < config.count:
-        return (
-            f"Only {candidates} photos see box '{roi.name}', fewer than the {config.count}"
-            " requested: all are used.",
-        )
-    return ()
+    kind, others = kind_of_photos(candidates, testing)
+    return (
+        f"Only {candidates} {kind}s see box '{roi.name}'{others}, fewer than the {config.count}"
+        " requested: all are used.",
+    )
 
 
 def _picks_flags(picks: Picks) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..formats.text import counted
+from ..formats.text import counted, printable
 from .records import CameraSelection
 
 
@@ -17,7 +17,7 @@ def format_selection(selection: CameraSelection) -> str:
         rows.append(
             (
                 str(rank),
-                name,
+                printable(name),
                 f"{score:.4f}",
                 f"{values['distance']:.4g}" if "distance" in values else "-",
                 f"{100 * values['area']:.1f} %" if "area" in values else "-",
@@ -35,5 +35,5 @@ def format_selection(selection: CameraSelection) -> str:
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append("  ".join(cells).rstrip())
-    lines += [f"! {flag}" for flag in selection.flags]
+    lines += [printable(f"! {flag}") for flag in selection.flags]
     return "\n".join(lines)

@@ -462,9 +462,9 @@ FAMILIES: dict[str, tuple[Family, int]] = {
 
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
-    from tests.fuzz import run_folders, user_input
+    from tests.fuzz import run_folders, texts, user_input
 
-    return FAMILIES | run_folders.FAMILIES | user_input.FAMILIES
+    return FAMILIES | run_folders.FAMILIES | user_input.FAMILIES | texts.FAMILIES
 
 
 def make(family: str, number: int, folder: Path) -> Case:

@@ -12,6 +12,7 @@ import importlib
 import io
 import json
 import os
+import re
 import resource
 import sys
 import tempfile
@@ -28,6 +29,8 @@ from tests.fuzz import cases, run_folders
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 20.0
+# What no terminal may get of names; only progress bars may go back to the start of a line.
+CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]")
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
          "roigs_engine.run.folder", "roigs_engine.evaluation.crops",
          "roigs_engine.rasterize.view")  # fmt: skip
@@ -115,6 +118,8 @@ def complaint(family: str, number: int) -> str:
             return f"{command}: the line names none of {command.names}\n{said}"
         if status == 2 and not said.rstrip("\n").rpartition("\n")[2].startswith("error: "):
             return f"{command}: an error of several lines\n{said}"
+        if CONTROLS.search(out.getvalue() + said):
+            return f"{command}: control characters\n{out.getvalue()!r}\n{said!r}"
         if "Warning:" in said or "Traceback" in said:
             return f"{command}: a warning of Python's\n{said}"
         return unfinished(Path(name), folder) or str(status)

@@ -18,6 +18,7 @@ from tests.addon.fake_engine import alive, until
 from tests.addon.scenes import ROOT
 
 pytestmark = pytest.mark.blender
+TRAINING = '{"event": "progress", "stage": "scene"'
 
 
 def checkpoints(folder: Path) -> list[Path]:
@@ -127,7 +128,7 @@ def test_no_engine_outlives_a_killed_blender(engine, project: Path, tmp_path: Pa
     with blender_process(tmp_path, project, 10.0) as process:
         pid = engine_pid(process, "Training")
         events = run / "events.jsonl"
-        assert until(lambda: events.is_file() and '"progress"' in events.read_text(), 60)
+        assert until(lambda: events.is_file() and TRAINING in events.read_text(), 60)
         assert alive(pid)
         process.kill()
     assert until(lambda: not alive(pid), 5)

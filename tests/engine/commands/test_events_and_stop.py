@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,23 @@ def test_a_stop_or_the_end_of_input_stops_training(
     log = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
     assert json.loads(log[-1])["event"] == "done"
     assert not (folder / "run.lock").exists()
+
+
+def test_the_log_has_every_event(project: Project, tmp_path: Path) -> None:
+    folder, command = tmp_path / "run", ("train", project.folder, "--roi", BOX, "--events")
+    tiny = ("--steps-factor", 0.003, "--test-every", 3, "--device", "cpu", "--threads", 1)
+    shutil.copytree(project.folder / "sparse" / "0", project.folder / "sparse" / "1")
+    first = python(*command, "--run-dir", folder, *tiny)
+    assert first.returncode == 0, first.stderr
+    log = folder / "events.jsonl"
+    assert "has 2 models" in first.stdout.splitlines()[0]  # said before the folder is looked at
+    assert log.read_text(encoding="utf-8") == first.stdout
+    second = python(*command, "--run-dir", folder, *tiny)
+    assert log.read_text(encoding="utf-8") == first.stdout + second.stdout
+    refused = python(*command, "--run-dir", folder, *tiny, "--seed", 1)
+    assert refused.returncode == 2
+    assert log.read_text(encoding="utf-8") == first.stdout + second.stdout
+    shutil.rmtree(project.folder / "sparse" / "1")
 
 
 def test_a_run_outlives_nobody_and_leaves_a_checkpoint(project: Project, tmp_path: Path) -> None:

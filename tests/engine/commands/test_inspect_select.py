@@ -23,6 +23,7 @@ def test_select_end_to_end(
     arguments = ["--roi", BOX, "--method", "greedy", "--count", "3", "--out", str(tmp_path)]
     assert main(["select", str(project.folder), *arguments]) == 0
     shown = capsys.readouterr().out
+    assert shown.endswith(f"\n1 list of photos in {tmp_path}\n")
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert (stored["roi"], stored["method"], len(stored["names"])) == ("thing", "greedy", 3)
     assert set(stored["names"]) <= set(project.names)
@@ -81,6 +82,7 @@ def test_test_photos_are_not_selected(project: Project, tmp_path: Path) -> None:
     assert main(["select", str(project.folder), *arguments]) == 0
     stored = json.loads((tmp_path / "thing.json").read_text(encoding="utf-8"))
     assert len(stored["candidates"]) == 6
+    assert "(2 of the 8 that see it are test photos)" in stored["flags"][0]
 
 
 def test_inspect_in_json(project: Project, capsys: pytest.CaptureFixture[str]) -> None:

@@ -79,6 +79,55 @@ def test_an_options_file_with_a_wrong_key_or_value_is_refused(
     assert named in refused(capsys, "select", file)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"scene": "garden", "max_side": 640, "max_side": 320}',
+        '{"scene": "garden", "max_side": 640, "max-side": null}',
+        '{"scene": "garden", "scene": "kitchen", "max_side": 640}',
+    ],
+)
+def test_a_key_that_is_there_twice_is_refused(
+    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "options.json"
+    file.write_text(text, encoding="utf-8")
+    line = refused(capsys, "inspect", file)
+    twice = "'scene'" if "kitchen" in text else "'max_side'"
+    assert twice in line and "options.json" in line
+
+
+def test_required_options_may_be_in_the_file(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = str(project.folder), tmp_path / "out"
+    file = options_file(tmp_path, scene=scene, out=str(out))
+    assert main(["export", str(file)]) == 0
+    assert (out / "scene.json").exists()
+    assert main(["export", str(file), "--out", str(tmp_path / "other")]) == 0
+    assert (tmp_path / "other" / "scene.json").exists()
+    run = options_file(tmp_path, scene=scene, roi=BOX, run_dir=str(tmp_path / "run"), dry_run=True)
+    capsys.readouterr()
+    assert main(["train", str(run)]) == 0
+    assert f"Plan of {tmp_path / 'run'}:" in capsys.readouterr().out
+    assert main(["train", str(run), "--run-dir", str(tmp_path / "mine")]) == 0
+    assert f"Plan of {tmp_path / 'mine'}:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("values", [{}, {"run_dir": None}])
+def test_what_neither_the_file_nor_the_command_line_has_is_missed(
+    project: Project,
+    tmp_path: Path,
+    values: dict[str, object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = options_file(tmp_path, scene=str(project.folder), roi=BOX, **values)
+    assert "required: --run-dir" in refused(capsys, "train", file)
+    assert "required: scene, --run-dir" in refused(capsys, "train")
+    file = options_file(tmp_path, scene=str(project.folder), roi=BOX, model=[], out="out")
+    assert "required: --model" in refused(capsys, "evaluate", file)
+
+
 def test_an_option_beside_the_file_wins_over_what_excludes_it(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

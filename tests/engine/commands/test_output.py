@@ -166,6 +166,29 @@ def test_a_run_behind_nohup_outlives_its_terminal() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+STOPPING, AGAIN = "Stopping after this step.", "Press Ctrl-C again to quit at once."
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["SIGINT"], [f"{STOPPING} {AGAIN}"]),
+        (["SIGTERM", "SIGTERM"], [STOPPING]),
+        (["SIGHUP", "SIGTERM"], [STOPPING]),
+        (["SIGTERM", "SIGINT"], [STOPPING, AGAIN]),
+    ],
+)
+def test_only_who_presses_ctrl_c_is_told_to_press_it_again(
+    names: list[str], said: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    stop = StopRequest()
+    stop.watch_signals()
+    for name in names:
+        os.kill(os.getpid(), getattr(signal, name))
+    assert stop.asked and not stop.leaving
+    assert capsys.readouterr().err.splitlines() == said
+
+
 @pytest.mark.parametrize("presses", [1, 2, 4])
 def test_ctrl_c_while_the_engine_starts(project: Project, presses: int) -> None:
     """Pressed from the first line of its own on; before that, it is Python's."""

@@ -11,9 +11,10 @@ import pytest
 from roigs_engine.errors import EngineError, RoiError
 from roigs_engine.formats.files import read_json
 from roigs_engine.formats.rois import read_rois
-from roigs_engine.formats.text import counted, decode_text, parse_json
+from roigs_engine.formats.text import RepeatedKeyError, counted, decode_text, parse_json, printable
 
 VALUE = {"name": "Büste", "x": [1.5, None]}
+ENCODINGS = [f"utf-{width}{order}" for width in (16, 32) for order in ("", "-le", "-be")]
 TEXT = json.dumps(VALUE, ensure_ascii=False)
 
 
@@ -24,13 +25,14 @@ def test_a_mark_at_the_start_is_no_error(tmp_path: Path) -> None:
         assert read_json(path) == VALUE
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+@pytest.mark.parametrize("encoding", ENCODINGS)
 def test_wide_text_is_named(encoding: str, tmp_path: Path) -> None:
     path = tmp_path / "rois.json"
     path.write_bytes(TEXT.encode(encoding))
-    with pytest.raises(RoiError, match=r"rois\.json is not JSON \(it is UTF-16 text; save it as"):
+    name = encoding.upper()[:6]
+    with pytest.raises(RoiError, match=rf"rois\.json is not JSON \(it is {name} text; save it as"):
         read_rois(path)
-    with pytest.raises(ValueError, match="UTF-16"):
+    with pytest.raises(ValueError, match=name):
         decode_text(TEXT.encode(encoding), replace=True)
 
 
@@ -39,6 +41,7 @@ def test_wide_text_is_named(encoding: str, tmp_path: Path) -> None:
     [
         (TEXT.encode("latin-1"), "not UTF-8 text; save it as UTF-8"),
         (b"", "it is empty"),
+        (bytes(64), "begins with zero bytes"),
         (codecs.BOM_UTF8 + b" \n", "it is empty"),
         (b"[" * 200_000, "nested too deeply"),
         (b'{"a": ' * 100_000, "nested too deeply"),
@@ -58,6 +61,36 @@ def test_damaged_files_say_why_and_what_to_do(data: bytes, text: str, tmp_path: 
     with pytest.raises(EngineError, match="Cannot read") as caught:
         read_json(tmp_path / "none.json")
     assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"x": 1, "roi": 2, "roi": 2}',
+        '[{"a": {"b": [{"roi": null, "roi": {"roi": 1}}]}}]',
+        '{"roi": 1, "r\\u006fi": 2}',
+    ],
+)
+def test_a_key_that_is_there_twice_is_named(text: str, tmp_path: Path) -> None:
+    with pytest.raises(RepeatedKeyError, match="the key 'roi' twice"):
+        parse_json(text.encode())
+    path = tmp_path / "a.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(RoiError, match=r"a\.json is ambiguous: .* 'roi' twice") as caught:
+        read_json(path, RoiError)
+    assert caught.value.hint == "Keep one of the two."
+
+
+def test_one_key_in_two_objects_is_fine() -> None:
+    assert parse_json(b'[{"a": 1}, {"a": {"a": 2}}]') == [{"a": 1}, {"a": {"a": 2}}]
+
+
+def test_control_characters_become_escapes() -> None:
+    assert printable("a\x1b[2J\r\n\t\0\x7f\x9b\u2028\u202e") == (
+        r"a\x1b[2J\r\n\t\x00\x7f\x9b\u2028\u202e"
+    )
+    plain = "Größe 模型 \u00a0 🙂 \\ \udce9 e\u0301 \u200d"
+    assert printable(plain) == plain
 
 
 def test_counts_in_sentences() -> None:

@@ -13,6 +13,8 @@ from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.model.scene_warnings import FEW, few_photos, scene_warnings
+from roigs_engine.run.config import RunConfig
+from roigs_engine.run.photo_sets import PhotoSets
 from tests.engine.runs import opened, tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -47,4 +49,30 @@ def test_too_few_photos() -> None:
     for count, words in {0: "No photo sees", 1: "Only one photo", FEW - 1: "Add photos"}.items():
         (line,) = few_photos("vase", count)
         assert words in line and "'vase'" in line
-    assert few_photos("vase", FEW) == []
+    assert few_photos("vase", FEW) == few_photos("vase", FEW, tests=3) == []
+
+
+def test_test_photos_are_not_counted_but_named() -> None:
+    (one,) = few_photos("vase", 1, tests=2)
+    assert "one training photo sees box 'vase' (2 of the 3 that see it are test photos):" in one
+    (two,) = few_photos("vase", 2, tests=1)
+    assert "2 training photos see box 'vase' (1 of the 3 that see it is a test photo):" in two
+
+
+@pytest.mark.parametrize("tracks", [True, False])
+def test_a_run_and_a_selection_count_test_photos_apart(
+    scene: SfmScene, tmp_path: Path, tracks: bool
+) -> None:
+    scene = replace(scene, has_tracks=tracks)
+    few = scene.select([image.name for image in scene.images[:3]])
+    run = opened(tmp_path, few, [BOX], tiny("joint"))
+    (flag,) = [f for f in PhotoSets(run).selection(run.rois[0]).flags if "Only" in f]
+    assert f"Only 2 training photos see box '{BOX.name}' (1 of the 3 that see it is a" in flag
+    run = opened(tmp_path / "all", scene, [BOX], asking_for_many())
+    (flag,) = [f for f in PhotoSets(run).selection(run.rois[0]).flags if "Only" in f]
+    assert f"see box '{BOX.name}' (1 of the 6 that see it is a test photo), fewer than" in flag
+
+
+def asking_for_many() -> RunConfig:
+    config = tiny("joint")
+    return replace(config, selection=replace(config.selection, count=99))

@@ -86,6 +86,7 @@ def test_a_transient_fault_is_retried(
     events: list[Event] = []
     result = train(scene, tmp_path / "run", events)
     (text,) = warnings(events)
+    assert text.endswith("Trying again from the last checkpoint.")
     assert f"step {STEP}" in text or ("step 40" in text and "NaN or Inf in" in text)
     resumed = [e.text for e in events if isinstance(e, Message) and "resumes at" in e.text]
     assert resumed == ["scene: resumes at step 20."] * 2
@@ -99,8 +100,24 @@ def test_what_happens_again_stops_training(
     events: list[Event] = []
     with pytest.raises(TrainingError, match=rf"step {STEP}|step 40") as raised:
         train(scene, tmp_path, events)
-    assert raised.value.hint and len(warnings(events)) == 1
+    (again,) = warnings(events)
+    assert raised.value.hint and again.endswith("Trying again from the start.")
     assert not (tmp_path / "stage.json").exists()
+
+
+def test_a_stage_that_was_stopped_before_its_first_step_starts(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    events: list[Event] = []
+    with pytest.raises(Stopped):
+        train(scene, tmp_path, events, stop_at=0)
+    assert (tmp_path / "checkpoint.bin").exists()
+    with pytest.raises(Stopped):
+        train(scene, tmp_path, events, stop_at=3)
+    with pytest.raises(Stopped):
+        train(scene, tmp_path, events, stop_at=2)
+    said = [e.text for e in events if isinstance(e, Message)]
+    assert said == ["scene: starts at step 0.", "scene: resumes at step 3."]
 
 
 def test_a_state_that_is_not_well_is_not_saved(
