@@ -10,6 +10,7 @@ from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
 from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA
 from ..formats.splat_ply import check_ply
+from ..formats.text import counted
 from ..model.scene import SfmScene
 from .console import Console
 from .options import (
@@ -79,7 +80,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     def check(cameras: SfmScene) -> None:
         for roi in rois:
             check_has_points(cameras, roi)
-        unknown = sorted(set(test) - {image.name for image in cameras.images})
+        lost = {name for names in cameras.skipped.values() for name in names}
+        unknown = sorted(set(test) - {image.name for image in cameras.images} - lost)
         if unknown:
             raise ConfigError(
                 f"{args.split} names '{unknown[0]}', which is not in the scene.",
@@ -89,6 +91,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
     wanted = set(test or choose_test_views(scene, rois, args.test_every))
     test = [image.name for image in scene.images if image.name in wanted]
+    if len(test) < len(wanted):
+        first = min(wanted - set(test))
+        lost = counted(len(wanted) - len(test), "test photo")
+        console.context.warn(f"Left out {lost} that cannot be used, the first is {first}.")
     frame = LocalFrame.of_scene(scene)
     scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
     context = context_on_device(args, console)

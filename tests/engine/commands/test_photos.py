@@ -91,6 +91,22 @@ def test_a_test_photo_lost_in_training_costs_only_its_row(
     assert table["test_views"] == rest and rest
 
 
+def test_a_test_photo_lost_later_costs_its_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run, out = scene(tmp_path), tmp_path / "run", tmp_path / "out"
+    assert main(arguments(project, run)) == 0
+    lost, *rest = split_of(run)
+    (project.folder / "images" / lost).unlink()
+    capsys.readouterr()
+    words = ["--split", str(run / run_files.SPLIT), "--model", f"A={run / run_files.RESULT}"]
+    command = ["evaluate", str(project.folder), "--roi", BOX, "--out", str(out), *words]
+    assert main(command) == 0
+    assert f"1 test photo that cannot be used, the first is {lost}" in capsys.readouterr().err
+    table = json.loads((out / run_files.REPORT_DATA).read_text(encoding="utf-8"))
+    assert table["test_views"] == rest
+
+
 def test_changed_photos_are_refused_or_trained_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
