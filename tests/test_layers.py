@@ -49,7 +49,11 @@ TORCH_FREE = (
 PYCOLMAP = {"colmap.undistort"}
 # What may write to the terminal: the command line, and the build script that setup.py runs.
 PRINTING = {"commands", "cli", "kernels.build"}
-IMPORT_NAMES = {"scikit-learn": "sklearn", "pillow": "PIL"}
+IMPORT_NAMES = {
+    "flip-evaluator": "flip_evaluator",
+    "pillow": "PIL",
+    "scikit-learn": "sklearn",
+}
 
 
 @dataclass(frozen=True)
@@ -252,7 +256,7 @@ def test_only_the_command_line_prints() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    asked = [*project["dependencies"], *extras["train"], *extras["cuda"]]
+    asked = [*project["dependencies"], *extras["train"], *extras["cuda"], *extras["flip"]]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}
     importable = {IMPORT_NAMES.get(name, name) for name in declared}

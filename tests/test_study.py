@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import statistics
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +20,7 @@ from benchmarks.study.measure import Bench
 from benchmarks.study.results import Results, Stat, load_records, mean_of
 from benchmarks.study.rows import all_rows, changed, parse_variant, wanted
 from benchmarks.study.scenes import StudyScene, parse_scenes
+from benchmarks.study.tables import Study
 from roigs_engine.cli import STOPPED
 from roigs_engine.commands.stopping import SIGNALS
 from roigs_engine.errors import ConfigError, SceneError, Stopped
@@ -206,6 +210,10 @@ def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: 
     assert "±" in lines["Joint"] and "†" not in lines["Joint"].split("|")[2]
     assert "†" in lines["roomy"] and "±" not in lines["roomy"]
     assert "roi.box_budget=9.0,selected_share=0.5" in page
+    assert page.count("Near and far, and single photos") == 3  # two boxes, and all of them
+    assert (
+        ("| FLIP |" in page) == ("FLIP change" in page) == (find_spec("flip_evaluator") is not None)
+    )
     for text in ("Table I:", "Table II:", "Table III:", "Beyond", "torch 2", "tiny", "20 + 20"):
         assert text in page
     record = json.loads((done / "study.json").read_text(encoding="utf-8"))
@@ -215,6 +223,72 @@ def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: 
     assert gain["mean"] == pytest.approx(sum(gain["seeds"].values()) / 2)
     by_view = line["gains"]["0"].values()
     assert gain["seeds"]["0"] == pytest.approx(sum(by_view) / len(by_view))
+
+
+def by_hand(psnr: list[float], **scores: float) -> dict[str, Any]:
+    """A record of Full Scene and a model on photos a, b, c ...; a is the nearest."""
+    names = "abcdefgh"[: len(psnr)]
+
+    def row(model: str, values: list[float]) -> dict[str, Any]:
+        views = [
+            {"view": name, "roi_psnr": value, "roi_ssim": 0.5, **scores}
+            for name, value in zip(names, values, strict=True)
+        ]
+        return {
+            "model": model,
+            "roi_psnr": statistics.fmean(values),
+            "object_psnr": None,
+            "roi_ssim": 0.5,
+            "image_psnr": 20.0,
+            "peak_gain": None,
+            "peak_view": None,
+            "gaussians": 1,
+            "gaussians_in_box": 1,
+            "seconds": 1.0,
+            "stages": {},
+            "ply_bytes": 1,
+            "views": views,
+            "image_views": {},
+            **scores,
+        }
+
+    rows = [row("Full Scene", [20.0] * len(psnr)), row("Joint", psnr)]
+    box = {"roi": "box", "views": [], "left_out": [], "object_mask_from": None, "rows": rows}
+    return {
+        "row": "joint",
+        "scene": "made",
+        "seed": 0,
+        "changes": [],
+        "models": {"box": {"Full Scene": ["all"], "Joint": ["all"]}},
+        "stages": {"all": {"seconds": 1.0, "cpu_seconds": 1.0}},
+        "selected": {},
+        "distances": {"box": {name: float(k) for k, name in enumerate(names)}},
+        "evaluation": {"test_views": list(names), "baseline": "Full Scene", "rois": [box]},
+    }
+
+
+def test_near_far_and_single_photos_of_a_record_of_version_0_1_0() -> None:
+    results = Results([by_hand([21, 22, 20, 19, 26])])
+    expected = {"near_psnr": 21.5, "far_psnr": 22.5, "near_gain": 1.5, "far_gain": 2.5}
+    expected |= {"worst_gain": -1.0, "won_share": 0.6}
+    for metric, value in expected.items():
+        assert results.stat("made", "box", "joint", "Joint", metric).values == {0: value}
+    for metric in ("roi_flip", "flip_gain"):
+        assert results.stat("made", "box", "joint", "Joint", metric).values == {}
+
+
+def test_flip_is_shown_if_it_was_measured_and_two_photos_have_no_near_and_far() -> None:
+    for scores, shown in (({}, False), ({"roi_flip": 0.25}, True)):
+        results = Results([by_hand([21, 22], **scores)])
+        rows = [row for row in all_rows("draft") if row.name == "joint"]
+        study = Study(
+            results=results, rows=rows, tables=["II"], own="joint", head={}, figures={}
+        ).markdown()
+        assert ("FLIP change" in study) == shown
+        line = study.splitlines()[-1]
+        end = ["+0.0000", "+0.0000"] if shown else ["+0.0000"]
+        cells = [cell.strip().removesuffix(" †") for cell in line.split("|")[1:-1]]
+        assert cells == ["made", "box", "-", "-", "-", "+1.00", "100%", *end, "1"]
 
 
 def test_crops_of_results_are_there_and_figures_if_they_can_be(

@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmarks.markdown import NONE
 from roigs_engine.evaluation.scores import Evaluation, ModelScore
+from roigs_engine.evaluation.summaries import Gains, mean, near_and_far
 from roigs_engine.formats.files import read_json
 from roigs_engine.run.strategies import BASELINE
 
@@ -72,6 +73,26 @@ class Entry:
         before = {view.view: view.roi_psnr for view in self.baseline.views}
         return {view.view: view.roi_psnr - before[view.view] for view in self.score.views}
 
+    @property
+    def summary(self) -> Gains:
+        """The best and the worst photo, and the share of photos won; empty for Full Scene."""
+        return Gains() if self.score.model == self.baseline.model else Gains.of(self.gains)
+
+    def near(self, score: ModelScore) -> float | None:
+        """Mean ROI PSNR of a model on the near third of the photos."""
+        return self._third(score, far=False)
+
+    def far(self, score: ModelScore) -> float | None:
+        """The same on the far third."""
+        return self._third(score, far=True)
+
+    def _third(self, score: ModelScore, *, far: bool) -> float | None:
+        # The record's own distances: those of the scores are missing in records of version 0.1.0.
+        distances = self.record["distances"][self.box]
+        psnr = {view.view: view.roi_psnr for view in score.views}
+        third = near_and_far({name: distances[name] for name in psnr})[far]
+        return mean([psnr[name] for name in third])
+
     def spent(self, clock: str, model: str | None = None) -> float:
         """Training `seconds` or `cpu_seconds` of this model, or of another one of the record."""
         names = self.record["models"][self.box][model or self.score.model]
@@ -83,9 +104,12 @@ class Entry:
         return None if chosen is None else float(chosen["chosen"])
 
 
-def _gain(value: Callable[[ModelScore], float | None]) -> Callable[[Entry], float | None]:
+Number = Callable[[Entry], float | None]
+
+
+def _gain(value: Callable[[Entry, ModelScore], float | None]) -> Number:
     def gain(entry: Entry) -> float | None:
-        after, before = value(entry.score), value(entry.baseline)
+        after, before = value(entry, entry.score), value(entry, entry.baseline)
         if entry.score.model == entry.baseline.model or after is None or before is None:
             return None
         return after - before
@@ -93,15 +117,24 @@ def _gain(value: Callable[[ModelScore], float | None]) -> Callable[[Entry], floa
     return gain
 
 
-METRICS: dict[str, Callable[[Entry], float | None]] = {
+METRICS: dict[str, Number] = {
     "roi_psnr": lambda e: e.score.roi_psnr,
     "roi_ssim": lambda e: e.score.roi_ssim,
+    "roi_flip": lambda e: e.score.roi_flip,
+    "near_psnr": lambda e: e.near(e.score),
+    "far_psnr": lambda e: e.far(e.score),
     "object_psnr": lambda e: e.score.object_psnr,
     "image_psnr": lambda e: e.score.image_psnr,
-    "gain": _gain(lambda score: score.roi_psnr),
-    "object_gain": _gain(lambda score: score.object_psnr),
-    "image_gain": _gain(lambda score: score.image_psnr),
+    "gain": _gain(lambda _, score: score.roi_psnr),
+    "near_gain": _gain(Entry.near),
+    "far_gain": _gain(Entry.far),
+    "ssim_gain": _gain(lambda _, score: score.roi_ssim),
+    "flip_gain": _gain(lambda _, score: score.roi_flip),
+    "object_gain": _gain(lambda _, score: score.object_psnr),
+    "image_gain": _gain(lambda _, score: score.image_psnr),
     "peak_gain": lambda e: e.score.peak_gain,
+    "worst_gain": lambda e: e.summary.worst,
+    "won_share": lambda e: e.summary.won,
     "gaussians": lambda e: e.score.gaussians,
     "gaussians_ratio": lambda e: e.score.gaussians / max(e.baseline.gaussians, 1),
     "in_box": lambda e: e.score.gaussians_in_box,

@@ -37,15 +37,33 @@ TABLE_ONE: tuple[Column, ...] = (
     ("ROI PSNR", "roi_psnr", ".2f"),
     ("gain", "gain", "+.2f"),
     ("SSIM", "roi_ssim", ".4f"),
+    ("FLIP", "roi_flip", ".4f"),
     ("object PSNR", "object_psnr", ".2f"),
     ("image PSNR", "image_psnr", ".2f"),
-    ("peak gain", "peak_gain", "+.2f"),
     ("Gaussians", "gaussians", ",.0f"),
     ("in box", "in_box", ",.0f"),
     ("s", "seconds", ",.0f"),
     ("CPU s", "cpu_seconds", ",.0f"),
     ("CPU ×", "cpu_ratio", ".2f"),
     ("MB", "megabytes", ".1f"),
+)
+TABLE_ONE_PHOTOS: tuple[Column, ...] = (
+    ("near PSNR", "near_psnr", ".2f"),
+    ("gain", "near_gain", "+.2f"),
+    ("far PSNR", "far_psnr", ".2f"),
+    ("gain", "far_gain", "+.2f"),
+    ("peak gain", "peak_gain", "+.2f"),
+    ("worst gain", "worst_gain", "+.2f"),
+    ("photos won", "won_share", ".0%"),
+)
+TABLE_TWO_PHOTOS: tuple[Column, ...] = (
+    ("near gain", "near_gain", "+.2f"),
+    ("far gain", "far_gain", "+.2f"),
+    ("peak gain", "peak_gain", "+.2f"),
+    ("worst gain", "worst_gain", "+.2f"),
+    ("photos won", "won_share", ".0%"),
+    ("SSIM gain", "ssim_gain", "+.4f"),
+    ("FLIP change", "flip_gain", "+.4f"),
 )
 TABLE_THREE: tuple[Column, ...] = (
     ("photos", "selected", ".0f"),
@@ -59,9 +77,12 @@ TABLE_THREE: tuple[Column, ...] = (
 NOTES = """\
 Gains are over Full Scene of the same seed, in dB. ROI: the silhouette of the box; object: those of
 its pixels whose expected depth in Full Scene is in the box, the same in every row of a scene and
-seed; peak gain: the largest on one test photo. ± is the sample's standard deviation over seeds;
-† one seed only; - not measured. s: training, wall-clock; CPU s: the same by the process's clock,
-all threads; CPU ×: share of Full Scene's. Composition and Object-GS: the time for this box alone.
+seed; peak and worst gain: the largest and the least on one test photo; photos won: the share with a
+gain; near, far: on the third of the test photos with the nearest cameras, and on the farthest third
+(none for fewer than three photos, and the mean of all boxes is then that of the others); FLIP: mean
+error over the silhouette, lower is better. ± is the sample's standard deviation over seeds; † one
+seed only; - not measured. s: training, wall-clock; CPU s: the same by the process's clock, all
+threads; CPU ×: share of Full Scene's. Composition and Object-GS: the time for this box alone.
 SSIM: 11 × 11 Gaussian window, sigma 1.5, mean over the silhouette. MB: 10^6 bytes of the PLY."""
 
 
@@ -143,12 +164,27 @@ class Study:
         parts = ["", "## Table I: one box"]
         for place in self.results.boxes:
             parts += ["", f"### {_place(place)}", ""]
-            rows = [
-                [label, *self._cells(place, row, model, TABLE_ONE)]
-                for label, row, model in self._lines()
-            ]
-            parts += table(["method", *_headings(TABLE_ONE), "seeds"], rows, names=1)
+            parts += self._one(place, TABLE_ONE)
+            parts += ["", "Near and far, and single photos:", ""]
+            parts += self._one(place, TABLE_ONE_PHOTOS)
         return parts
+
+    def _one(self, place: tuple[str, str], columns: Sequence[Column]) -> list[str]:
+        """A table of one box."""
+        shown = self._measured(columns)
+        rows = [
+            [label, *self._cells(place, row, model, shown)] for label, row, model in self._lines()
+        ]
+        return table(["method", *_headings(shown), "seeds"], rows, names=1)
+
+    def _measured(self, columns: Sequence[Column]) -> list[Column]:
+        """Without those of FLIP, if nothing has it."""
+        has_flip = any(
+            self.results.stat(*place, row, model, "roi_flip").values
+            for place in self.results.boxes
+            for _, row, model in self._all_lines()
+        )
+        return [column for column in columns if has_flip or "flip" not in column[1]]
 
     def _cells(
         self, place: tuple[str, str], row: str, model: str, columns: Sequence[Column]
@@ -167,7 +203,7 @@ class Study:
             if model in (BASELINE, "Matched", "Composition", "Composition, refined", "Joint")
         ]
         head = [*("scene", "box"), *(label for label, _, _ in shown)]
-        head += ["gain", "over matched", "object gain", "peak gain", "image over Scene-GS"]
+        head += ["gain", "over matched", "object gain", "image over Scene-GS"]
         head += ["Gaussians ×", "CPU ×", "seeds"]
         columns = [
             [
@@ -176,17 +212,53 @@ class Study:
             ]
             for place in results.boxes
         ]
-        forms = [".2f"] * len(shown) + ["+.2f"] * 5 + [".2f"] * 2
-        rows = []
-        for place, stats in zip(results.boxes, columns, strict=True):
-            seeds = len(results.entries(*place, self.own, ours))
+        forms = [".2f"] * len(shown) + ["+.2f"] * 4 + [".2f"] * 2
+        title = f"## Table II: all boxes, ours = {ours}"
+        parts = ["", title, "", *table(head, self._two(columns, forms, len(shown)), names=2)]
+        return [*parts, *self._two_photos()]
+
+    def _two_photos(self) -> list[str]:
+        """The second table of all boxes: near and far, and single photos."""
+        results, ours = self.results, RESULT[self.own][0]
+        photos = self._measured(TABLE_TWO_PHOTOS)
+        head = ["scene", "box", *_headings(photos), "seeds"]
+        columns = [
+            [results.stat(*place, self.own, ours, metric) for _, metric, _ in photos]
+            for place in results.boxes
+        ]
+        forms = [form for _, _, form in photos]
+        rows = self._two(columns, forms, _headings(photos).index("peak gain"), some=True)
+        title = f"Near and far, and single photos, {ours}:"
+        return ["", title, "", *table(head, rows, names=2)]
+
+    def _two(
+        self,
+        columns: Sequence[Sequence[Stat]],
+        forms: Sequence[str],
+        counted: int,
+        *,
+        some: bool = False,
+    ) -> list[list[str]]:
+        """The lines of a table of all boxes, their mean last.
+
+        Args:
+            columns: the numbers of each box.
+            forms: their formats.
+            counted: the number whose seeds are counted for the mean.
+            some: the mean is that of the boxes with a number; else all must have one.
+        """
+        ours, rows = RESULT[self.own][0], []
+        for place, stats in zip(self.results.boxes, columns, strict=True):
+            seeds = len(self.results.entries(*place, self.own, ours))
             rows.append([*place, *_texts(stats, forms), str(seeds)])
         if len(columns) > 1:
-            means = [mean_of(stats) for stats in zip(*columns, strict=True)]
-            seeds = len(means[len(shown)].values)
+            means = [
+                mean_of([stat for stat in stats if stat.values or not some])
+                for stats in zip(*columns, strict=True)
+            ]
+            seeds = len(means[counted].values)
             rows.append(["mean", "all", *_texts(means, forms), str(seeds)])
-        title = f"## Table II: all boxes, ours = {ours}"
-        return ["", title, "", *table(head, rows, names=2)]
+        return rows
 
     def _comparisons(self, place: tuple[str, str]) -> list[Stat]:
         """The columns of Table II that compare ours with others, in one box."""
@@ -199,7 +271,6 @@ class Study:
             stat("gain"),
             stat("roi_psnr").minus(stat("roi_psnr", MATCHED, "Matched")),
             stat("object_gain"),
-            stat("peak_gain"),
             stat("image_psnr").minus(stat("image_psnr", self.own, scene_gs)),
             stat("gaussians_ratio"),
             stat("cpu_ratio"),

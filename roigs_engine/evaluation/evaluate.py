@@ -30,6 +30,7 @@ from .scores import (
     RoiScores,
     ViewScore,
 )
+from .summaries import Gains, mean, near_and_far
 from .views import BoxPlan, EvaluatedModel, Sample, measure_view, plan_views
 
 __all__ = ["EvaluatedModel", "Evaluation", "evaluate"]
@@ -140,8 +141,8 @@ def _table(
 ) -> RoiScores:
     """One box's table from the samples of all views."""
     names = [model.name for model in plan.models]
-    means = [_mean([sample.psnr[k] for sample in samples.values()]) for k in range(len(names))]
-    scored = [k for k, mean in enumerate(means) if mean is not None]
+    means = [mean([sample.psnr[k] for sample in samples.values()]) for k in range(len(names))]
+    scored = [k for k, value in enumerate(means) if value is not None]
     best = max(scored, key=lambda k: means[k] or 0.0) if scored else None
     if best is not None and plan.mask_from is not None:
         best = plan.mask_from
@@ -173,31 +174,19 @@ def _row(
 ) -> ModelScore:
     """The row of model `index`; model `best` defines the object's mask, `base` is the baseline."""
     model = plan.models[index]
-    views = []
-    for name, sample in samples.items():
-        psnr = None
-        if best is not None and sample.pixels[best] >= MIN_OBJECT:
-            psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
-        views.append(
-            ViewScore(
-                view=name,
-                roi_psnr=sample.psnr[index],
-                roi_ssim=sample.ssim[index],
-                object_psnr=psnr,
-            )
-        )
-    gains: dict[str, float] = {}
+    views = [_view(name, sample, index, best) for name, sample in samples.items()]
+    near, far = near_and_far({name: s.distance for name, s in samples.items()})
+    gains = Gains()
     if base is not None and base != index:
-        gains = {name: s.psnr[index] - s.psnr[base] for name, s in samples.items()}
-    peak_view = max(gains, key=lambda name: gains[name]) if gains else None
+        gains = Gains.of({n: s.psnr[index] - s.psnr[base] for n, s in samples.items()})
     return ModelScore(
         model=model.name,
-        roi_psnr=_mean([view.roi_psnr for view in views]),
-        object_psnr=_mean([v.object_psnr for v in views if v.object_psnr is not None]),
-        roi_ssim=_mean([view.roi_ssim for view in views]),
+        roi_psnr=mean([view.roi_psnr for view in views]),
+        object_psnr=mean([v.object_psnr for v in views if v.object_psnr is not None]),
+        roi_ssim=mean([view.roi_ssim for view in views]),
         image_psnr=float(np.mean(list(image_views.values()))),
-        peak_gain=None if peak_view is None else gains[peak_view],
-        peak_view=peak_view,
+        peak_gain=gains.peak,
+        peak_view=gains.peak_view,
         gaussians=len(model.gaussians),
         gaussians_in_box=int(model.gaussians.in_box(plan.roi).sum()),
         seconds=float(model.seconds),
@@ -205,8 +194,25 @@ def _row(
         ply_bytes=ply_bytes(model.gaussians),
         views=tuple(views),
         image_views=image_views,
+        roi_flip=mean([view.roi_flip for view in views if view.roi_flip is not None]),
+        near_psnr=mean([samples[name].psnr[index] for name in near]),
+        far_psnr=mean([samples[name].psnr[index] for name in far]),
+        worst_gain=gains.worst,
+        worst_view=gains.worst_view,
+        won_share=gains.won,
     )
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
+def _view(name: str, sample: Sample, index: int, best: int | None) -> ViewScore:
+    """The scores of model `index` on one view; model `best` defines the object's mask."""
+    psnr = None
+    if best is not None and sample.pixels[best] >= MIN_OBJECT:
+        psnr = metrics.psnr_from_mse(sample.object_mse[index][best])
+    return ViewScore(
+        view=name,
+        roi_psnr=sample.psnr[index],
+        roi_ssim=sample.ssim[index],
+        object_psnr=psnr,
+        roi_flip=sample.flip[index],
+        distance=sample.distance,
+    )

@@ -8,37 +8,66 @@ from pathlib import Path
 from ..formats.files import write_json, write_text
 from ..formats.run_files import REPORT, REPORT_DATA
 from ..formats.text import counted, printable
-from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores
+from .scores import MIN_OBJECT, MIN_SILHOUETTE, Evaluation, ModelScore, RoiScores, ViewScore
+from .summaries import near_and_far
 
 NONE = "–"  # a cell without a number
 Key = Callable[[ModelScore], float | None]
 # Heading, the row's number, its format, and which value is best: 1 highest, -1 lowest, 0 none.
-COLUMNS: tuple[tuple[str, Key, str, int], ...] = (
+Column = tuple[str, Key, str, int]
+FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
+COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
     ("object PSNR (dB)", lambda row: row.object_psnr, ".2f", 1),
     ("ROI SSIM", lambda row: row.roi_ssim, ".4f", 1),
+    FLIP,
     ("image PSNR (dB)", lambda row: row.image_psnr, ".2f", 1),
-    ("peak gain (dB)", lambda row: row.peak_gain, "+.2f", 1),
     ("Gaussians", lambda row: row.gaussians, ",d", -1),
     ("in box", lambda row: row.gaussians_in_box, ",d", 0),
     ("seconds", lambda row: row.seconds or None, ",.0f", -1),
     ("MB", lambda row: row.ply_bytes / 1e6, ",.1f", -1),
 )
+PHOTO_COLUMNS: tuple[Column, ...] = (
+    ("near third (dB)", lambda row: row.near_psnr, ".2f", 1),
+    ("far third (dB)", lambda row: row.far_psnr, ".2f", 1),
+    ("peak gain (dB)", lambda row: row.peak_gain, "+.2f", 1),
+    ("worst gain (dB)", lambda row: row.worst_gain, "+.2f", 1),
+    ("photos won", lambda row: row.won_share, ".0%", 1),
+)
+FLIP_MEASURED = (
+    "FLIP: Andersson et al. 2020, 67 pixels per degree, the mean error over the silhouette's "
+    "pixels; 0 is best."
+)
+FLIP_MISSING = "No FLIP: `pip install flip-evaluator` adds this column."
 
 
 def format_markdown(evaluation: Evaluation) -> str:
-    """One table per box, with the best value of each column in bold, and notes on the numbers."""
+    """Two tables per box, with the best value of each column in bold, and notes on the numbers.
+
+    The first table compares the models, the second one says where they gain and lose: near and far,
+    and on single photos. The FLIP column and those of the second table are there if they have a
+    number.
+    """
     count = len(evaluation.test_views)
     lines = [f"# Evaluation on {count} test photo{'' if count == 1 else 's'}", ""]
     for scores in evaluation.rois:
-        lines += [f"## box '{_text(scores.roi)}'", "", *_table(scores.rows), ""]
+        rows = scores.rows
+        columns = [column for column in COLUMNS if column != FLIP or _has_number(rows, column)]
+        lines += [f"## box '{_text(scores.roi)}'", "", *_table(rows, columns), ""]
+        columns = [column for column in PHOTO_COLUMNS if _has_number(rows, column)]
+        if columns:
+            lines += ["Near and far, and single photos:", "", *_table(rows, columns), ""]
         lines += [f"- {printable(line)}" for line in _notes(scores, evaluation)]
         lines.append("")
+    seen = [row for scores in evaluation.rois for row in scores.rows if row.views]
+    missing = bool(seen) and not _has_number(seen, FLIP)
     lines += [
         "PSNR: mean squared error over the mask's pixels and 3 channels, in dB, for each photo, "
         "then the mean over photos. SSIM: Wang et al. 2004, 11 x 11 Gaussian window, sigma 1.5, "
         "on RGB in [0, 1], computed on the full images, mean over the channels and the "
-        "silhouette's pixels. MB: 10^6 bytes of the PLY.",
+        "silhouette's pixels. "
+        + (FLIP_MISSING if missing else FLIP_MEASURED)
+        + " MB: 10^6 bytes of the PLY.",
         "",
     ]
     return "\n".join(lines)
@@ -57,10 +86,14 @@ def _text(text: str) -> str:
     return printable(" ".join(text.split())).replace("|", "\\|")
 
 
-def _table(rows: Sequence[ModelScore]) -> list[str]:
+def _has_number(rows: Sequence[ModelScore], column: Column) -> bool:
+    return any(column[1](row) is not None for row in rows)
+
+
+def _table(rows: Sequence[ModelScore], shown: Sequence[Column]) -> list[str]:
     """Header, rule and rows, padded so that the columns align in plain text."""
     columns = [["Method", *(_text(row.model) for row in rows)]]
-    columns += [[heading, *_cells(rows, key, form, best)] for heading, key, form, best in COLUMNS]
+    columns += [[heading, *_cells(rows, key, form, best)] for heading, key, form, best in shown]
     widths = [max(len(cell) for cell in column) for column in columns]
     lines = []
     for index in range(len(rows) + 1):
@@ -113,9 +146,7 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
         flagged = [view.view for view in views if getattr(view, flag)]
         if flagged:
             notes.append(f"{what}: {', '.join(flagged)}.")
-    peaks = [f"{row.model} {row.peak_view}" for row in scores.rows if row.peak_view is not None]
-    if peaks:
-        notes.append(f"Peak gain over '{evaluation.baseline}', on: {'; '.join(peaks)}.")
+    notes += _photo_notes(scores.rows, evaluation.baseline)
     stages = [
         f"{row.model} = " + " + ".join(f"{name} {spent:,.0f}" for name, spent in row.stages.items())
         for row in scores.rows
@@ -124,6 +155,41 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     if stages:
         notes.append(f"Seconds by stage: {'; '.join(stages)}.")
     return notes
+
+
+def _photo_notes(rows: Sequence[ModelScore], baseline: str) -> list[str]:
+    """Notes on the table of near, far and single photos."""
+    notes = []
+    distances = _distances(rows[0].views if rows else ())
+    thirds = near_and_far(distances)
+    if thirds[0]:
+        near, far = (" to ".join(_ends([distances[name] for name in third])) for third in thirds)
+        notes.append(
+            f"Near third: mean ROI PSNR on the {len(thirds[0])} of {len(distances)} photos nearest "
+            f"to the box ({near} box diagonals from its centre). Far third: on the "
+            f"{len(thirds[1])} farthest ({far})."
+        )
+    photos = [
+        f"{row.model} {row.peak_view}, {row.worst_view}"
+        for row in rows
+        if row.worst_view is not None
+    ]
+    if photos:
+        notes.append(
+            f"Gains are in ROI PSNR over '{baseline}'. Photos won: those with a gain. Photos of "
+            f"the peak and the worst gain: {'; '.join(photos)}."
+        )
+    return notes
+
+
+def _distances(views: Sequence[ViewScore]) -> dict[str, float]:
+    """Photo -> distance; empty in a report without distances."""
+    return {view.view: view.distance for view in views if view.distance is not None}
+
+
+def _ends(values: Sequence[float]) -> list[str]:
+    """The least and the largest value as text, once if they look equal."""
+    return list(dict.fromkeys(f"{value:.1f}" for value in (min(values), max(values))))
 
 
 def _span(sizes: Sequence[int]) -> str:

@@ -14,13 +14,21 @@ MIN_OBJECT = 256  # pixels; views with fewer object pixels are skipped in the ob
 class ViewScore:
     """One model on one test view, inside one box's masks; PSNR in dB.
 
-    `object_psnr` is None if the view has fewer than `MIN_OBJECT` object pixels.
+    Attributes:
+        view: the photo's name.
+        roi_psnr, roi_ssim: on the silhouette.
+        object_psnr: None if the view has fewer than `MIN_OBJECT` object pixels.
+        roi_flip: FLIP error on the silhouette; None: the package is missing.
+        distance: of the camera from the box's centre, in diagonals of the box; None in reports
+            of version 0.1.0.
     """
 
     view: str
     roi_psnr: float
     roi_ssim: float
     object_psnr: float | None = None
+    roi_flip: float | None = None
+    distance: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +37,12 @@ class ModelScore:
 
     Attributes:
         model: the row's name.
-        roi_psnr, object_psnr, roi_ssim: means over the box's views; PSNR in dB.
+        roi_psnr, object_psnr, roi_ssim, roi_flip: means over the box's views; PSNR in dB.
+        near_psnr, far_psnr: means of ROI PSNR over the near and the far third of the views, dB.
         image_psnr: mean over all test views, dB.
         peak_gain, peak_view: largest gain in ROI PSNR over the baseline, dB, and its view.
+        worst_gain, worst_view: the least gain, and its view.
+        won_share: share of the views with a gain above 0.
         gaussians, gaussians_in_box: numbers of Gaussians.
         seconds: training time.
         stages: stage -> its training time, seconds.
@@ -54,6 +65,13 @@ class ModelScore:
     ply_bytes: int
     views: tuple[ViewScore, ...]
     image_views: dict[str, float]
+    # Reports of version 0.1.0 do not have these.
+    roi_flip: float | None = None
+    near_psnr: float | None = None
+    far_psnr: float | None = None
+    worst_gain: float | None = None
+    worst_view: str | None = None
+    won_share: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

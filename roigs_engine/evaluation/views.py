@@ -20,9 +20,10 @@ from ..model.scene import Camera, Float64, PosedImage
 from ..photos.decode import load_photo
 from ..rasterize.view import render_view
 from . import metrics
+from .flip import flip
 from .scores import MIN_SILHOUETTE, MeasuredView
+from .summaries import FEW_VIEWS
 
-FEW_VIEWS = 3  # test photos; the scores of fewer say little
 PIXELS_AT_ONCE = 1 << 18  # pixels whose world positions are in memory at a time
 
 
@@ -81,13 +82,17 @@ class Sample:
     """One view of one box, for the M models of `BoxPlan.models`.
 
     Attributes:
+        distance: of the camera from the box's centre, in diagonals of the box.
         psnr, ssim: (M,) inside the silhouette; PSNR in dB.
+        flip: (M,) FLIP error inside the silhouette; None: the package is missing.
         pixels: (M,) size of the object's mask from each model's depth.
         object_mse: (M, M) error of each model (row) in each model's mask (column); NaN if empty.
     """
 
+    distance: float
     psnr: list[float]
     ssim: list[float]
+    flip: list[float | None]
     pixels: list[int]
     object_mse: list[list[float]]
 
@@ -184,43 +189,63 @@ def measure_view(
     device = models[0].gaussians.means.device
     photo = torch.as_tensor(load_photo(image), device=device)
     target = photo.float() / 255
-    masks = {
-        index: torch.from_numpy(plan.roi.silhouette(image.camera, image.world_to_camera)).to(device)
+    boxes = {
+        index: _Box(plan, image, device)
         for index, plan in enumerate(plans)
         if image.name in plan.views
     }
     whole: dict[EvaluatedModel, float] = {}
-    ssim: dict[int, list[float]] = {index: [] for index in masks}
-    errors: dict[int, list[Tensor]] = {index: [] for index in masks}
-    objects: dict[int, list[Tensor]] = {index: [] for index in masks}
     for model in models:
         context.check_cancelled()
-        wanted = [index for index in masks if model in plans[index].models]
+        wanted = [box for box in boxes.values() if model in box.plan.models]
         view = render_view(
             model.gaussians, image.camera, image.world_to_camera, with_depth=bool(wanted)
         )
         picture = view.image.to(device)
         error = metrics.squared_error(picture, target)
         whole[model] = metrics.psnr_from_mse(metrics.mean_in(error))
-        for index in wanted:
-            mask, roi = masks[index], plans[index].roi
+        for box in wanted:
             assert view.depth is not None
-            depth = view.depth.to(device)
-            errors[index].append(error[mask])
-            ssim[index].append(metrics.ssim(picture, photo, mask))
-            inside = points_in_box(depth, roi, image.camera, image.world_to_camera, mask)
-            objects[index].append(inside)
-    return whole, [
-        _sample(errors[index], ssim[index], objects[index]) if index in masks else None
-        for index in range(len(plans))
-    ]
+            box.errors.append(error[box.mask])
+            box.ssim.append(metrics.ssim(picture, photo, box.mask))
+            box.flip.append(flip(picture, target, box.mask))
+            box.objects.append(box.inside(view.depth.to(device)))
+    return whole, [boxes[index].sample() if index in boxes else None for index in range(len(plans))]
 
 
-def _sample(errors: list[Tensor], ssim: list[float], objects: list[Tensor]) -> Sample:
-    """The sample of errors (P,) and object masks (P,) bool of each model, P silhouette pixels."""
-    return Sample(
-        psnr=[metrics.psnr_from_mse(metrics.mean_in(error)) for error in errors],
-        ssim=ssim,
-        pixels=[int(inside.sum()) for inside in objects],
-        object_mse=[[metrics.mean_in(error, inside) for inside in objects] for error in errors],
-    )
+class _Box:
+    """What is measured of one box on one photo, model by model.
+
+    Attributes:
+        plan, mask: of the box; (H, W) bool, its silhouette of P pixels.
+        errors, objects: of each model: (P,) squared errors; (P,) bool, the object's mask.
+        ssim, flip: of each model.
+    """
+
+    def __init__(self, plan: BoxPlan, image: PosedImage, device: torch.device) -> None:
+        silhouette = plan.roi.silhouette(image.camera, image.world_to_camera)
+        self.plan, self.image = plan, image
+        self.mask = torch.from_numpy(silhouette).to(device)
+        self.errors: list[Tensor] = []
+        self.objects: list[Tensor] = []
+        self.ssim: list[float] = []
+        self.flip: list[float | None] = []
+
+    def inside(self, depth: Tensor) -> Tensor:
+        """The object's mask (P,) by a model's depth (H, W)."""
+        image = self.image
+        return points_in_box(depth, self.plan.roi, image.camera, image.world_to_camera, self.mask)
+
+    def sample(self) -> Sample:
+        """The numbers of all models."""
+        roi = self.plan.roi
+        return Sample(
+            distance=float(np.linalg.norm(self.image.centre - roi.centre)) / roi.diagonal,
+            psnr=[metrics.psnr_from_mse(metrics.mean_in(error)) for error in self.errors],
+            ssim=self.ssim,
+            flip=self.flip,
+            pixels=[int(inside.sum()) for inside in self.objects],
+            object_mse=[
+                [metrics.mean_in(error, inside) for inside in self.objects] for error in self.errors
+            ],
+        )

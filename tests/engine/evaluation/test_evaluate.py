@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +18,14 @@ from roigs_engine.errors import ConfigError, SceneError
 from roigs_engine.evaluation import views
 from roigs_engine.evaluation.evaluate import evaluate, ply_bytes
 from roigs_engine.evaluation.report import format_markdown, write_report
-from roigs_engine.evaluation.scores import MIN_SILHOUETTE, Evaluation
+from roigs_engine.evaluation.scores import (
+    MIN_SILHOUETTE,
+    Evaluation,
+    MeasuredView,
+    ModelScore,
+    RoiScores,
+    ViewScore,
+)
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats.events import Event, Message, Progress, StageStarted
 from roigs_engine.model.gaussians import Gaussians
@@ -47,6 +56,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 @pytest.fixture(autouse=True)
 def _reference(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view_module, "rasterize", partial(rasterize, backend="reference"))
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +78,7 @@ def models() -> list[EvaluatedModel]:
 def result(scene: SfmScene, models: list[EvaluatedModel]) -> Evaluation:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(view_module, "rasterize", partial(rasterize, backend="reference"))
+        patch.setitem(sys.modules, "flip_evaluator", None)
         return evaluate(models, scene, TEST, [BOX, FAR])
 
 
@@ -132,6 +143,7 @@ def test_numbers_are_those_of_a_plain_computation(
         measured = next(view for view in scores.views if view.view == name)
         assert measured.silhouette_pixels == mask.sum()
         assert measured.object_pixels == pixels.sum() > 256
+    images = [scene.image(name) for name in TEST]
     for row in scores.rows:
         numbers = expected[row.model]
         assert row.roi_psnr == pytest.approx(np.mean(numbers["roi"]), abs=1e-3)
@@ -141,9 +153,22 @@ def test_numbers_are_those_of_a_plain_computation(
         gains = np.subtract(numbers["roi"], expected["Full Scene"]["roi"])
         if row.model == "Full Scene":
             assert row.peak_gain is row.peak_view is None
+            assert row.worst_gain is row.worst_view is row.won_share is None
         else:
             assert row.peak_gain == pytest.approx(gains.max(), abs=1e-3)
             assert row.peak_view == TEST[int(gains.argmax())]
+            assert row.worst_gain == pytest.approx(gains.min(), abs=1e-3)
+            assert row.worst_view == TEST[int(gains.argmin())]
+            assert row.won_share == (gains > 0).mean()
+        centres = [
+            -np.array(i.world_to_camera)[:3, :3].T @ i.world_to_camera[:3, 3] for i in images
+        ]
+        distances = np.linalg.norm(np.array(centres) - BOX.centre, axis=1) / BOX.diagonal
+        assert [v.distance for v in row.views] == pytest.approx(distances)
+        order = np.lexsort((TEST, [v.distance for v in row.views]))
+        assert row.near_psnr == pytest.approx(numbers["roi"][order[0]], abs=1e-3)
+        assert row.far_psnr == pytest.approx(numbers["roi"][order[-1]], abs=1e-3)
+        assert row.roi_flip is None
 
 
 def test_the_mask_comes_from_the_model_with_the_best_silhouette(result: Evaluation) -> None:
@@ -229,7 +254,31 @@ def test_a_box_that_no_test_photo_shows(scene: SfmScene) -> None:
     assert any(isinstance(e, Message) and e.level == "warning" and "away" in e.text for e in events)
     line = next(line for line in format_markdown(result).splitlines() if line.startswith("| m "))
     assert cells(line)[1:4] == ["–"] * 3
-    assert cells(line)[8] == "–"
+    assert cells(line)[7] == "–"
+    assert "Near and far" not in format_markdown(result)
+    assert "No FLIP" not in format_markdown(result)
+
+
+def test_flip_is_measured_if_the_package_is_there(
+    scene: SfmScene, models: list[EvaluatedModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fake(reference: np.ndarray, test: np.ndarray, *_: str, **__: bool) -> tuple[np.ndarray]:
+        return (np.abs(reference - test).mean(axis=-1, keepdims=True),)
+
+    monkeypatch.setitem(sys.modules, "flip_evaluator", SimpleNamespace(evaluate=fake))
+    result = evaluate([models[0], models[3]], scene, TEST[:1], [BOX])
+    image = scene.image(TEST[0])
+    mask = BOX.silhouette(image.camera, image.world_to_camera)
+    for row, model in zip(result.rois[0].rows, (models[0], models[3]), strict=True):
+        view = view_module.render_view(model.gaussians, image.camera, image.world_to_camera)
+        error = np.abs(view.image.numpy() - load_photo(image) / 255.0).mean(axis=-1)
+        assert row.roi_flip == row.views[0].roi_flip == pytest.approx(error[mask].mean(), abs=1e-6)
+        assert row.near_psnr is row.far_psnr is None  # a single photo
+    text = format_markdown(result)
+    assert "Andersson" in text and "No FLIP" not in text
+    header, _, *rows = next(b for b in text.split("\n\n") if "| Method" in b).splitlines()
+    assert cells(header)[4] == "ROI FLIP"
+    assert [cells(row)[4].startswith("**") for row in rows] == [False, True]  # the lower one
 
 
 def test_refusals(scene: SfmScene, models: list[EvaluatedModel]) -> None:
@@ -257,10 +306,10 @@ def test_markdown_table(result: Evaluation) -> None:
     text = format_markdown(result)
     assert text.startswith("# Evaluation on 3 test photos")
     tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("| Method")]
-    assert len(tables) == 2
-    for table, scores in zip(tables, result.rois, strict=True):
+    assert len(tables) == 4
+    for table, scores in zip(tables[::2], result.rois, strict=True):
         header, rule, *rows = table
-        assert len(cells(header)) == 10
+        assert len(cells(header)) == 9
         assert all(set(cell) <= set("-:") for cell in cells(rule))
         assert [cells(row)[0] for row in rows] == [row.model for row in scores.rows]
         assert len({len(line) for line in table}) == 1
@@ -269,11 +318,96 @@ def test_markdown_table(result: Evaluation) -> None:
         assert values == pytest.approx([row.roi_psnr for row in scores.rows], abs=0.005)
         bold = [cell.startswith("**") for cell in psnr]
         assert bold == [value == max(values) for value in values]
-        assert cells(rows[0])[5] == "–"
-        seconds = [cells(row)[8] for row in rows]
+        seconds = [cells(row)[7] for row in rows]
         assert seconds[1] in ("**40**", "**41**")
     assert "scene 60 + object 40" in text
     assert "sigma 1.5" in text
+    assert "No FLIP: `pip install flip-evaluator`" in text
+
+
+def by_hand() -> Evaluation:
+    """A baseline and a model on four photos, whose numbers are made by hand."""
+
+    def row(name: str, psnr: list[float], **numbers: float | str | None) -> ModelScore:
+        views = tuple(
+            ViewScore(view=f"{k}.png", roi_psnr=value, roi_ssim=0.5, distance=float(4 - k))
+            for k, value in enumerate(psnr)
+        )
+        return dataclasses.replace(
+            ModelScore(
+                model=name,
+                roi_psnr=20.0,
+                object_psnr=None,
+                roi_ssim=0.5,
+                image_psnr=20.0,
+                peak_gain=None,
+                peak_view=None,
+                gaussians=1,
+                gaussians_in_box=1,
+                seconds=1.0,
+                stages={},
+                ply_bytes=1,
+                views=views,
+                image_views={},
+            ),
+            **numbers,
+        )
+
+    base = row("plain", [20, 20, 20, 20], near_psnr=20.0, far_psnr=20.0)
+    ours = row(
+        *("ours", [19.5, 21, 22, 23]),
+        near_psnr=23.0,
+        far_psnr=19.5,
+        won_share=0.75,
+        peak_gain=3.0,
+        peak_view="3.png",
+        worst_gain=-0.5,
+        worst_view="0.png",
+    )
+    views = tuple(
+        MeasuredView(
+            view=f"{k}.png",
+            silhouette_pixels=2000,
+            object_pixels=0,
+            camera_inside=False,
+            small=False,
+        )
+        for k in range(4)
+    )
+    box = RoiScores(roi="box", views=views, left_out=(), object_mask_from="ours", rows=(base, ours))
+    return Evaluation(test_views=tuple(v.view for v in views), baseline="plain", rois=(box,))
+
+
+def test_markdown_table_of_single_photos() -> None:
+    text = format_markdown(by_hand())
+    table = text.split("Near and far, and single photos:\n\n")[1].split("\n\n")[0].splitlines()
+    header, _, base, ours = (cells(line) for line in table)
+    assert header[1:] == [
+        *("near third (dB)", "far third (dB)", "peak gain (dB)"),
+        *("worst gain (dB)", "photos won"),
+    ]
+    assert base[1:] == ["20.00", "**20.00**", "–", "–", "–"]
+    assert ours[1:] == ["**23.00**", "19.50", "+3.00", "-0.50", "75%"]
+    assert "on the 1 of 4 photos nearest to the box (1.0 box diagonals from its centre)" in text
+    assert "on the 1 farthest (4.0)" in text
+    assert "over 'plain'" in text
+    assert "Photos of the peak and the worst gain: ours 3.png, 0.png." in text
+
+
+def test_a_report_of_version_0_1_0_is_read() -> None:
+    record = by_hand().to_dict()
+    for row in record["rois"][0]["rows"]:
+        for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
+            del row[name]
+        for view in row["views"]:
+            del view["distance"], view["roi_flip"]
+    old = Evaluation.from_dict(record)
+    assert old.rois[0].rows[1].peak_gain == 3.0
+    assert old.rois[0].rows[1].near_psnr is None
+    text = format_markdown(old)
+    assert "near third" not in text and "Near third" not in text
+    assert "None" not in text
+    assert "peak gain" in text and "worst gain (dB)" not in text
 
 
 def test_json_there_and_back(result: Evaluation, tmp_path: Path) -> None:
