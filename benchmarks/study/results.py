@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from benchmarks.markdown import NONE
+from benchmarks.study.rows import TUNED as TUNED_ROW
 from roigs_engine.evaluation.scores import Evaluation, ModelScore
 from roigs_engine.formats.files import read_json
-from roigs_engine.run.strategies import BASELINE
+from roigs_engine.run.strategies import BASELINE, TUNED
 
 ONE_SEED = " †"
 
@@ -59,23 +60,38 @@ def mean_of(stats: Sequence[Stat]) -> Stat:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entry:
-    """One model in one box, in one seed; `baseline` is Full Scene of the same seed."""
+    """One model in one box, in one seed.
+
+    Attributes:
+        record: where it was measured.
+        box: the box.
+        score: its numbers.
+        plain: Full Scene of the same record; None: this is it.
+        baseline: what gains are over, of the same seed; None: it is not measured.
+    """
 
     record: dict[str, Any]
     box: str
     score: ModelScore
-    baseline: ModelScore
+    plain: Entry | None = None
+    baseline: Entry | None = None
 
     @property
     def gains(self) -> dict[str, float]:
-        """Test view -> gain in ROI PSNR over Full Scene, dB."""
-        before = {view.view: view.roi_psnr for view in self.baseline.views}
+        """Test view -> gain in ROI PSNR over the baseline, dB; empty if there is none."""
+        if self.baseline is None or self.baseline.score.model == self.score.model:
+            return {}
+        before = {view.view: view.roi_psnr for view in self.baseline.score.views}
         return {view.view: view.roi_psnr - before[view.view] for view in self.score.views}
 
-    def spent(self, clock: str, model: str | None = None) -> float:
-        """Training `seconds` or `cpu_seconds` of this model, or of another one of the record."""
-        names = self.record["models"][self.box][model or self.score.model]
+    def spent(self, clock: str) -> float:
+        """Training `seconds` or `cpu_seconds`."""
+        names = self.record["models"][self.box][self.score.model]
         return float(sum(self.record["stages"][name][clock] for name in names))
+
+    def ratio(self, value: Callable[[Entry], float]) -> float | None:
+        """A number relative to the baseline's; None without one."""
+        return value(self) / max(value(self.baseline), 1e-9) if self.baseline else None
 
     def selected(self) -> float | None:
         """Photos selected for the box; None where none are."""
@@ -84,13 +100,17 @@ class Entry:
 
 
 def _gain(value: Callable[[ModelScore], float | None]) -> Callable[[Entry], float | None]:
-    def gain(entry: Entry) -> float | None:
-        after, before = value(entry.score), value(entry.baseline)
-        if entry.score.model == entry.baseline.model or after is None or before is None:
-            return None
-        return after - before
+    return lambda entry: _over(entry, entry.baseline, value)
 
-    return gain
+
+def _over(
+    entry: Entry, other: Entry | None, value: Callable[[ModelScore], float | None]
+) -> float | None:
+    """A number minus that of another model; None if there is none."""
+    if other is None or other.score.model == entry.score.model:
+        return None
+    after, before = value(entry.score), value(other.score)
+    return None if after is None or before is None else after - before
 
 
 METRICS: dict[str, Callable[[Entry], float | None]] = {
@@ -101,13 +121,14 @@ METRICS: dict[str, Callable[[Entry], float | None]] = {
     "gain": _gain(lambda score: score.roi_psnr),
     "object_gain": _gain(lambda score: score.object_psnr),
     "image_gain": _gain(lambda score: score.image_psnr),
-    "peak_gain": lambda e: e.score.peak_gain,
+    "full_scene_gain": lambda e: _over(e, e.plain, lambda score: score.roi_psnr),
+    "peak_gain": lambda e: max(e.gains.values(), default=None),
     "gaussians": lambda e: e.score.gaussians,
-    "gaussians_ratio": lambda e: e.score.gaussians / max(e.baseline.gaussians, 1),
+    "gaussians_ratio": lambda e: e.ratio(lambda entry: entry.score.gaussians),
     "in_box": lambda e: e.score.gaussians_in_box,
     "seconds": lambda e: e.spent("seconds"),
     "cpu_seconds": lambda e: e.spent("cpu_seconds"),
-    "cpu_ratio": lambda e: e.spent("cpu_seconds") / e.spent("cpu_seconds", BASELINE),
+    "cpu_ratio": lambda e: e.ratio(lambda entry: entry.spent("cpu_seconds")),
     "megabytes": lambda e: e.score.ply_bytes / 1e6,
     "selected": lambda e: e.selected(),
 }
@@ -120,6 +141,7 @@ class Results:
     Attributes:
         records: as they were written.
         boxes: (scene, box) in the order of the scenes given, then by name.
+        tuned: whether the tuned Full Scene was measured; gains are over it then.
     """
 
     def __init__(self, records: Iterable[dict[str, Any]], scenes: Sequence[str] = ()) -> None:
@@ -133,6 +155,17 @@ class Results:
         self._entries: dict[tuple[str, str, str, str], dict[int, Entry]] = {}
         for record in self.records:
             self._take(record)
+        self.tuned = any(record["row"] == TUNED_ROW for record in self.records)
+        for (scene, box, _, _), entries in self._entries.items():
+            tuned = self.entries(scene, box, TUNED_ROW, TUNED) if self.tuned else {}
+            for seed, entry in entries.items():
+                baseline = tuned.get(seed) if self.tuned else entry.plain or entry
+                entries[seed] = replace(entry, baseline=baseline)
+
+    @property
+    def baseline(self) -> str:
+        """The model that gains are over."""
+        return TUNED if self.tuned else BASELINE
 
     def entries(self, scene: str, box: str, row: str, model: str) -> dict[int, Entry]:
         """Seed -> the entry."""
@@ -158,14 +191,16 @@ class Results:
     def _take(self, record: dict[str, Any]) -> None:
         evaluation = Evaluation.from_dict(record["evaluation"])
         for scores in evaluation.rois:
-            by_name = {score.model: score for score in scores.rows}
-            for name, score in by_name.items():
+            by_name = {
+                score.model: Entry(record=record, box=scores.roi, score=score)
+                for score in scores.rows
+            }
+            for name, entry in by_name.items():
                 if name == BASELINE and len(by_name) > 1:
                     continue  # it has a row of its own
                 key = (record["scene"], scores.roi, record["row"], name)
-                self._entries.setdefault(key, {})[record["seed"]] = Entry(
-                    record=record, box=scores.roi, score=score, baseline=by_name[BASELINE]
-                )
+                plain = None if name == BASELINE else by_name[BASELINE]
+                self._entries.setdefault(key, {})[record["seed"]] = replace(entry, plain=plain)
 
 
 def load_records(folder: Path) -> list[dict[str, Any]]:

@@ -8,17 +8,32 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.markdown import NONE, table
+from benchmarks.study import rows as kinds
 from benchmarks.study.results import METRICS, Results, Stat, mean_of
-from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, REFINED, Row
-from roigs_engine.run.strategies import BASELINE
+from benchmarks.study.rows import (
+    BEYOND,
+    EQUAL_TIME,
+    INDEPENDENT,
+    JOINT,
+    MATCHED,
+    MATCHED_TUNED,
+    PERCENTS,
+    REFINED,
+    Row,
+)
+from roigs_engine.run.strategies import BASELINE, TUNED
 
 # A line of a table: what it is called, the row it comes from, the model of that row.
 Line = tuple[str, str, str]
 
 LINES: tuple[Line, ...] = (
-    (BASELINE, "full-scene", BASELINE),
-    ("Full Object", "full-object", "Full Object"),
+    (BASELINE, kinds.FULL_SCENE, BASELINE),
+    (TUNED, kinds.TUNED, TUNED),
+    (f"{TUNED}, one stage", kinds.ONE_STAGE, f"{TUNED}, one stage"),
+    ("Full Object", kinds.FULL_OBJECT, "Full Object"),
+    ("Full Object, tuned", kinds.OBJECT_TUNED, "Full Object, tuned"),
     ("Full Scene, budget-matched", MATCHED, "Matched"),
+    (f"{TUNED}, budget-matched", MATCHED_TUNED, "Matched, tuned"),
     ("Scene-GS", INDEPENDENT, "Scene-GS"),
     ("Object-GS", INDEPENDENT, "Object-GS"),
     ("Composition", INDEPENDENT, "Composition"),
@@ -26,6 +41,11 @@ LINES: tuple[Line, ...] = (
     ("Composition, refined", REFINED, "Composition, refined"),
     ("Scene-GS (joint)", JOINT, "Scene-GS (joint)"),
     ("Joint", JOINT, "Joint"),
+    ("Joint, equal time", EQUAL_TIME, "Joint, equal time"),
+)
+IN_TABLE_TWO = (
+    *(BASELINE, TUNED, "Matched", "Matched, tuned"),
+    *("Composition", "Composition, refined", "Joint", "Joint, equal time"),
 )
 RESULT = {INDEPENDENT: ("Composition", "Scene-GS"), JOINT: ("Joint", "Scene-GS (joint)")}
 """Strategy -> its result's model, and its Scene-GS's."""
@@ -33,9 +53,12 @@ RESULT = {INDEPENDENT: ("Composition", "Scene-GS"), JOINT: ("Joint", "Scene-GS (
 # Heading, metric, format.
 Column = tuple[str, str, str]
 
+OVER_PLAIN: Column = ("over Full Scene", "full_scene_gain", "+.2f")
+"""Where gains are over the tuned Full Scene: those over the plain one, beside them."""
 TABLE_ONE: tuple[Column, ...] = (
     ("ROI PSNR", "roi_psnr", ".2f"),
     ("gain", "gain", "+.2f"),
+    OVER_PLAIN,
     ("SSIM", "roi_ssim", ".4f"),
     ("object PSNR", "object_psnr", ".2f"),
     ("image PSNR", "image_psnr", ".2f"),
@@ -57,12 +80,13 @@ TABLE_THREE: tuple[Column, ...] = (
     ("CPU ×", "cpu_ratio", ".2f"),
 )
 NOTES = """\
-Gains are over Full Scene of the same seed, in dB. ROI: the silhouette of the box; object: those of
+Gains are over {baseline} of the same seed, in dB. ROI: the silhouette of the box; object: those of
 its pixels whose expected depth in Full Scene is in the box, the same in every row of a scene and
 seed; peak gain: the largest on one test photo. ± is the sample's standard deviation over seeds;
 † one seed only; - not measured. s: training, wall-clock; CPU s: the same by the process's clock,
-all threads; CPU ×: share of Full Scene's. Composition and Object-GS: the time for this box alone.
-SSIM: 11 × 11 Gaussian window, sigma 1.5, mean over the silhouette. MB: 10^6 bytes of the PLY."""
+all threads; CPU × and Gaussians ×: relative to {baseline}. Composition and Object-GS: the time for
+this box alone. SSIM: 11 × 11 Gaussian window, sigma 1.5, mean over the silhouette. MB: 10^6
+bytes of the PLY."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +112,9 @@ class Study:
     def markdown(self) -> str:
         """The page."""
         parts = ["# Study", "", *(f"- {name}: {value}" for name, value in self.head.items())]
-        parts += ["", NOTES]
+        parts += ["", NOTES.format(baseline=self.results.baseline)]
+        if EQUAL_TIME in {row.name for row in self.rows}:
+            parts += ["", *self._equal_time()]
         if "I" in self.tables:
             parts += self._table_one()
         if "II" in self.tables:
@@ -139,15 +165,26 @@ class Study:
         names = {row.name for row in self.rows}
         return [line for line in LINES if line[1] in names]
 
+    def _equal_time(self) -> list[str]:
+        """How many times our steps the row of equal time took."""
+        factors = [
+            f"{record['scene']} {record['steps_factor']:.2g} (seed {record['seed']})"
+            for record in self.results.records
+            if record["row"] == EQUAL_TIME
+        ]
+        what = "Joint, equal time: our settings with more steps, to take the CPU time of"
+        return [f"{what} {TUNED}. Steps times: {', '.join(factors) or NONE}."]
+
     def _table_one(self) -> list[str]:
+        columns = tuple(c for c in TABLE_ONE if c != OVER_PLAIN or self.results.tuned)
         parts = ["", "## Table I: one box"]
         for place in self.results.boxes:
             parts += ["", f"### {_place(place)}", ""]
             rows = [
-                [label, *self._cells(place, row, model, TABLE_ONE)]
+                [label, *self._cells(place, row, model, columns)]
                 for label, row, model in self._lines()
             ]
-            parts += table(["method", *_headings(TABLE_ONE), "seeds"], rows, names=1)
+            parts += table(["method", *_headings(columns), "seeds"], rows, names=1)
         return parts
 
     def _cells(
@@ -162,12 +199,11 @@ class Study:
         """A line for each box, and their mean."""
         results, ours = self.results, RESULT[self.own][0]
         shown = [
-            (label, row, model)
-            for label, row, model in self._lines()
-            if model in (BASELINE, "Matched", "Composition", "Composition, refined", "Joint")
+            (label, row, model) for label, row, model in self._lines() if model in IN_TABLE_TWO
         ]
         head = [*("scene", "box"), *(label for label, _, _ in shown)]
-        head += ["gain", "over matched", "object gain", "peak gain", "image over Scene-GS"]
+        over = ["gain", "over Full Scene"] if results.tuned else ["gain"]
+        head += [*over, "over matched", "object gain", "peak gain", "image over Scene-GS"]
         head += ["Gaussians ×", "CPU ×", "seeds"]
         columns = [
             [
@@ -176,7 +212,7 @@ class Study:
             ]
             for place in results.boxes
         ]
-        forms = [".2f"] * len(shown) + ["+.2f"] * 5 + [".2f"] * 2
+        forms = [".2f"] * len(shown) + ["+.2f"] * (4 + len(over)) + [".2f"] * 2
         rows = []
         for place, stats in zip(results.boxes, columns, strict=True):
             seeds = len(results.entries(*place, self.own, ours))
@@ -195,9 +231,12 @@ class Study:
         def stat(metric: str, row: str = self.own, model: str = ours) -> Stat:
             return self.results.stat(*place, row, model, metric)
 
+        matched = (MATCHED_TUNED, "Matched, tuned") if self.results.tuned else (MATCHED, "Matched")
+        plain = [stat("full_scene_gain")] if self.results.tuned else []
         return [
             stat("gain"),
-            stat("roi_psnr").minus(stat("roi_psnr", MATCHED, "Matched")),
+            *plain,
+            stat("roi_psnr").minus(stat("roi_psnr", *matched)),
             stat("object_gain"),
             stat("peak_gain"),
             stat("image_psnr").minus(stat("image_psnr", self.own, scene_gs)),
@@ -238,7 +277,7 @@ class Study:
         return [*cells, NONE if row.name == row.kind else over.text("+.2f"), seeds]
 
     def _beyond(self, variants: Sequence[Row]) -> list[str]:
-        """Each variant against Full Scene and against the preset's own result."""
+        """Each variant against the baseline and against the preset's own result."""
         results, (ours, _) = self.results, RESULT[self.own]
         parts = ["", "## Beyond", ""]
         parts += [
