@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from benchmarks.study import __main__ as command
-from benchmarks.study import figures, work
+from benchmarks.study import figures, measure, work
 from benchmarks.study.measure import Bench
 from benchmarks.study.results import Results, Stat, load_records, mean_of
 from benchmarks.study.rows import all_rows, changed, parse_variant, wanted
@@ -26,7 +26,7 @@ from roigs_engine.commands.stopping import SIGNALS
 from roigs_engine.errors import ConfigError, SceneError, Stopped
 from roigs_engine.kernels import library
 from roigs_engine.run import presets
-from roigs_engine.run.config import RunConfig
+from roigs_engine.run.config import MAX_FACTOR, RunConfig
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
 from tests.engine.synthetic_scene import make_scene
@@ -225,17 +225,24 @@ def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: 
     assert gain["seeds"]["0"] == pytest.approx(sum(by_view) / len(by_view))
 
 
-def by_hand(psnr: list[float], **scores: float) -> dict[str, Any]:
+def by_hand(
+    psnr: list[float],
+    *,
+    scene: str = "made",
+    row: str = "joint",
+    model: str = "Joint",
+    **scores: float,
+) -> dict[str, Any]:
     """A record of Full Scene and a model on photos a, b, c ...; a is the nearest."""
     names = "abcdefgh"[: len(psnr)]
 
-    def row(model: str, values: list[float]) -> dict[str, Any]:
+    def scored(name: str, values: list[float]) -> dict[str, Any]:
         views = [
-            {"view": name, "roi_psnr": value, "roi_ssim": 0.5, **scores}
-            for name, value in zip(names, values, strict=True)
+            {"view": view, "roi_psnr": value, "roi_ssim": 0.5, **scores}
+            for view, value in zip(names, values, strict=True)
         ]
         return {
-            "model": model,
+            "model": name,
             "roi_psnr": statistics.fmean(values),
             "object_psnr": None,
             "roi_ssim": 0.5,
@@ -252,14 +259,14 @@ def by_hand(psnr: list[float], **scores: float) -> dict[str, Any]:
             **scores,
         }
 
-    rows = [row("Full Scene", [20.0] * len(psnr)), row("Joint", psnr)]
+    rows = [scored("Full Scene", [20.0] * len(psnr)), scored(model, psnr)]
     box = {"roi": "box", "views": [], "left_out": [], "object_mask_from": None, "rows": rows}
     return {
-        "row": "joint",
-        "scene": "made",
+        "row": row,
+        "scene": scene,
         "seed": 0,
         "changes": [],
-        "models": {"box": {"Full Scene": ["all"], "Joint": ["all"]}},
+        "models": {"box": {"Full Scene": ["all"], model: ["all"]}},
         "stages": {"all": {"seconds": 1.0, "cpu_seconds": 1.0}},
         "selected": {},
         "distances": {"box": {name: float(k) for k, name in enumerate(names)}},
@@ -288,7 +295,36 @@ def test_flip_is_shown_if_it_was_measured_and_two_photos_have_no_near_and_far() 
         line = study.splitlines()[-1]
         end = ["+0.0000", "+0.0000"] if shown else ["+0.0000"]
         cells = [cell.strip().removesuffix(" †") for cell in line.split("|")[1:-1]]
-        assert cells == ["made", "box", "-", "-", "-", "+1.00", "100%", *end, "1"]
+        assert cells == ["made", "box", "-", "-", "+2.00", "+1.00", "100%", *end, "1"]
+
+
+def test_near_far_and_single_photos_are_over_the_tuned_baseline_too() -> None:
+    """Which is missing in a scene, or measured on other photos, because one was lost in between."""
+    ours = [by_hand([21, 22, 20, 19, 26], scene=scene) for scene in ("made", "other")]
+    names = {"row": "full-scene-tuned", "model": "Full Scene, tuned"}
+    tuned = by_hand([22, 20, 20, 20, 20], **names)
+    results = Results([*ours, tuned])
+    lost = Results([*ours, by_hand([22, 20, 20, 20], **names)])
+    assert results.baseline == "Full Scene, tuned"
+    expected = {"near_gain": 0.5, "far_gain": 2.5, "peak_gain": 6.0, "worst_gain": -1.0}
+    for metric, value in {**expected, "won_share": 0.4, "ssim_gain": 0.0}.items():
+        assert results.stat("made", "box", "joint", "Joint", metric).values == {0: value}
+        assert results.stat("other", "box", "joint", "Joint", metric).values == {}
+        assert lost.stat("made", "box", "joint", "Joint", metric).values == {}
+        assert results.stat("made", "box", tuned["row"], "Full Scene, tuned", metric).values == {}
+    plain = results.stat("other", "box", "joint", "Joint", "full_scene_gain").values
+    assert plain == pytest.approx({0: 1.6})
+    rows = [row for row in all_rows("draft") if row.name in ("joint", tuned["row"])]
+    study = Study(results=results, rows=rows, tables=["I", "II"], own="joint", head={}, figures={})
+    lines = study.markdown().splitlines()
+    assert "to Full Scene, tuned, budget-matched" in study.markdown()
+    assert [line for line in lines if "| gain | over Full Scene |" in line] == [
+        *(line for line in lines if line.startswith("| method | ROI PSNR")),
+        *(line for line in lines if line.startswith("| scene | box | Full Scene, tuned")),
+    ]
+    # One box has no tuned baseline, so there is no mean of all.
+    mean = [cell.strip() for cell in lines[-1].split("|")[1:-1]]
+    assert mean == ["mean", "all", *["-"] * 6, "0"]
 
 
 def test_crops_of_results_are_there_and_figures_if_they_can_be(
@@ -365,6 +401,8 @@ def test_another_preset_or_size_is_refused(
 ) -> None:
     assert study(scene_folder, done, "--steps", "0.5") == 2
     assert "holds a study with steps 1.0, not 0.5" in capsys.readouterr().err
+    assert study(scene_folder, done, "--evaluate-on", "validation") == 2
+    assert "holds a study with evaluate_on test, not validation" in capsys.readouterr().err
     assert command.main(["--report-only", "--out", str(done / "none")]) == 2
     assert not (done / "none").exists()
 
@@ -374,11 +412,95 @@ def test_main_rows_of_the_first_seed_come_first() -> None:
     scenes = [StudyScene(name=name, path=Path(name), rois=[]) for name in "ab"]
     order = [(s.name, seed, row.name) for s, seed, row in work.in_order(rows, scenes, [7, 8])]
     assert len(order) == len(set(order)) == len(rows) * 4
-    main = ["full-scene", "matched", "joint"]
-    assert order[:6] == [(scene, 7, row) for scene in "ab" for row in main]
-    assert order[6:12] == [(scene, 8, row) for scene in "ab" for row in main]
-    assert order[12] == ("a", 7, "full-object")
+    main = ["full-scene", "full-scene-tuned", "matched-tuned", "joint"]
+    assert order[:8] == [(scene, 7, row) for scene in "ab" for row in main]
+    assert order[8:16] == [(scene, 8, row) for scene in "ab" for row in main]
+    assert order[16] == ("a", 7, "full-object")
     assert order.index(("b", 7, "gp6-48")) < order.index(("a", 7, "gp6-20"))
+
+
+def test_gains_are_over_the_tuned_baseline_where_there_is_one(
+    done: Path, scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its row may be measured after the others; one more line is ours in its processor time."""
+    out = tmp_path / "study"
+    shutil.copytree(done, out)
+    spent: list[tuple[float, float]] = []
+
+    def factor(theirs: float, ours: float) -> float:
+        spent.append((theirs, ours))
+        return 2.0
+
+    monkeypatch.setattr(measure, "equal_time_factor", factor)
+    before = Results(load_records(out / "rows"))
+    rows = ["full-scene-tuned", "matched-tuned", "joint-equal-time", "full-scene-tuned-one-stage"]
+    assert study(scene_folder, out, "--rows", *ROWS, *rows, "--seeds", "0") == 0
+    results = Results(load_records(out / "rows"))
+    assert (before.baseline, results.baseline) == ("Full Scene", "Full Scene, tuned")
+
+    def stat(row: str, model: str, metric: str) -> dict[int, float]:
+        return results.stat("ball", "thing", row, model, metric).values
+
+    tuned = stat("full-scene-tuned", "Full Scene, tuned", "roi_psnr")
+    plain = stat("full-scene", "Full Scene", "roi_psnr")
+    ours = stat("joint", "Joint", "roi_psnr")
+    assert set(ours) == {0, 1} and set(tuned) == {0}
+    assert stat("joint", "Joint", "gain") == pytest.approx({0: ours[0] - tuned[0]})
+    assert stat("joint", "Joint", "full_scene_gain") == pytest.approx(
+        {seed: ours[seed] - plain[seed] for seed in (0, 1)}
+    )
+    assert stat("full-scene-tuned", "Full Scene, tuned", "gain") == {}
+    assert stat("full-scene-tuned", "Full Scene, tuned", "cpu_ratio") == {0: 1.0}
+    seconds = {
+        name: stat(row, name, "cpu_seconds")[0]
+        for row, name in (("full-scene-tuned", "Full Scene, tuned"), ("joint", "Joint"))
+    }
+    assert spent == [(seconds["Full Scene, tuned"], seconds["Joint"])]
+    (longer,) = results.entries("ball", "thing", "joint-equal-time", "Joint, equal time").values()
+    assert (longer.record["steps"], longer.record["steps_factor"]) == (80, 2.0)
+    (matched,) = results.entries("ball", "thing", "matched-tuned", "Matched, tuned").values()
+    assert set(matched.record["stages"]) == {"full-scene", "scene", "tuned-matched"}
+    page = (out / "study.md").read_text(encoding="utf-8")
+    assert "Gains are over Full Scene, tuned" in page and "| over Full Scene |" in page
+    assert "Steps times: ball 2 (seed 0)" in page
+    near = {seed: stat("joint", "Joint", "near_psnr")[seed] for seed in (0, 1)}
+    before = stat("full-scene-tuned", "Full Scene, tuned", "near_psnr")
+    assert stat("joint", "Joint", "near_gain") == pytest.approx({0: near[0] - before[0]})
+    gains = results.entries("ball", "thing", "joint", "Joint")[0].gains.values()
+    assert stat("joint", "Joint", "worst_gain") == {0: min(gains)}
+    for label in ("Full Scene, tuned, one stage", "Full Scene, tuned, budget-matched"):
+        assert f"| {label} |" in page
+
+
+def test_the_factor_of_equal_time_has_two_digits() -> None:
+    found = [measure.equal_time_factor(theirs, 10.0) for theirs in (20.0, 21.74, 123.4, 4.567)]
+    assert found == [2.0, 2.2, 12.0, 0.46]
+    assert measure.equal_time_factor(1.0, 0.0) == MAX_FACTOR
+
+
+def test_many_photos_are_rows_of_the_main_ways_only() -> None:
+    rows = {row.name: row for row in all_rows("paper")}
+    many = [name for name in rows if name.endswith(("-70", "-100"))]
+    assert sorted(many) == ["independent-100", "independent-70", "joint-100", "joint-70"]
+    chosen = [
+        rows[name].config("paper", 1.0, 0).selection.resolved_count(314)
+        for name in ("independent-20", "independent", "independent-70", "independent-100")
+    ]
+    assert chosen == [63, 150, 220, 314]
+    assert all("III" in rows[name].tables for name in many)
+
+
+def test_validation_photos_of_a_study(scene_folder: Path, tmp_path: Path) -> None:
+    options = ("--rows", "full-scene", "--seeds", "0", "--evaluate-on", "validation")
+    assert study(scene_folder, tmp_path, *options) == 0
+    (record,) = load_records(tmp_path / "rows")
+    split = json.loads((tmp_path / "runs" / "ball" / "seed-0" / "split.json").read_text("utf-8"))
+    assert record["evaluation"]["test_views"] == split["validation"]
+    assert set(record["distances"]["thing"]) == set(split["validation"])
+    assert not set(split["validation"]) & set(split["test"])
+    page = (tmp_path / "study.md").read_text("utf-8")
+    assert "evaluated on: validation photos" in page
+    assert "on one validation photo" in page and "test photo" not in page
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 from PIL import Image
 
+from benchmarks.study.columns import LINES, RESULT, Line
 from benchmarks.study.results import Results, Stat
 from benchmarks.study.rows import BEYOND, Row
-from benchmarks.study.tables import LINES, RESULT, Line, kind_of
+from benchmarks.study.tables import kind_of
 from roigs_engine.context import Emit
 from roigs_engine.formats.events import Message
 from roigs_engine.run.strategies import BASELINE
@@ -66,7 +67,7 @@ Drawing = tuple[str, str, Callable[[], "Figure | None"]]
 def _figures(results: Results, rows: Sequence[Row], own: str, out: Path) -> list[Drawing]:
     """Title, file name and drawing of each figure."""
     found: list[Drawing] = [
-        ("Gain over Full Scene", "gain", partial(_bars, results, rows)),
+        (f"Gain over {results.baseline}", "gain", partial(_bars, results, rows)),
         ("Gain by distance", "distance", partial(_distances, results, own)),
         ("Gain by share of selected photos", "selected", partial(_curves, results, rows)),
     ]
@@ -129,16 +130,18 @@ def _distances(results: Results, own: str) -> Figure | None:
         one.axhline(0, color="0.6", linewidth=0.8)
         entries = results.entries(scene, box, own, RESULT[own][0])
         for at, (seed, entry) in enumerate(sorted(entries.items())):
-            drawn = True
             distances = entry.record["distances"][box]
             points = sorted((distances[view], gain) for view, gain in entry.gains.items())
+            if not points:
+                continue
+            drawn = True
             one.plot(
                 *zip(*points, strict=True),
                 ".",
                 color=COLOURS[at % len(COLOURS)],
                 label=f"seed {seed}",
             )
-        if entries:
+        if one.get_legend_handles_labels()[0]:
             one.legend(fontsize=7)
     return figure if drawn else None
 

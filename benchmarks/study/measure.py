@@ -12,18 +12,20 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from benchmarks.study.rows import BASELINES, FULL_OBJECT, FULL_SCENE, MATCHED, VARIANT, Row
+from benchmarks.study import rows
+from benchmarks.study.rows import BASELINES, EQUAL_TIME, FULL_SCENE, TUNED_BASELINES, VARIANT, Row
 from benchmarks.study.scenes import StudyScene
 from roigs_engine.context import QUIET, Context
 from roigs_engine.evaluation.crops import choose_views, write_crops
 from roigs_engine.evaluation.evaluate import Evaluation, evaluate
 from roigs_engine.evaluation.views import EvaluatedModel
+from roigs_engine.formats import run_files
 from roigs_engine.formats.names import safe_name
 from roigs_engine.kernels import library
 from roigs_engine.machine import processor_name, usable_cores
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_configs, strategies
-from roigs_engine.run.config import RunConfig
+from roigs_engine.run.config import MAX_FACTOR, TEST, RunConfig
 from roigs_engine.run.definition import Run, define_run, inputs_record
 from roigs_engine.run.executor import Executor, TrainedModel
 from roigs_engine.run.folder import open_folder
@@ -32,6 +34,8 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan
 from roigs_engine.run.stage_folder import StageResult
 from roigs_engine.run.strategies import BASELINE
+
+EQUAL_TIME_FOLDER = run_files.COMPARED + "equal-time"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +46,7 @@ class Bench:
         scene, sfm: boxes; photos, cameras and points.
         seed: of everything random.
         preset, factor: settings, and what their steps are multiplied by.
+        evaluate_on: `test` or `validation` photos.
         folder: run folder of all rows; stages are in it or in its `archive`.
         pictures: folder of the crops.
         context: of the work.
@@ -54,6 +59,7 @@ class Bench:
     factor: float
     folder: Path
     pictures: Path
+    evaluate_on: str = TEST
     context: Context = QUIET
 
     def manifest(self, row: Row) -> dict[str, Any]:
@@ -62,6 +68,9 @@ class Bench:
         baseline = asdict(stage_configs.baseline(self._own_config()))
         config = self._config(row).to_dict()
         manifest = {"kind": row.kind, "baseline": baseline, "config": config, **inputs}
+        if row.kind in (*TUNED_BASELINES, EQUAL_TIME):
+            two = stage_configs.COARSE_TO_FINE and row.kind != rows.ONE_STAGE
+            manifest["tuned"] = asdict(stage_configs.tuned_baseline(self._own_config(), two))
         return cast(dict[str, Any], from_json(manifest))
 
     def measure(self, row: Row, *, keep_models: bool = True) -> dict[str, Any]:
@@ -79,10 +88,12 @@ class Bench:
         evaluation = evaluate(
             models,
             self.sfm,
-            run.test,
+            run.measured,
             self.scene.rois,
             context=self.context,
+            baseline=BASELINE,
             object_mask_from=BASELINE,
+            photos=self.evaluate_on,
         )
         record = {
             **self._facts(row, run, plan, made),
@@ -104,22 +115,37 @@ class Bench:
         )
         photos = PhotoSets(own, self.context)
         plan = strategies.full_scene(photos)
-        if row.kind == FULL_SCENE:
-            return own, plan
-        if row.kind == FULL_OBJECT:
-            return own, plan + strategies.full_objects(photos)
-        if row.kind == MATCHED:
-            ours = strategies.strategy(photos).models[-1]
-            return own, plan + strategies.matched(photos, ours)
+        if row.kind in BASELINES:
+            return own, plan + _baseline(row.kind, photos)
         run, coarse = replace(own, config=self._config(row)), None
+        if row.kind == EQUAL_TIME:
+            longer = replace(run, config=run.config.scaled(self._equal_time_factor(own, run)))
+            made = strategies.strategy(PhotoSets(longer, self.context), folder=EQUAL_TIME_FOLDER)
+            model = replace(made.models[-1], name="Joint, equal time")
+            return longer, plan + Plan(models=(model,), selections=made.selections)
         if row.is_ablation:
             unchanged = replace(own, config=self._config(replace(row, changes=())))
             coarse = strategies.scene_stage(PhotoSets(unchanged, self.context))
         made = strategies.strategy(PhotoSets(run, self.context), coarse=coarse)
         return run, plan + replace(made, outputs=())
 
+    def _equal_time_factor(self, own: Run, joint: Run) -> float:
+        """Factor on our steps that takes the tuned Full Scene's CPU time, to two digits.
+
+        Trains both, unless they are finished. Their seconds are on disk, so that the factor is the
+        same whenever the row is resumed.
+        """
+        tuned = strategies.full_scene_tuned(PhotoSets(own, self.context))
+        ours = strategies.strategy(PhotoSets(joint, self.context))
+        open_folder(joint, self.context, update=True)
+        executor = Executor(joint, self.context, update=True)
+        made = executor.execute(tuned + replace(ours, outputs=()))
+        spent = [sum(stage.cpu_seconds for stage in m.all_stages) for m in (made[0], made[-1])]
+        return equal_time_factor(*spent)
+
     def _config(self, row: Row) -> RunConfig:
-        return row.config(self.preset, self.factor, self.seed)
+        config = row.config(self.preset, self.factor, self.seed)
+        return replace(config, evaluate_on=self.evaluate_on)
 
     def _own_config(self) -> RunConfig:
         """The preset's."""
@@ -138,6 +164,7 @@ class Bench:
             "manifest": self.manifest(row),
             "machine": {**machine(), "date": date.today().isoformat()},
             "steps": run.config.total_steps,
+            "steps_factor": run.config.total_steps / self._own_config().total_steps,
             "stages": {
                 name: {"seconds": s.seconds, "cpu_seconds": s.cpu_seconds}
                 for name, s in _stages(made).items()
@@ -158,7 +185,7 @@ class Bench:
             "distances": {
                 roi.name: {
                     name: float(np.linalg.norm(self.sfm.image(name).centre - roi.centre))
-                    for name in run.test
+                    for name in run.measured
                 }
                 for roi in rois
             },
@@ -194,6 +221,36 @@ class Bench:
                 for view, label in choose_views(scores[result], scores[BASELINE]).items()
             }
         return pictures
+
+
+def equal_time_factor(theirs: float, ours: float) -> float:
+    """`theirs` / `ours`, both in seconds, to two digits."""
+    factor = theirs / max(ours, 1e-9)
+    return min(max(float(f"{factor:.2g}"), 0.01), MAX_FACTOR)
+
+
+def _baseline(kind: str, photos: PhotoSets) -> Plan:
+    """The baseline of that kind, which stands beside Full Scene."""
+    match kind:
+        case rows.FULL_OBJECT:
+            return strategies.full_objects(photos)
+        case rows.TUNED:
+            return strategies.full_scene_tuned(photos)
+        case rows.OBJECT_TUNED:
+            return strategies.full_objects_tuned(photos)
+        case rows.ONE_STAGE:
+            return one_stage(photos)
+        case rows.MATCHED | rows.MATCHED_TUNED:
+            ours = strategies.strategy(photos).models[-1]
+            tuned = kind == rows.MATCHED_TUNED
+            return (strategies.matched_tuned if tuned else strategies.matched)(photos, ours)
+    return Plan()
+
+
+def one_stage(photos: PhotoSets) -> Plan:
+    """The tuned Full Scene in one stage on photos of full size, with a name of its own."""
+    plan = strategies.full_scene_tuned(photos, coarse_to_fine=False)
+    return replace(plan, models=(replace(plan.models[0], name=f"{strategies.TUNED}, one stage"),))
 
 
 def _stages(models: Sequence[TrainedModel]) -> dict[str, StageResult]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from benchmarks.markdown import NONE
+from benchmarks.study.rows import TUNED as TUNED_ROW
 from roigs_engine.evaluation.scores import Evaluation, ModelScore
 from roigs_engine.evaluation.summaries import Gains, mean, near_and_far
 from roigs_engine.formats.files import read_json
-from roigs_engine.run.strategies import BASELINE
+from roigs_engine.run.config import TEST
+from roigs_engine.run.strategies import BASELINE, TUNED
 
 ONE_SEED = " †"
 
@@ -60,43 +62,64 @@ def mean_of(stats: Sequence[Stat]) -> Stat:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entry:
-    """One model in one box, in one seed; `baseline` is Full Scene of the same seed."""
+    """One model in one box, in one seed.
+
+    Attributes:
+        record: where it was measured.
+        box: the box.
+        score: its numbers.
+        plain: Full Scene of the same record; None: this is it.
+        baseline: what gains are over, of the same seed; None: it is not measured, or on other
+            photos, because one was lost in between.
+    """
 
     record: dict[str, Any]
     box: str
     score: ModelScore
-    baseline: ModelScore
+    plain: Entry | None = None
+    baseline: Entry | None = None
+
+    @property
+    def photos(self) -> set[str]:
+        """Names of the photos that count."""
+        return {view.view for view in self.score.views}
 
     @property
     def gains(self) -> dict[str, float]:
-        """Test view -> gain in ROI PSNR over Full Scene, dB."""
-        before = {view.view: view.roi_psnr for view in self.baseline.views}
+        """Test view -> gain in ROI PSNR over the baseline, dB; empty if there is none."""
+        if self.baseline is None or self.baseline.score.model == self.score.model:
+            return {}
+        before = {view.view: view.roi_psnr for view in self.baseline.score.views}
         return {view.view: view.roi_psnr - before[view.view] for view in self.score.views}
 
     @property
     def summary(self) -> Gains:
-        """The best and the worst photo, and the share of photos won; empty for Full Scene."""
-        return Gains() if self.score.model == self.baseline.model else Gains.of(self.gains)
+        """The best and the worst photo, and the share of photos won; empty without gains."""
+        return Gains.of(self.gains)
 
-    def near(self, score: ModelScore) -> float | None:
-        """Mean ROI PSNR of a model on the near third of the photos."""
-        return self._third(score, far=False)
+    def near(self) -> float | None:
+        """Mean ROI PSNR on the near third of the photos."""
+        return self._third(far=False)
 
-    def far(self, score: ModelScore) -> float | None:
+    def far(self) -> float | None:
         """The same on the far third."""
-        return self._third(score, far=True)
+        return self._third(far=True)
 
-    def _third(self, score: ModelScore, *, far: bool) -> float | None:
+    def _third(self, *, far: bool) -> float | None:
         # The record's own distances: those of the scores are missing in records of version 0.1.0.
         distances = self.record["distances"][self.box]
-        psnr = {view.view: view.roi_psnr for view in score.views}
+        psnr = {view.view: view.roi_psnr for view in self.score.views}
         third = near_and_far({name: distances[name] for name in psnr})[far]
         return mean([psnr[name] for name in third])
 
-    def spent(self, clock: str, model: str | None = None) -> float:
-        """Training `seconds` or `cpu_seconds` of this model, or of another one of the record."""
-        names = self.record["models"][self.box][model or self.score.model]
+    def spent(self, clock: str) -> float:
+        """Training `seconds` or `cpu_seconds`."""
+        names = self.record["models"][self.box][self.score.model]
         return float(sum(self.record["stages"][name][clock] for name in names))
+
+    def ratio(self, value: Callable[[Entry], float]) -> float | None:
+        """A number relative to the baseline's; None without one."""
+        return value(self) / max(value(self.baseline), 1e-9) if self.baseline else None
 
     def selected(self) -> float | None:
         """Photos selected for the box; None where none are."""
@@ -107,40 +130,44 @@ class Entry:
 Number = Callable[[Entry], float | None]
 
 
-def _gain(value: Callable[[Entry, ModelScore], float | None]) -> Number:
-    def gain(entry: Entry) -> float | None:
-        after, before = value(entry, entry.score), value(entry, entry.baseline)
-        if entry.score.model == entry.baseline.model or after is None or before is None:
-            return None
-        return after - before
+def _gain(value: Number) -> Number:
+    """A number minus that of the baseline."""
+    return lambda entry: _over(entry, entry.baseline, value)
 
-    return gain
+
+def _over(entry: Entry, other: Entry | None, value: Number) -> float | None:
+    """A number minus that of another model; None if there is none."""
+    if other is None or other.score.model == entry.score.model:
+        return None
+    after, before = value(entry), value(other)
+    return None if after is None or before is None else after - before
 
 
 METRICS: dict[str, Number] = {
     "roi_psnr": lambda e: e.score.roi_psnr,
     "roi_ssim": lambda e: e.score.roi_ssim,
     "roi_flip": lambda e: e.score.roi_flip,
-    "near_psnr": lambda e: e.near(e.score),
-    "far_psnr": lambda e: e.far(e.score),
+    "near_psnr": Entry.near,
+    "far_psnr": Entry.far,
     "object_psnr": lambda e: e.score.object_psnr,
     "image_psnr": lambda e: e.score.image_psnr,
-    "gain": _gain(lambda _, score: score.roi_psnr),
+    "gain": _gain(lambda e: e.score.roi_psnr),
+    "full_scene_gain": lambda e: _over(e, e.plain, lambda entry: entry.score.roi_psnr),
     "near_gain": _gain(Entry.near),
     "far_gain": _gain(Entry.far),
-    "ssim_gain": _gain(lambda _, score: score.roi_ssim),
-    "flip_gain": _gain(lambda _, score: score.roi_flip),
-    "object_gain": _gain(lambda _, score: score.object_psnr),
-    "image_gain": _gain(lambda _, score: score.image_psnr),
-    "peak_gain": lambda e: e.score.peak_gain,
+    "ssim_gain": _gain(lambda e: e.score.roi_ssim),
+    "flip_gain": _gain(lambda e: e.score.roi_flip),
+    "object_gain": _gain(lambda e: e.score.object_psnr),
+    "image_gain": _gain(lambda e: e.score.image_psnr),
+    "peak_gain": lambda e: e.summary.peak,
     "worst_gain": lambda e: e.summary.worst,
     "won_share": lambda e: e.summary.won,
     "gaussians": lambda e: e.score.gaussians,
-    "gaussians_ratio": lambda e: e.score.gaussians / max(e.baseline.gaussians, 1),
+    "gaussians_ratio": lambda e: e.ratio(lambda entry: entry.score.gaussians),
     "in_box": lambda e: e.score.gaussians_in_box,
     "seconds": lambda e: e.spent("seconds"),
     "cpu_seconds": lambda e: e.spent("cpu_seconds"),
-    "cpu_ratio": lambda e: e.spent("cpu_seconds") / e.spent("cpu_seconds", BASELINE),
+    "cpu_ratio": lambda e: e.ratio(lambda entry: entry.spent("cpu_seconds")),
     "megabytes": lambda e: e.score.ply_bytes / 1e6,
     "selected": lambda e: e.selected(),
 }
@@ -153,6 +180,7 @@ class Results:
     Attributes:
         records: as they were written.
         boxes: (scene, box) in the order of the scenes given, then by name.
+        tuned: whether the tuned Full Scene was measured; gains are over it then.
     """
 
     def __init__(self, records: Iterable[dict[str, Any]], scenes: Sequence[str] = ()) -> None:
@@ -166,6 +194,24 @@ class Results:
         self._entries: dict[tuple[str, str, str, str], dict[int, Entry]] = {}
         for record in self.records:
             self._take(record)
+        self.tuned = any(record["row"] == TUNED_ROW for record in self.records)
+        for (scene, box, _, _), entries in self._entries.items():
+            tuned = self.entries(scene, box, TUNED_ROW, TUNED) if self.tuned else {}
+            for seed, entry in entries.items():
+                baseline = tuned.get(seed) if self.tuned else entry.plain or entry
+                if baseline is None or baseline.photos == entry.photos:
+                    entries[seed] = replace(entry, baseline=baseline)
+
+    @property
+    def baseline(self) -> str:
+        """The model that gains are over."""
+        return TUNED if self.tuned else BASELINE
+
+    @property
+    def photos(self) -> str:
+        """What was measured: `test` or `validation` photos."""
+        found = (record["evaluation"].get("photos") for record in self.records)
+        return next((photos for photos in found if photos), TEST)
 
     def entries(self, scene: str, box: str, row: str, model: str) -> dict[int, Entry]:
         """Seed -> the entry."""
@@ -191,14 +237,16 @@ class Results:
     def _take(self, record: dict[str, Any]) -> None:
         evaluation = Evaluation.from_dict(record["evaluation"])
         for scores in evaluation.rois:
-            by_name = {score.model: score for score in scores.rows}
-            for name, score in by_name.items():
+            by_name = {
+                score.model: Entry(record=record, box=scores.roi, score=score)
+                for score in scores.rows
+            }
+            for name, entry in by_name.items():
                 if name == BASELINE and len(by_name) > 1:
                     continue  # it has a row of its own
                 key = (record["scene"], scores.roi, record["row"], name)
-                self._entries.setdefault(key, {})[record["seed"]] = Entry(
-                    record=record, box=scores.roi, score=score, baseline=by_name[BASELINE]
-                )
+                plain = None if name == BASELINE else by_name[BASELINE]
+                self._entries.setdefault(key, {})[record["seed"]] = replace(entry, plain=plain)
 
 
 def load_records(folder: Path) -> list[dict[str, Any]]:

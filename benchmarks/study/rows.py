@@ -15,13 +15,20 @@ from roigs_engine.training.config import with_steps
 TABLES = ("I", "II", "III")
 BEYOND = "Beyond"
 FULL_SCENE, FULL_OBJECT, MATCHED = "full-scene", "full-object", "matched"
+TUNED, OBJECT_TUNED, MATCHED_TUNED = "full-scene-tuned", "full-object-tuned", "matched-tuned"
+ONE_STAGE = "full-scene-tuned-one-stage"
 INDEPENDENT, REFINED, JOINT, VARIANT = "independent", "refined", "joint", "variant"
-BASELINES = (FULL_SCENE, FULL_OBJECT, MATCHED)
-KINDS = (*BASELINES, INDEPENDENT, REFINED, JOINT, VARIANT)
-# Percent of the candidates that Table III selects. The last is the presets' own.
-PERCENTS = (20, 40, 48)
+EQUAL_TIME = "joint-equal-time"
+TUNED_BASELINES = (TUNED, OBJECT_TUNED, MATCHED_TUNED, ONE_STAGE)
+BASELINES = (FULL_SCENE, FULL_OBJECT, MATCHED, *TUNED_BASELINES)
+KINDS = (*BASELINES, INDEPENDENT, REFINED, JOINT, EQUAL_TIME, VARIANT)
+STRATEGY = {INDEPENDENT: INDEPENDENT, REFINED: INDEPENDENT, JOINT: JOINT, EQUAL_TIME: JOINT}
+"""Kind -> strategy, if it is not the preset's."""
+# Percent of the candidates that Table III selects; the presets' own; those of few rows only.
+PERCENTS = (20, 40, 48, 70, 100)
+OWN_PERCENT, MANY = 48, (70, 100)
 # Every row of a study has the same tests and seeds, so a variant cannot set them.
-FIXED = ("preset", "seed", "test_every", "selection.seed")
+FIXED = ("preset", "seed", "test_every", "evaluate_on", "baseline_densify", "selection.seed")
 
 Change = tuple[str, Any]
 """Dotted name of a field of `RunConfig`, and its value."""
@@ -55,7 +62,7 @@ class Row:
     def config(self, preset_name: str, factor: float, seed: int) -> RunConfig:
         """The settings of the row; `factor` multiplies the steps."""
         config = preset(preset_name)
-        strategy = {INDEPENDENT: INDEPENDENT, REFINED: INDEPENDENT, JOINT: JOINT}.get(self.kind)
+        strategy = STRATEGY.get(self.kind)
         if strategy is not None and strategy != config.strategy:
             config = in_strategy(config, strategy)
         if strategy == INDEPENDENT:
@@ -70,12 +77,18 @@ def all_rows(preset_name: str, variants: Iterable[Row] = ()) -> list[Row]:
     first = 0 if own == INDEPENDENT else 1
     rows = [
         Row(name=FULL_SCENE, kind=FULL_SCENE, tables=("I", "II", "III"), rank=0),
+        Row(name=TUNED, kind=TUNED, tables=("I", "II", "III"), rank=0),
         Row(name=FULL_OBJECT, kind=FULL_OBJECT, tables=("I",), rank=1),
-        Row(name=MATCHED, kind=MATCHED, tables=("I", "II"), rank=0),
+        Row(name=OBJECT_TUNED, kind=OBJECT_TUNED, tables=("I",), rank=1),
+        Row(name=MATCHED, kind=MATCHED, tables=("I", "II"), rank=1),
+        Row(name=MATCHED_TUNED, kind=MATCHED_TUNED, tables=("I", "II"), rank=0),
+        Row(name=ONE_STAGE, kind=ONE_STAGE, tables=(), rank=1),
     ]
     for kind, rank in ((INDEPENDENT, first), (JOINT, 1 - first)):
-        rows.append(Row(name=kind, kind=kind, tables=("I", "II", "III"), rank=rank, percent=48))
+        tables = ("I", "II", "III")
+        rows.append(Row(name=kind, kind=kind, tables=tables, rank=rank, percent=OWN_PERCENT))
     rows.insert(-1, Row(name=REFINED, kind=REFINED, tables=("I", "II"), rank=1))
+    rows.append(Row(name=EQUAL_TIME, kind=EQUAL_TIME, tables=("I", "II"), rank=1))
     return [*rows, *_ablations(), *variants]
 
 
@@ -94,11 +107,14 @@ def _ablations() -> list[Row]:
     }
     rows = []
     for name, (kind, changes) in kinds.items():
+        main = name in (INDEPENDENT, JOINT)
         for percent in reversed(PERCENTS):
-            own = percent == PERCENTS[-1]
-            if own and name in (INDEPENDENT, JOINT):
-                continue  # a row of Table I
-            share = () if own else (("selection.share", percent / 100),)
+            own = percent == OWN_PERCENT
+            if (own and main) or (percent in MANY and not main):
+                continue  # a row of Table I; or nearly all photos, whatever selects them
+            share: tuple[Change, ...] = ()
+            if not own:
+                share = (("selection.share", percent / 100), ("selection.limit", 0))
             rows.append(
                 Row(
                     name=f"{name}-{percent}",

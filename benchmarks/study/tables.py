@@ -8,82 +8,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.markdown import NONE, table
+from benchmarks.study.columns import (
+    IN_TABLE_TWO,
+    LINES,
+    NOTES,
+    OVER_PLAIN,
+    RESULT,
+    TABLE_ONE,
+    TABLE_ONE_PHOTOS,
+    TABLE_THREE,
+    TABLE_TWO_PHOTOS,
+    THREE_NOTES,
+    Column,
+    Line,
+)
 from benchmarks.study.results import METRICS, Results, Stat, mean_of
-from benchmarks.study.rows import BEYOND, INDEPENDENT, JOINT, MATCHED, PERCENTS, REFINED, Row
-from roigs_engine.run.strategies import BASELINE
-
-# A line of a table: what it is called, the row it comes from, the model of that row.
-Line = tuple[str, str, str]
-
-LINES: tuple[Line, ...] = (
-    (BASELINE, "full-scene", BASELINE),
-    ("Full Object", "full-object", "Full Object"),
-    ("Full Scene, budget-matched", MATCHED, "Matched"),
-    ("Scene-GS", INDEPENDENT, "Scene-GS"),
-    ("Object-GS", INDEPENDENT, "Object-GS"),
-    ("Composition", INDEPENDENT, "Composition"),
-    ("Object-GS (refined)", REFINED, "Object-GS"),
-    ("Composition, refined", REFINED, "Composition, refined"),
-    ("Scene-GS (joint)", JOINT, "Scene-GS (joint)"),
-    ("Joint", JOINT, "Joint"),
-)
-RESULT = {INDEPENDENT: ("Composition", "Scene-GS"), JOINT: ("Joint", "Scene-GS (joint)")}
-"""Strategy -> its result's model, and its Scene-GS's."""
-
-# Heading, metric, format.
-Column = tuple[str, str, str]
-
-TABLE_ONE: tuple[Column, ...] = (
-    ("ROI PSNR", "roi_psnr", ".2f"),
-    ("gain", "gain", "+.2f"),
-    ("SSIM", "roi_ssim", ".4f"),
-    ("FLIP", "roi_flip", ".4f"),
-    ("object PSNR", "object_psnr", ".2f"),
-    ("image PSNR", "image_psnr", ".2f"),
-    ("Gaussians", "gaussians", ",.0f"),
-    ("in box", "in_box", ",.0f"),
-    ("s", "seconds", ",.0f"),
-    ("CPU s", "cpu_seconds", ",.0f"),
-    ("CPU ×", "cpu_ratio", ".2f"),
-    ("MB", "megabytes", ".1f"),
-)
-TABLE_ONE_PHOTOS: tuple[Column, ...] = (
-    ("near PSNR", "near_psnr", ".2f"),
-    ("gain", "near_gain", "+.2f"),
-    ("far PSNR", "far_psnr", ".2f"),
-    ("gain", "far_gain", "+.2f"),
-    ("peak gain", "peak_gain", "+.2f"),
-    ("worst gain", "worst_gain", "+.2f"),
-    ("photos won", "won_share", ".0%"),
-)
-TABLE_TWO_PHOTOS: tuple[Column, ...] = (
-    ("near gain", "near_gain", "+.2f"),
-    ("far gain", "far_gain", "+.2f"),
-    ("peak gain", "peak_gain", "+.2f"),
-    ("worst gain", "worst_gain", "+.2f"),
-    ("photos won", "won_share", ".0%"),
-    ("SSIM gain", "ssim_gain", "+.4f"),
-    ("FLIP change", "flip_gain", "+.4f"),
-)
-TABLE_THREE: tuple[Column, ...] = (
-    ("photos", "selected", ".0f"),
-    ("ROI PSNR", "roi_psnr", ".2f"),
-    ("gain", "gain", "+.2f"),
-    ("SSIM", "roi_ssim", ".4f"),
-    ("object PSNR", "object_psnr", ".2f"),
-    ("in box", "in_box", ",.0f"),
-    ("CPU ×", "cpu_ratio", ".2f"),
-)
-NOTES = """\
-Gains are over Full Scene of the same seed, in dB. ROI: the silhouette of the box; object: those of
-its pixels whose expected depth in Full Scene is in the box, the same in every row of a scene and
-seed; peak and worst gain: the largest and the least on one test photo; photos won: the share with a
-gain; near, far: on the third of the test photos with the nearest cameras, and on the farthest third
-(none for fewer than three photos, and the mean of all boxes is then that of the others); FLIP: mean
-error over the silhouette, lower is better. ± is the sample's standard deviation over seeds; † one
-seed only; - not measured. s: training, wall-clock; CPU s: the same by the process's clock, all
-threads; CPU ×: share of Full Scene's. Composition and Object-GS: the time for this box alone.
-SSIM: 11 × 11 Gaussian window, sigma 1.5, mean over the silhouette. MB: 10^6 bytes of the PLY."""
+from benchmarks.study.rows import BEYOND, EQUAL_TIME, MATCHED, MATCHED_TUNED, PERCENTS, Row
+from roigs_engine.run.strategies import TUNED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +50,9 @@ class Study:
     def markdown(self) -> str:
         """The page."""
         parts = ["# Study", "", *(f"- {name}: {value}" for name, value in self.head.items())]
-        parts += ["", NOTES]
+        parts += ["", self._notes()]
+        if EQUAL_TIME in {row.name for row in self.rows}:
+            parts += ["", *self._equal_time()]
         if "I" in self.tables:
             parts += self._table_one()
         if "II" in self.tables:
@@ -160,6 +103,19 @@ class Study:
         names = {row.name for row in self.rows}
         return [line for line in LINES if line[1] in names]
 
+    def _notes(self) -> str:
+        return NOTES.format(baseline=self.results.baseline, photos=self.results.photos)
+
+    def _equal_time(self) -> list[str]:
+        """How many times our steps the row of equal time took."""
+        factors = [
+            f"{record['scene']} {record['steps_factor']:.2g} (seed {record['seed']})"
+            for record in self.results.records
+            if record["row"] == EQUAL_TIME
+        ]
+        what = "Joint, equal time: our settings with more steps, to take the CPU time of"
+        return [f"{what} {TUNED}. Steps times: {', '.join(factors) or NONE}."]
+
     def _table_one(self) -> list[str]:
         parts = ["", "## Table I: one box"]
         for place in self.results.boxes:
@@ -171,19 +127,21 @@ class Study:
 
     def _one(self, place: tuple[str, str], columns: Sequence[Column]) -> list[str]:
         """A table of one box."""
-        shown = self._measured(columns)
+        shown = self._shown(columns)
         rows = [
             [label, *self._cells(place, row, model, shown)] for label, row, model in self._lines()
         ]
         return table(["method", *_headings(shown), "seeds"], rows, names=1)
 
-    def _measured(self, columns: Sequence[Column]) -> list[Column]:
-        """Without those of FLIP, if nothing has it."""
+    def _shown(self, columns: Sequence[Column]) -> list[Column]:
+        """Without those of FLIP if nothing has it, and gains over Full Scene if all are."""
         has_flip = any(
             self.results.stat(*place, row, model, "roi_flip").values
             for place in self.results.boxes
             for _, row, model in self._all_lines()
         )
+        tuned = self.results.tuned
+        columns = [c for c in columns if tuned or c != OVER_PLAIN]
         return [column for column in columns if has_flip or "flip" not in column[1]]
 
     def _cells(
@@ -198,12 +156,11 @@ class Study:
         """A line for each box, and their mean."""
         results, ours = self.results, RESULT[self.own][0]
         shown = [
-            (label, row, model)
-            for label, row, model in self._lines()
-            if model in (BASELINE, "Matched", "Composition", "Composition, refined", "Joint")
+            (label, row, model) for label, row, model in self._lines() if model in IN_TABLE_TWO
         ]
         head = [*("scene", "box"), *(label for label, _, _ in shown)]
-        head += ["gain", "over matched", "object gain", "image over Scene-GS"]
+        over = ["gain", "over Full Scene"] if results.tuned else ["gain"]
+        head += [*over, "over matched", "object gain", "image over Scene-GS"]
         head += ["Gaussians ×", "CPU ×", "seeds"]
         columns = [
             [
@@ -212,7 +169,7 @@ class Study:
             ]
             for place in results.boxes
         ]
-        forms = [".2f"] * len(shown) + ["+.2f"] * 4 + [".2f"] * 2
+        forms = [".2f"] * len(shown) + ["+.2f"] * (3 + len(over)) + [".2f"] * 2
         title = f"## Table II: all boxes, ours = {ours}"
         parts = ["", title, "", *table(head, self._two(columns, forms, len(shown)), names=2)]
         return [*parts, *self._two_photos()]
@@ -220,7 +177,7 @@ class Study:
     def _two_photos(self) -> list[str]:
         """The second table of all boxes: near and far, and single photos."""
         results, ours = self.results, RESULT[self.own][0]
-        photos = self._measured(TABLE_TWO_PHOTOS)
+        photos = self._shown(TABLE_TWO_PHOTOS)
         head = ["scene", "box", *_headings(photos), "seeds"]
         columns = [
             [results.stat(*place, self.own, ours, metric) for _, metric, _ in photos]
@@ -245,15 +202,17 @@ class Study:
             columns: the numbers of each box.
             forms: their formats.
             counted: the number whose seeds are counted for the mean.
-            some: the mean is that of the boxes with a number; else all must have one.
+            some: a box that has this number may lack others, whose mean is that of the other boxes;
+                else all boxes must have all.
         """
         ours, rows = RESULT[self.own][0], []
         for place, stats in zip(self.results.boxes, columns, strict=True):
             seeds = len(self.results.entries(*place, self.own, ours))
             rows.append([*place, *_texts(stats, forms), str(seeds)])
         if len(columns) > 1:
+            may_lack = [some and bool(stats[counted].values) for stats in columns]
             means = [
-                mean_of([stat for stat in stats if stat.values or not some])
+                mean_of([s for s, may in zip(stats, may_lack, strict=True) if s.values or not may])
                 for stats in zip(*columns, strict=True)
             ]
             seeds = len(means[counted].values)
@@ -267,9 +226,12 @@ class Study:
         def stat(metric: str, row: str = self.own, model: str = ours) -> Stat:
             return self.results.stat(*place, row, model, metric)
 
+        matched = (MATCHED_TUNED, "Matched, tuned") if self.results.tuned else (MATCHED, "Matched")
+        plain = [stat("full_scene_gain")] if self.results.tuned else []
         return [
             stat("gain"),
-            stat("roi_psnr").minus(stat("roi_psnr", MATCHED, "Matched")),
+            *plain,
+            stat("roi_psnr").minus(stat("roi_psnr", *matched)),
             stat("object_gain"),
             stat("image_psnr").minus(stat("image_psnr", self.own, scene_gs)),
             stat("gaussians_ratio"),
@@ -279,7 +241,7 @@ class Study:
     def _table_three(self) -> list[str]:
         """The mean gain over all boxes by share of selected photos, then each box in full."""
         ablations = [row for row in self.rows if row.percent]
-        parts = ["", "## Table III: ablations", "", *_THREE_NOTES.splitlines(), ""]
+        parts = ["", "## Table III: ablations", "", *THREE_NOTES.splitlines(), ""]
         kinds = list(dict.fromkeys(kind_of(row) for row in ablations))
         cells = []
         for kind in kinds:
@@ -309,7 +271,7 @@ class Study:
         return [*cells, NONE if row.name == row.kind else over.text("+.2f"), seeds]
 
     def _beyond(self, variants: Sequence[Row]) -> list[str]:
-        """Each variant against Full Scene and against the preset's own result."""
+        """Each variant against the baseline and against the preset's own result."""
         results, (ours, _) = self.results, RESULT[self.own]
         parts = ["", "## Beyond", ""]
         parts += [
@@ -340,13 +302,6 @@ class Study:
                 means = [mean_of(stats) for stats in zip(*columns, strict=True)]
                 rows.append([variant.name, "mean", "all", *_beyond_cells(means)])
         return [*parts, "", *table(head, rows, names=3)]
-
-
-_THREE_NOTES = """\
-Each line changes one thing of the strategy: its photos or its start. All of them begin from the
-strategy's own Scene-GS, which another selection does not change here. 48 %: what the preset selects
-(48 % of the candidates, 150 photos at most). Scores are the composition's (joint: the joint
-model's). Over unchanged: against the strategy's own row, seed by seed."""
 
 
 def command_line(arguments: Sequence[str]) -> str:

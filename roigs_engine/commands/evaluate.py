@@ -12,6 +12,7 @@ from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
 from ..model.scene import SfmScene
+from ..run.config import PHOTOS, TEST, VALIDATION
 from .console import Console
 from .options import (
     add_device_option,
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     files = _model_files(args.model)
     reports = (args.out / REPORT, args.out / REPORT_DATA)
     refuse_inputs(reports, [*read_files(args), args.split, *files.values()])
-    rois, test = boxes(args), _split(args.split) if args.split else []
+    rois, (photos, test) = boxes(args), _split(args.split) if args.split else (TEST, [])
     for path in files.values():
         check_ply(path)
 
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     test = [image.name for image in scene.images if image.name in wanted]
     if len(test) < len(wanted):
         first = min(wanted - set(test))
-        lost = counted(len(wanted) - len(test), "test photo")
+        lost = counted(len(wanted) - len(test), f"{photos} photo")
         console.context.warn(f"Left out {lost} that cannot be used, the first is {first}.")
     frame = LocalFrame.of_scene(scene)
     scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
@@ -109,6 +110,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         rois,
         context=context,
         baseline=models[0].name,
+        photos=photos,
     )
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out, context=context)
@@ -129,12 +131,19 @@ def _model_files(texts: Sequence[str]) -> dict[str, Path]:
     return files
 
 
-def _split(path: Path) -> list[str]:
+def _split(path: Path) -> tuple[str, list[str]]:
+    """Whether a run is evaluated on test or on validation photos, and their names."""
     record = read_json(path, ConfigError, "Use a run's split.json.")
-    names = record.get("test") if isinstance(record, dict) else None
+    record = record if isinstance(record, dict) else {}
+    photos = record.get("evaluate_on", TEST)
+    if photos not in PHOTOS:
+        what = f"{path}: 'evaluate_on' is neither {TEST} nor {VALIDATION}."
+        raise ConfigError(what, "Use a run's split.json.")
+    names = record.get(photos)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ConfigError(f"{path} has no list 'test' of photo names.", "Use a run's split.json.")
+        what = f"{path} has no list '{photos}' of photo names."
+        raise ConfigError(what, "Use a run's split.json.")
     if not names:
         hint = "Use the split.json of a run with test photos, or --test-every."
-        raise ConfigError(f"{path} names no test photo.", hint)
-    return names
+        raise ConfigError(f"{path} names no {photos} photo.", hint)
+    return photos, names

@@ -24,6 +24,8 @@ from ..model.scene import PosedImage, SfmScene
 from ..photos.headers import PhotoError
 from . import metrics
 from .scores import (
+    FULL_SCENE,
+    FULL_SCENE_TUNED,
     MIN_OBJECT,
     Evaluation,
     ModelScore,
@@ -43,8 +45,9 @@ def evaluate(
     rois: Sequence[OrientedBox],
     *,
     context: Context = QUIET,
-    baseline: str = "Full Scene",
+    baseline: str | None = None,
     object_mask_from: str | None = None,
+    photos: str = "test",
 ) -> Evaluation:
     """Evaluate every model on the test photos.
 
@@ -58,24 +61,29 @@ def evaluate(
         test: names of the test photos.
         rois: the boxes.
         context: receives events; checked for cancellation between photos.
-        baseline: name of the model that gains are relative to.
+        baseline: name of the model that gains are relative to; None: the tuned Full Scene if there
+            is one, else Full Scene.
         object_mask_from: name of the model whose depth defines the object's mask; None: the best
             one. Use the same model in evaluations that are compared.
+        photos: what these photos are: `test` or `validation` photos.
 
     Raises:
         SceneError: there is no test photo, none can be read, or one is not in the scene.
         ConfigError: there is no model, two models of a box share a name, or a box has no model
             `object_mask_from`.
     """
-    images = _checked(models, scene, test)
-    plans = [plan_views(roi, images, models, object_mask_from, context) for roi in rois]
+    images = _checked(models, scene, test, photos)
+    if baseline is None:
+        tuned = any(model.name == FULL_SCENE_TUNED for model in models)
+        baseline = FULL_SCENE_TUNED if tuned else FULL_SCENE
+    plans = [plan_views(roi, images, models, object_mask_from, context, photos) for roi in rois]
     samples, image_views = _measure(models, images, plans, context)
     names = tuple(image.name for image in images if image.name in image_views[models[0]])
     if not names:
-        raise SceneError("No test photo can be read.", "Restore the photos' files.")
+        raise SceneError(f"No {photos} photo can be read.", "Restore the photos' files.")
     plans = [plan.only(names) for plan in plans]
     tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
-    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables))
+    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables), photos=photos)
 
 
 def _measure(
@@ -120,16 +128,17 @@ def ply_bytes(gaussians: Gaussians) -> int:
 
 
 def _checked(
-    models: Sequence[EvaluatedModel], scene: SfmScene, test: Sequence[str]
+    models: Sequence[EvaluatedModel], scene: SfmScene, test: Sequence[str], photos: str
 ) -> list[PosedImage]:
-    """The test photos in the scene's order."""
+    """The photos to measure, in the scene's order."""
     if not models:
         raise ConfigError("There is no model to evaluate.", "Give at least one PLY.")
     unknown = set(test) - {image.name for image in scene.images}
     if unknown:
-        raise SceneError(f"Test photo '{min(unknown)}' is not in the scene.", "Remove its name.")
+        what = f"{photos.capitalize()} photo '{min(unknown)}'"
+        raise SceneError(f"{what} is not in the scene.", "Remove its name.")
     if not test:
-        raise SceneError("There is no test photo.", "Set test_every.")
+        raise SceneError(f"There is no {photos} photo.", "Set test_every.")
     return list(scene.select(set(test)).images)
 
 

@@ -6,6 +6,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+FULL_SCENE, FULL_SCENE_TUNED = "Full Scene", "Full Scene, tuned"
+"""Names of the baselines that gains are relative to: to the tuned one, where there is one."""
 MIN_SILHOUETTE = 1024  # pixels; views with fewer silhouette pixels are skipped for the box
 MIN_OBJECT = 256  # pixels; views with fewer object pixels are skipped in the object column
 
@@ -113,11 +115,19 @@ class RoiScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """All tables, and the name of the model that gains are relative to."""
+    """All tables.
+
+    Attributes:
+        test_views: names of the photos that were measured.
+        baseline: name of the model that gains are relative to.
+        rois: the table of each box.
+        photos: what the measured photos are: `test` or `validation` photos.
+    """
 
     test_views: tuple[str, ...]
     baseline: str
     rois: tuple[RoiScores, ...]
+    photos: str = "test"
 
     def roi(self, name: str) -> RoiScores:
         """The table of that box; KeyError if there is none."""

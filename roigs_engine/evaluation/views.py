@@ -126,6 +126,7 @@ def plan_views(
     models: Sequence[EvaluatedModel],
     mask_from: str | None,
     context: Context,
+    photos: str = "test",
 ) -> BoxPlan:
     """Decides which test views count for the box.
 
@@ -151,12 +152,13 @@ def plan_views(
         if size >= least
     }
     if not views:
-        context.warn(f"No test photo shows box '{roi.name}': no scores.")
+        context.warn(f"No {photos} photo shows box '{roi.name}': no scores.")
     elif len(views) < FEW_VIEWS or largest < MIN_SILHOUETTE:
         count = len(views) if largest >= MIN_SILHOUETTE else 0
         context.warn(
-            f"Box '{roi.name}' is large enough on {count} of {counted(len(images), 'test photo')}:"
-            " its scores say little. Use a larger --max-side, or more photos of it."
+            f"Box '{roi.name}' is large enough on {count} of"
+            f" {counted(len(images), f'{photos} photo')}: its scores say little. Use a larger"
+            " --max-side, or more photos of it."
         )
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]

@@ -12,13 +12,15 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..selection.config import MAX_SEED, SelectionConfig
-from ..training.config import TrainConfig, with_steps
+from ..training.config import TrainConfig, miniature, with_steps
 
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
+TEST, VALIDATION = PHOTOS = ("test", "validation")
 MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
-COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
+BASELINES = ("full-scene", "full-object", "full-scene-tuned", "full-object-tuned")
+COMPARISONS = (*BASELINES, *STRATEGIES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +44,12 @@ class RunConfig:
             sees a box.
         refine_share: `independent` only: share of the box stage's steps that go to the joint
             refinement instead of the Object-GS. 0: no joint refinement (paper).
+        baseline_densify: share of the baselines' steps that densify (3DGS: 15,000 of 30,000; paper:
+            15,000 of 50,000).
+        whole_schedule: whether `scaled` shrinks the intervals of the schedule with the steps.
         test_every: every n-th photo that sees a box, by distance, becomes a test photo.
+        evaluate_on: `test` photos or `validation` photos. Settings are chosen on the latter; test
+            photos are then used by nothing.
         seed: of everything random.
     """
 
@@ -57,7 +64,10 @@ class RunConfig:
     roi_order: str = "ordered"
     selected_share: float = 0.5
     refine_share: float = 0.0
+    baseline_densify: float = 0.5
+    whole_schedule: bool = False
     test_every: int = 8
+    evaluate_on: str = TEST
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -65,6 +75,7 @@ class RunConfig:
             ("strategy", self.strategy, STRATEGIES),
             ("roi_init", self.roi_init, INITS),
             ("roi_order", self.roi_order, ORDERS),
+            ("evaluate_on", self.evaluate_on, PHOTOS),
         ):
             if value not in allowed:
                 raise ConfigError(f"{name} is '{value}'.", f"Use one of {', '.join(allowed)}.")
@@ -72,6 +83,7 @@ class RunConfig:
             ("kept_share", self.kept_share),
             ("selected_share", self.selected_share),
             ("refine_share", self.refine_share),
+            ("baseline_densify", self.baseline_densify),
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
@@ -87,6 +99,11 @@ class RunConfig:
         if not 0 <= self.seed <= MAX_SEED:
             raise ConfigError(
                 f"The seed is {self.seed}.", f"Use an integer from 0 to {MAX_SEED:,}."
+            )
+        if self.evaluate_on == VALIDATION and not self.test_every:
+            raise ConfigError(
+                "Without test photos (test_every 0) there are no validation photos.",
+                "Set test_every to 2 or more.",
             )
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
@@ -104,13 +121,17 @@ class RunConfig:
         return dataclasses.asdict(self)
 
     def scaled(self, factor: float) -> RunConfig:
-        """The config with the steps of both stages multiplied, see `with_steps`."""
+        """The config with the steps of both stages multiplied.
+
+        With `whole_schedule` see `miniature`, else `with_steps`.
+        """
         if not 0 < factor <= MAX_FACTOR:
             raise ConfigError(
                 f"The step factor is {factor:g}.", f"Use a number above 0, at most {MAX_FACTOR}."
             )
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
-        return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
+        resized = miniature if self.whole_schedule else with_steps
+        return replace(self, scene=resized(self.scene, scene), roi=resized(self.roi, roi))
 
     @property
     def refine_steps(self) -> int:

@@ -20,14 +20,16 @@ class SelectionConfig:
 
     Attributes:
         method: one of `METHODS`.
-        count: number of photos to select; None: min(150, ceil(share x candidates)).
+        count: number of photos to select; None: min(limit, ceil(share x candidates)).
         share: see `count`; paper: 0.48.
+        limit: most photos that `share` may select; 0: no limit.
         seed: of `random`, and of the Gaussian process's optimizer restarts.
     """
 
     method: str = "coverage"
     count: int | None = None
     share: float = PAPER_SHARE
+    limit: int = PAPER_COUNT
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -39,6 +41,8 @@ class SelectionConfig:
             raise ConfigError(f"Cannot select {self.count} photos.", "Set count to 1 or more.")
         if not 0 < self.share <= 1:
             raise ConfigError(f"The share to select is {self.share:g}.", "Use above 0, up to 1.")
+        if self.limit < 0:
+            raise ConfigError(f"The limit of the selection is {self.limit}.", "Use 0 or more.")
         if not 0 <= self.seed <= MAX_SEED:
             raise ConfigError(
                 f"The selection's seed is {self.seed}.", f"Use an integer from 0 to {MAX_SEED:,}."
@@ -49,4 +53,5 @@ class SelectionConfig:
         if self.count is not None:
             return min(self.count, candidates)
         # Without 1e-9, rounding errors such as 0.48 x 25 = 12.000000000000002 would give 13.
-        return min(PAPER_COUNT, math.ceil(self.share * candidates - 1e-9), candidates)
+        wanted = min(math.ceil(self.share * candidates - 1e-9), candidates)
+        return min(self.limit, wanted) if self.limit else wanted

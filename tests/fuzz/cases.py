@@ -430,7 +430,7 @@ def splits(dice: random.Random, folder: Path) -> Command:
     split = str(
         write(
             folder / "in" / "split.json",
-            json_bytes(dice, odd_tree(dice, {"test": inputs.NAMES[:1]})),
+            json_bytes(dice, odd_tree(dice, {"evaluate_on": "test", "test": inputs.NAMES[:1]})),
         )
     )
     name = (

@@ -394,8 +394,17 @@ def test_markdown_table_of_single_photos() -> None:
     assert "Photos of the peak and the worst gain: ours 3.png, 0.png." in text
 
 
+def test_a_report_says_validation_photos() -> None:
+    scores = dataclasses.replace(by_hand().rois[0], left_out=("8.png",))
+    unseen = dataclasses.replace(scores, roi="unseen", views=(), rows=())
+    report = dataclasses.replace(by_hand(), photos="validation", rois=(scores, unseen))
+    text = format_markdown(report)
+    assert text.count("validation photo") == 3 and "test photo" not in text
+
+
 def test_a_report_of_version_0_1_0_is_read() -> None:
     record = by_hand().to_dict()
+    del record["photos"]
     for row in record["rois"][0]["rows"]:
         for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
             del row[name]
