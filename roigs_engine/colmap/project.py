@@ -20,6 +20,8 @@ from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
 from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 
+NAMED = 4  # skipped photos that a message names
+
 
 def load_colmap(
     path: Path | str,
@@ -96,7 +98,8 @@ def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
     if scene.stray_points:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():
-        first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
+        shown = names if len(names) <= NAMED else names[: NAMED - 1]
+        first = ", ".join(shown) + ("" if shown == names else ", …")
         emit = context.info if reason == UNPOSED else context.warn
         emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first}.")
     return scene

@@ -6,9 +6,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..context import Context
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
-from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA
+from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, SPLIT
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
 from ..model.scene import SfmScene
@@ -26,6 +27,7 @@ from .options import (
 from .out_folder import refuse_inputs
 from .values import NAME, PATH, integer, named_file
 
+TEST_EVERY = 8
 HELP = "compare PLYs on test photos, in each box and on the whole image"
 EXAMPLES = """\
   python -m roigs_engine evaluate garden --rois garden/rois.json --out out \\
@@ -47,13 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a row of the table; gains are relative to the first one; repeatable",
     )
     tests = parser.add_mutually_exclusive_group()
-    tests.add_argument("--split", type=PATH, metavar="FILE", help="split.json of a run")
+    tests.add_argument(
+        "--split",
+        type=PATH,
+        metavar="FILE",
+        help="split.json of a run (default: that of the run that the models are from)",
+    )
     tests.add_argument(
         "--test-every",
         type=integer(2),
-        default=8,
         metavar="N",
-        help="test on every N-th photo that sees a box (default: 8)",
+        help="test on every N-th photo that sees a box, whether or not a model was trained on it",
     )
     parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")
 
@@ -74,7 +80,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     files = _model_files(args.model)
     reports = (args.out / REPORT, args.out / REPORT_DATA)
     refuse_inputs(reports, [*read_files(args), args.split, *files.values()])
-    rois, (photos, test) = boxes(args), _split(args.split) if args.split else (TEST, [])
+    rois, split = boxes(args), args.split
+    if split is None and args.test_every is None:
+        split = _split_of_run(list(files.values()), console.context)
+    photos, test = _split(split) if split else (TEST, [])
     for path in files.values():
         check_ply(path)
 
@@ -85,12 +94,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         unknown = sorted(set(test) - {image.name for image in cameras.images} - lost)
         if unknown:
             raise ConfigError(
-                f"{args.split} names '{unknown[0]}', which is not in the scene.",
+                f"{split} names '{unknown[0]}', which is not in the scene.",
                 "Use the split.json of a run on this scene.",
             )
 
     scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
-    wanted = set(test or choose_test_views(scene, rois, args.test_every))
+    wanted = set(test or choose_test_views(scene, rois, args.test_every or TEST_EVERY))
     test = [image.name for image in scene.images if image.name in wanted]
     if len(test) < len(wanted):
         first = min(wanted - set(test))
@@ -104,13 +113,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         loaded = Gaussians.load_ply(path, frame).to(torch.device(context.device))
         models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
     evaluation = evaluate(
-        models,
-        scene,
-        test,
-        rois,
-        context=context,
-        baseline=models[0].name,
-        photos=photos,
+        models, scene, test, rois, context=context, baseline=models[0].name, photos=photos
     )
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out, context=context)
@@ -129,6 +132,26 @@ def _model_files(texts: Sequence[str]) -> dict[str, Path]:
             raise ConfigError(f"--model names '{name}' twice.", "Give each model its own name.")
         files[name] = path
     return files
+
+
+def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
+    """The split of the run that all models are from; None, with a warning, if they are from none.
+
+    A model of a run lies in its folder, or in one or two folders below.
+    """
+    found = {
+        next((p / SPLIT for p in list(path.absolute().parents)[:3] if (p / SPLIT).is_file()), None)
+        for path in models
+    }
+    split = found.pop()
+    if split is None or found:
+        context.warn(
+            "The models may have been trained on photos that they are tested on. Name the"
+            " split.json of their run (--split) to test on others."
+        )
+        return None
+    context.info(f"Testing on the photos of {split}.")
+    return split
 
 
 def _split(path: Path) -> tuple[str, list[str]]:

@@ -49,10 +49,10 @@ class StopRequest:
             self._interrupts += 1
         if self._interrupts > 1:
             self._leave()
-        words = [] if self.asked else ["Stopping after this step."]
+        words = [] if self.asked else ["Stopping; what is done is saved."]
         self.asked = True
         if number == signal.SIGINT:
-            words.append("Press Ctrl-C again to quit at once.")
+            words.append("Press Ctrl-C again to quit at once, without saving.")
         if words:
             _say(" ".join(words))
 
@@ -63,7 +63,7 @@ class StopRequest:
         """
         if self.leaving:
             os._exit(INTERRUPTED)
-        _say("Stopped.")
+        _say("Stopped. What was saved before is kept; the same command resumes there.")
         self.leaving = True
         # Not a `Thread`: its locks may be held by what the signal has interrupted.
         _thread.start_new_thread(_end_soon, ())

@@ -94,10 +94,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     with opened_run(args, console) as (run, context):
         train_opened(run, (), context, update=args.update, preview_seconds=args.preview_seconds)
-    return {
-        "result": str(args.run_dir / run_files.RESULT),
-        "rois": str(args.run_dir / run_files.FINE),
-    }
+    result = args.run_dir / run_files.RESULT
+    console.context.info(f"The result is {result}.")
+    return {"result": str(result), "rois": str(args.run_dir / run_files.FINE)}
 
 
 @contextmanager

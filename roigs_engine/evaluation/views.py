@@ -154,11 +154,13 @@ def plan_views(
     if not views:
         context.warn(f"No {photos} photo shows box '{roi.name}': no scores.")
     elif len(views) < FEW_VIEWS or largest < MIN_SILHOUETTE:
-        count = len(views) if largest >= MIN_SILHOUETTE else 0
+        large = sum(not view.small for view in views.values())
+        advice = "a larger --max-side, or " if large < len(images) else ""
         context.warn(
-            f"Box '{roi.name}' is large enough on {count} of"
-            f" {counted(len(images), f'{photos} photo')}: its scores say little. Use a larger"
-            " --max-side, or more photos of it."
+            f"The scores of box '{roi.name}' say little:"
+            f" {large} of {counted(len(images), f'{photos} photo')} show it on"
+            f" {MIN_SILHOUETTE:,} pixels or more. Use {advice}more {photos} photos"
+            " (a smaller --test-every)."
         )
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]

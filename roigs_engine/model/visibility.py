@@ -20,6 +20,7 @@ from .scene import Float64, Int64, PosedImage, SfmScene
 
 # Points named in the error about an empty box.
 NEAREST_NAMED = 3
+OTHER_UNITS = 3.0  # a box this many times as large as all points is in other units
 # The depth test without tracks: cells along the image's longer side; the number of points in front
 # that hide a point (one could be an outlier); how far in front they must be, in box diagonals.
 DEPTH_CELLS = 64
@@ -211,7 +212,8 @@ def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
     distance = np.linalg.norm(outside, axis=1)
     nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
     named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
-    if distance[nearest[0]] > roi.diagonal:
+    spread = float(np.linalg.norm(np.ptp(finite, axis=0)))
+    if distance[nearest[0]] > roi.diagonal or roi.diagonal > OTHER_UNITS * spread:
         return RoiError(
             f"{message} Nearest points: {named}.",
             "Move the box onto the object. Is it in the model's units and frame?",

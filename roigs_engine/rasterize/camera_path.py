@@ -35,7 +35,9 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     """
     hint = "docs/files.md describes camera path files."
     document = read_json(path, ConfigError, hint)
-    records = document.get("cameras") if isinstance(document, dict) else None
+    records = None
+    if isinstance(document, dict):  # `images` are the photos of an exported scene
+        records = document.get("cameras", document.get("images"))
     if not isinstance(records, list) or not records:
         raise ConfigError(f"{path} has no list 'cameras'.", hint)
     cameras = []

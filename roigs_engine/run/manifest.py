@@ -138,6 +138,9 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
     if before == now:
         return ""
     name = path.removeprefix("config.").removeprefix("selection.")
+    if name == "sizes" and isinstance(before, list) and isinstance(now, list):
+        sizes = (", ".join(map(str, value)) for value in (before, now))
+        return "the photos' size was {}, now {} (--max-side, --downscale)".format(*sizes)
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
 

@@ -166,7 +166,8 @@ def test_a_run_behind_nohup_outlives_its_terminal() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-STOPPING, AGAIN = "Stopping after this step.", "Press Ctrl-C again to quit at once."
+STOPPING = "Stopping; what is done is saved."
+AGAIN = "Press Ctrl-C again to quit at once, without saving."
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,25 @@ def test_a_test_photo_lost_later_costs_its_row(
     assert table["test_views"] == rest
 
 
+def test_models_of_a_run_are_tested_on_its_test_photos(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run, out = scene(tmp_path), tmp_path / "run", tmp_path / "out"
+    assert main([*arguments(project, run), "--seed", "3"]) == 0
+    command = ["evaluate", str(project.folder), "--roi", BOX, "--out", str(out), "--model"]
+    models = [f"A={run / run_files.RESULT}", "--model", f"B={run / 'scene' / run_files.MODEL}"]
+    capsys.readouterr()
+    assert main([*command, *models]) == 0
+    assert "Testing on the photos of" in capsys.readouterr().err
+    table = json.loads((out / run_files.REPORT_DATA).read_text(encoding="utf-8"))
+    assert table["test_views"] == split_of(run)
+    elsewhere = tmp_path / "copy" / "a" / "b" / "c.ply"
+    elsewhere.parent.mkdir(parents=True)
+    elsewhere.write_bytes((run / run_files.RESULT).read_bytes())
+    assert main([*command, f"A={elsewhere}"]) == 0
+    assert "may have been trained on" in capsys.readouterr().err
+
+
 def test_changed_photos_are_refused_or_trained_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
