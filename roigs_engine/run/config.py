@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..selection.config import MAX_SEED, SelectionConfig
-from ..training.config import TrainConfig, with_steps
+from ..training.config import TrainConfig, miniature, with_steps
 
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
@@ -42,6 +42,9 @@ class RunConfig:
             sees a box.
         refine_share: `independent` only: share of the box stage's steps that go to the joint
             refinement instead of the Object-GS. 0: no joint refinement (paper).
+        baseline_densify: share of the baselines' steps that densify (3DGS: 15,000 of 30,000; paper:
+            15,000 of 50,000).
+        whole_schedule: whether `scaled` shrinks the intervals of the schedule with the steps.
         test_every: every n-th photo that sees a box, by distance, becomes a test photo.
         seed: of everything random.
     """
@@ -57,6 +60,8 @@ class RunConfig:
     roi_order: str = "ordered"
     selected_share: float = 0.5
     refine_share: float = 0.0
+    baseline_densify: float = 0.5
+    whole_schedule: bool = False
     test_every: int = 8
     seed: int = 0
 
@@ -72,6 +77,7 @@ class RunConfig:
             ("kept_share", self.kept_share),
             ("selected_share", self.selected_share),
             ("refine_share", self.refine_share),
+            ("baseline_densify", self.baseline_densify),
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
@@ -104,13 +110,17 @@ class RunConfig:
         return dataclasses.asdict(self)
 
     def scaled(self, factor: float) -> RunConfig:
-        """The config with the steps of both stages multiplied, see `with_steps`."""
+        """The config with the steps of both stages multiplied.
+
+        With `whole_schedule` see `miniature`, else `with_steps`.
+        """
         if not 0 < factor <= MAX_FACTOR:
             raise ConfigError(
                 f"The step factor is {factor:g}.", f"Use a number above 0, at most {MAX_FACTOR}."
             )
         scene, roi = (max(1, round(c.steps * factor)) for c in (self.scene, self.roi))
-        return replace(self, scene=with_steps(self.scene, scene), roi=with_steps(self.roi, roi))
+        resized = miniature if self.whole_schedule else with_steps
+        return replace(self, scene=resized(self.scene, scene), roi=resized(self.roi, roi))
 
     @property
     def refine_steps(self) -> int:

@@ -30,6 +30,8 @@ def paper_recipe() -> RunConfig:
             reset_every=0,
             contribution_every=1000,
         ),
+        baseline_densify=0.3,
+        whole_schedule=True,
     )
 
 
@@ -105,7 +107,8 @@ def preset(name: str) -> RunConfig:
 def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
     """The config for another strategy: the paper's recipe, or the preset's joint recipe.
 
-    Steps, SH degree, test photos, seed and number of selected photos stay the same.
+    Steps, SH degree, baselines, test photos, seed and number of selected photos stay the same. The
+    intervals of the paper's recipe do not shrink with the preset's steps (`with_steps`).
     """
     label = f"{config.preset}, {strategy}"
     if strategy == "joint":
@@ -126,6 +129,8 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
         scene=replace(other.scene, sh_degree=config.scene.sh_degree),
         roi=replace(other.roi, sh_degree=config.roi.sh_degree),
         selection=replace(other.selection, seed=config.seed, count=config.selection.count),
+        baseline_densify=config.baseline_densify,
+        whole_schedule=False,
         test_every=config.test_every,
         seed=config.seed,
     )

@@ -12,15 +12,15 @@ from .presets import joint_recipe
 def baseline(config: RunConfig) -> TrainConfig:
     """Full Scene and Full Object: 3DGS over the steps of both stages.
 
-    Densification lasts for the first half, as in 3DGS (15,000 of 30,000).
+    The intervals are the Scene-GS's, which a miniature of the paper's schedule has scaled.
     """
     return replace(
         config.scene,
         steps=config.total_steps,
-        densify_until=config.total_steps // 2,
+        densify_until=int(config.baseline_densify * config.total_steps + 1e-9),
         lr_means_final=TrainConfig.lr_means_final,
         grad_threshold=TrainConfig.grad_threshold,
-        reset_every=TrainConfig.reset_every,
+        reset_every=config.scene.reset_every or TrainConfig.reset_every,
     )
 
 

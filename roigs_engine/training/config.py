@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..errors import ConfigError
+
+# What `miniature` scales beside the steps.
+INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contribution_every")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,11 +114,25 @@ class TrainConfig:
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     """The config with `steps` steps; the shares that densify and that are averaged stay the same.
 
-    The first densification step and the intervals between SH degrees and resets do not scale: Adam
-    and the statistics need a fixed number of steps.
+    The first densification step and the intervals do not scale: Adam and the statistics need a
+    fixed number of steps. `miniature` scales them too.
     """
     until, averaged = (
         round(share * steps / config.steps)
         for share in (config.densify_until, config.average_steps)
     )
     return replace(config, steps=steps, densify_until=until, average_steps=averaged)
+
+
+def miniature(config: TrainConfig, steps: int) -> TrainConfig:
+    """The config with `steps` steps and its whole schedule in proportion.
+
+    So it densifies, raises the SH degree and resets opacities as often as the full schedule, up to
+    rounding. An interval keeps at least one step; what is off stays off.
+    """
+    intervals: dict[str, int] = {name: getattr(config, name) for name in INTERVALS}
+    scaled: dict[str, Any] = {
+        name: max(1, round(interval * steps / config.steps)) if interval else 0
+        for name, interval in intervals.items()
+    }
+    return replace(with_steps(config, steps), **scaled)

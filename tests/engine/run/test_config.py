@@ -13,7 +13,7 @@ from roigs_engine.errors import ConfigError
 from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
-from roigs_engine.training.config import TrainConfig, with_steps
+from roigs_engine.training.config import INTERVALS, TrainConfig, with_steps
 
 
 def test_paper_preset_has_the_papers_numbers() -> None:
@@ -55,9 +55,8 @@ def test_presets_are_complete_and_fair(name: str) -> None:
     assert config.preset == name
     assert config.total_steps == config.scene.steps + config.roi.steps
     total = config.total_steps
-    assert stage_configs.baseline(config) == TrainConfig(
-        steps=total, densify_until=total // 2
-    )  # 3DGS alone
+    densify = {"paper": total * 15 // 50}.get(name, total // 2)  # 15,000 of 50,000; 3DGS: half
+    assert stage_configs.baseline(config) == TrainConfig(steps=total, densify_until=densify)
     assert config.roi.densify_in_boxes
     assert config.roi.position_learning_rate(config.roi.steps) == pytest.approx(1.6e-6)
 
@@ -118,6 +117,53 @@ def test_scaling_keeps_the_share_of_densifying_steps(factor: float) -> None:
 def test_with_steps_changes_the_length_only() -> None:
     short = with_steps(preset("paper").roi, 3000)
     assert short == replace(preset("paper").roi, steps=3000, densify_until=1500)
+
+
+def events(config: TrainConfig) -> dict[str, int]:
+    """How often the schedule densifies, raises the SH degree, resets opacities, and so on."""
+    due = range(1, config.steps + 1)
+    densifying = [step for step in due if config.densify_from <= step < config.densify_until]
+    return {
+        "densifications": sum(step % config.densify_every == 0 for step in densifying),
+        "resets": sum(step % config.reset_every == 0 for step in densifying)
+        if config.reset_every
+        else 0,
+        "windows": config.steps // config.contribution_every if config.contribution_every else 0,
+        "degree": config.degree(config.steps),
+        "raises": len({config.degree(step) for step in due}),
+    }
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.05, 0.1, 0.5, 2])
+@pytest.mark.parametrize("stage", ["scene", "roi", "baseline"])
+def test_the_papers_schedule_shrinks_as_a_whole(stage: str, factor: float) -> None:
+    def of(config: RunConfig) -> TrainConfig:
+        return stage_configs.baseline(config) if stage == "baseline" else getattr(config, stage)
+
+    full, small = of(preset("paper")), of(preset("paper").scaled(factor))
+    assert events(small) == events(full)
+    assert small.steps == full.steps * factor
+    assert small.densify_until == full.densify_until * factor
+    counts = {"scene": (95, 3), "roi": (149, 0), "baseline": (145, 4)}
+    assert (events(full)["densifications"], events(full)["resets"]) == counts[stage]
+
+
+@given(st.floats(0.0001, 20))
+def test_an_interval_keeps_a_step_and_what_is_off_stays_off(factor: float) -> None:
+    config = preset("paper").scaled(factor)
+    assert min(config.scene.densify_every, config.scene.sh_every, config.scene.reset_every) >= 1
+    assert (config.roi.reset_every, config.roi.densify_from) == (0, 0)
+    assert (config.scene.contribution_every, config.roi.contribution_every > 0) == (0, True)
+
+
+@pytest.mark.parametrize("name", ["standard", "draft"])
+def test_intervals_of_joint_presets_do_not_shrink(name: str) -> None:
+    config, short = preset(name), preset(name).scaled(0.1)
+    for before, now in ((config.scene, short.scene), (config.roi, short.roi)):
+        assert {getattr(now, n) == getattr(before, n) for n in INTERVALS} == {True}
+    independent = in_strategy(config, "independent")
+    assert not independent.whole_schedule and independent.scene.densify_every == 100
+    assert independent.baseline_densify == 0.5
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan")])
