@@ -291,6 +291,8 @@ def test_another_preset_or_size_is_refused(
 ) -> None:
     assert study(scene_folder, done, "--steps", "0.5") == 2
     assert "holds a study with steps 1.0, not 0.5" in capsys.readouterr().err
+    assert study(scene_folder, done, "--evaluate-on", "validation") == 2
+    assert "holds a study with evaluate_on test, not validation" in capsys.readouterr().err
     assert command.main(["--report-only", "--out", str(done / "none")]) == 2
     assert not (done / "none").exists()
 

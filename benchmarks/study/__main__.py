@@ -27,6 +27,7 @@ from roigs_engine.errors import ConfigError
 from roigs_engine.formats.events import Failed
 from roigs_engine.formats.files import read_json, write_json, write_text
 from roigs_engine.kernels import library
+from roigs_engine.run.config import PHOTOS, TEST
 from roigs_engine.run.presets import PRESETS, preset
 from roigs_engine.training.trainer import one_torch_thread
 
@@ -66,6 +67,7 @@ def _run(options: argparse.Namespace, given: Sequence[str], console: Console) ->
                 preset=options.preset,
                 factor=options.steps,
                 max_side=options.max_side,
+                evaluate_on=options.evaluate_on,
                 keep_models=options.keep_models,
                 context=console.context,
             )
@@ -79,7 +81,7 @@ def _run(options: argparse.Namespace, given: Sequence[str], console: Console) ->
 
 
 def _claim(options: argparse.Namespace) -> None:
-    """Write the preset, step factor and photo size of a new folder; compare those of an old one.
+    """Write what a new folder is for; compare with what an old one is for.
 
     To report only, they are taken from the folder.
 
@@ -87,9 +89,10 @@ def _claim(options: argparse.Namespace) -> None:
         ConfigError: the folder is for others.
     """
     path = options.out / "settings.json"
-    settings = {"preset": options.preset, "steps": options.steps, "max_side": options.max_side}
+    names = ("preset", "steps", "max_side", "evaluate_on")
+    settings = {name: getattr(options, name) for name in names}
     if path.exists():
-        before = read_json(path)
+        before = {"evaluate_on": TEST, **read_json(path)}  # older folders do not say
         if options.report_only:
             vars(options).update(before)
         elif before != settings:
@@ -164,6 +167,7 @@ def _head(
         "preset": f"{options.preset}, strategy {config.strategy}",
         "steps": f"{config.scene.steps} + {config.roi.steps} (× {options.steps:g})",
         "longest side": f"{options.max_side} px" if options.max_side else "of the photos",
+        "evaluated on": f"{options.evaluate_on} photos",
         "command": command_line(given),
     }
 
@@ -194,6 +198,9 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         "--steps", type=float, default=1.0, metavar="F", help="multiply the steps of all stages"
     )
     parser.add_argument("--max-side", type=int, metavar="PX", help="longest side of the photos")
+    parser.add_argument(
+        "--evaluate-on", choices=PHOTOS, default=TEST, help="test photos, or validation photos"
+    )
     parser.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all)")
     parser.add_argument(
         "--keep-models", action="store_true", help="keep the models of ablations and variants"

@@ -23,7 +23,7 @@ from roigs_engine.kernels import library
 from roigs_engine.machine import processor_name
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run import stage_configs, strategies
-from roigs_engine.run.config import RunConfig
+from roigs_engine.run.config import TEST, RunConfig
 from roigs_engine.run.definition import Run, define_run, inputs_record
 from roigs_engine.run.executor import Executor, TrainedModel
 from roigs_engine.run.folder import open_folder
@@ -42,6 +42,7 @@ class Bench:
         scene, sfm: boxes; photos, cameras and points.
         seed: of everything random.
         preset, factor: settings, and what their steps are multiplied by.
+        evaluate_on: `test` or `validation` photos.
         folder: run folder of all rows; stages are in it or in its `archive`.
         pictures: folder of the crops.
         context: of the work.
@@ -54,6 +55,7 @@ class Bench:
     factor: float
     folder: Path
     pictures: Path
+    evaluate_on: str = TEST
     context: Context = QUIET
 
     def manifest(self, row: Row) -> dict[str, Any]:
@@ -79,10 +81,11 @@ class Bench:
         evaluation = evaluate(
             models,
             self.sfm,
-            run.test,
+            run.measured,
             self.scene.rois,
             context=self.context,
             object_mask_from=BASELINE,
+            photos=self.evaluate_on,
         )
         record = {
             **self._facts(row, run, plan, made),
@@ -119,7 +122,8 @@ class Bench:
         return run, plan + replace(made, outputs=())
 
     def _config(self, row: Row) -> RunConfig:
-        return row.config(self.preset, self.factor, self.seed)
+        config = row.config(self.preset, self.factor, self.seed)
+        return replace(config, evaluate_on=self.evaluate_on)
 
     def _own_config(self) -> RunConfig:
         """The preset's."""
@@ -158,7 +162,7 @@ class Bench:
             "distances": {
                 roi.name: {
                     name: float(np.linalg.norm(self.sfm.image(name).centre - roi.centre))
-                    for name in run.test
+                    for name in run.measured
                 }
                 for roi in rois
             },

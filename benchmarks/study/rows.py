@@ -21,7 +21,7 @@ KINDS = (*BASELINES, INDEPENDENT, REFINED, JOINT, VARIANT)
 # Percent of the candidates that Table III selects. The last is the presets' own.
 PERCENTS = (20, 40, 48)
 # Every row of a study has the same tests and seeds, so a variant cannot set them.
-FIXED = ("preset", "seed", "test_every", "selection.seed")
+FIXED = ("preset", "seed", "test_every", "evaluate_on", "baseline_densify", "selection.seed")
 
 Change = tuple[str, Any]
 """Dotted name of a field of `RunConfig`, and its value."""

@@ -48,6 +48,7 @@ class Work:
         folder: of the study.
         preset, factor: settings; what their steps are multiplied by.
         max_side: longest side of the photos used; None: as they are.
+        evaluate_on: `test` or `validation` photos.
         keep_models: keep what only an ablation or variant needs.
         context: of the work.
     """
@@ -56,6 +57,7 @@ class Work:
     preset: str
     factor: float
     max_side: int | None
+    evaluate_on: str
     keep_models: bool
     context: Context = QUIET
     _loaded: dict[str, SfmScene] = field(default_factory=dict)
@@ -96,6 +98,7 @@ class Work:
             factor=self.factor,
             folder=self.folder / "runs" / home,
             pictures=self.folder / "pictures" / home,
+            evaluate_on=self.evaluate_on,
             context=self.context,
         )
         manifest = bench.manifest(row)

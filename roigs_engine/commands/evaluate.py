@@ -11,6 +11,7 @@ from ..formats.files import own_folder, read_json
 from ..formats.run_files import CACHE
 from ..formats.splat_ply import check_ply
 from ..model.scene import SfmScene
+from ..run.config import PHOTOS, TEST, VALIDATION
 from .console import Console
 from .options import (
     add_device_option,
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..selection.split import choose_test_views
 
     files = _model_files(args.model)
-    rois, test = boxes(args), _split(args.split) if args.split else []
+    rois, (photos, test) = boxes(args), _split(args.split) if args.split else (TEST, [])
     for path in files.values():
         check_ply(path)
 
@@ -99,6 +100,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         rois,
         context=context,
         baseline=models[0].name,
+        photos=photos,
     )
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out, context=context)
@@ -117,12 +119,19 @@ def _model_files(texts: Sequence[str]) -> dict[str, Path]:
     return files
 
 
-def _split(path: Path) -> list[str]:
+def _split(path: Path) -> tuple[str, list[str]]:
+    """Whether a run is evaluated on test or on validation photos, and their names."""
     record = read_json(path, ConfigError, "Use a run's split.json.")
-    names = record.get("test") if isinstance(record, dict) else None
+    record = record if isinstance(record, dict) else {}
+    photos = record.get("evaluate_on", TEST)
+    if photos not in PHOTOS:
+        what = f"{path}: 'evaluate_on' is neither {TEST} nor {VALIDATION}."
+        raise ConfigError(what, "Use a run's split.json.")
+    names = record.get(photos)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ConfigError(f"{path} has no list 'test' of photo names.", "Use a run's split.json.")
+        what = f"{path} has no list '{photos}' of photo names."
+        raise ConfigError(what, "Use a run's split.json.")
     if not names:
         hint = "Use the split.json of a run with test photos, or --test-every."
-        raise ConfigError(f"{path} names no test photo.", hint)
-    return names
+        raise ConfigError(f"{path} names no {photos} photo.", hint)
+    return photos, names

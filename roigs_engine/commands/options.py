@@ -15,7 +15,7 @@ from ..formats.names import first_taken
 from ..machine import return_large_blocks
 from ..model.roi import OrientedBox, load_rois, parse_roi
 from ..model.scene import SfmScene
-from ..run.config import INITS, MAX_FACTOR, ORDERS, STRATEGIES, RunConfig
+from ..run.config import INITS, MAX_FACTOR, ORDERS, PHOTOS, STRATEGIES, RunConfig
 from ..run.presets import PRESETS, in_strategy, preset
 from ..selection import METHODS
 from ..selection.config import MAX_SEED
@@ -106,6 +106,16 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
         type=TEST_EVERY,
         metavar="N",
         help="make every N-th photo that sees a box a test photo; 0: none",
+    )
+
+
+def add_evaluation_option(parser: argparse.ArgumentParser) -> None:
+    """Test or validation photos."""
+    parser.add_argument(
+        "--evaluate-on",
+        choices=PHOTOS,
+        help="photos to evaluate on: the test photos (default), or validation photos, to choose"
+        " settings with; nothing uses the test photos then",
     )
 
 
@@ -239,7 +249,9 @@ def run_config(args: argparse.Namespace) -> RunConfig:
         config = replace(in_strategy(config, args.strategy), preset=config.preset)
     if args.steps_factor is not None:
         config = config.scaled(args.steps_factor)
-    given = given_options(args, "kept_share", "roi_init", "roi_order", "test_every", "seed")
+    given = given_options(
+        args, "kept_share", "roi_init", "roi_order", "test_every", "seed", "evaluate_on"
+    )
     selection = selection_options(args)
     config = replace(config, **given, selection=replace(config.selection, **selection))
     if args.sh_degree is not None:

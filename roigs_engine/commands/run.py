@@ -54,7 +54,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         device = torch.device(context.device)
         models = [model.evaluated().to(device) for model in trained]
         scene, rois = opened.scene, opened.rois
-        evaluation = evaluate(models, scene, opened.test, rois, context=context)
+        evaluation = evaluate(
+            models,
+            scene,
+            opened.measured,
+            rois,
+            context=context,
+            photos=opened.config.evaluate_on,
+        )
         check_held(args.run_dir)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)

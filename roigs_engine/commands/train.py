@@ -16,6 +16,7 @@ from ..selection.manual import load_manual
 from .console import Console
 from .options import (
     add_device_option,
+    add_evaluation_option,
     add_roi_options,
     add_scene_options,
     add_selection_options,
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_roi_options(parser)
     add_selection_options(parser)
     add_training_options(parser)
+    add_evaluation_option(parser)
     add_device_option(parser)
     parser.add_argument(
         "--run-dir", type=PATH, required=True, metavar="DIR", help="folder of the run"

@@ -44,6 +44,7 @@ def evaluate(
     context: Context = QUIET,
     baseline: str = "Full Scene",
     object_mask_from: str | None = None,
+    photos: str = "test",
 ) -> Evaluation:
     """Evaluate every model on the test photos.
 
@@ -60,6 +61,7 @@ def evaluate(
         baseline: name of the model that gains are relative to.
         object_mask_from: name of the model whose depth defines the object's mask; None: the best
             one. Use the same model in evaluations that are compared.
+        photos: what these photos are: `test` or `validation` photos.
 
     Raises:
         SceneError: there is no test photo, none can be read, or one is not in the scene.
@@ -67,14 +69,14 @@ def evaluate(
             `object_mask_from`.
     """
     images = _checked(models, scene, test)
-    plans = [plan_views(roi, images, models, object_mask_from, context) for roi in rois]
+    plans = [plan_views(roi, images, models, object_mask_from, context, photos) for roi in rois]
     samples, image_views = _measure(models, images, plans, context)
     names = tuple(image.name for image in images if image.name in image_views[models[0]])
     if not names:
-        raise SceneError("No test photo can be read.", "Restore the photos' files.")
+        raise SceneError(f"No {photos} photo can be read.", "Restore the photos' files.")
     plans = [plan.only(names) for plan in plans]
     tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
-    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables))
+    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables), photos=photos)
 
 
 def _measure(

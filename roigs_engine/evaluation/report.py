@@ -29,7 +29,7 @@ COLUMNS: tuple[tuple[str, Key, str, int], ...] = (
 def format_markdown(evaluation: Evaluation) -> str:
     """One table per box, with the best value of each column in bold, and notes on the numbers."""
     count = len(evaluation.test_views)
-    lines = [f"# Evaluation on {count} test photo{'' if count == 1 else 's'}", ""]
+    lines = [f"# Evaluation on {counted(count, f'{evaluation.photos} photo')}", ""]
     for scores in evaluation.rois:
         lines += [f"## box '{_text(scores.roi)}'", "", *_table(scores.rows), ""]
         lines += [f"- {line}" for line in _notes(scores, evaluation)]
@@ -87,10 +87,10 @@ def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     """Notes on the pixels and photos behind the numbers of this box."""
     views = scores.views
     if not views:
-        return ["No test photo shows this box, so it has no numbers."]
+        return [f"No {evaluation.photos} photo shows this box, so it has no numbers."]
     notes = [
         f"ROI: the silhouette of the box on {len(views)} of "
-        f"{counted(len(evaluation.test_views), 'test photo')} "
+        f"{counted(len(evaluation.test_views), f'{evaluation.photos} photo')} "
         f"({_span([view.silhouette_pixels for view in views])} pixels)."
         + (f" Skipped photos, with fewer than {MIN_SILHOUETTE} pixels: {len(scores.left_out)}."
            if scores.left_out else "")

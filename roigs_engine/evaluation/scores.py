@@ -95,11 +95,19 @@ class RoiScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """All tables, and the name of the model that gains are relative to."""
+    """All tables.
+
+    Attributes:
+        test_views: names of the photos that were measured.
+        baseline: name of the model that gains are relative to.
+        rois: the table of each box.
+        photos: what the measured photos are: `test` or `validation` photos.
+    """
 
     test_views: tuple[str, ...]
     baseline: str
     rois: tuple[RoiScores, ...]
+    photos: str = "test"
 
     def roi(self, name: str) -> RoiScores:
         """The table of that box; KeyError if there is none."""

@@ -121,6 +121,7 @@ def plan_views(
     models: Sequence[EvaluatedModel],
     mask_from: str | None,
     context: Context,
+    photos: str = "test",
 ) -> BoxPlan:
     """Decides which test views count for the box.
 
@@ -146,10 +147,10 @@ def plan_views(
         if size >= least
     }
     if not views:
-        context.warn(f"No test photo shows box '{roi.name}': no scores.")
+        context.warn(f"No {photos} photo shows box '{roi.name}': no scores.")
     elif len(views) < FEW_VIEWS or largest < MIN_SILHOUETTE:
         context.warn(
-            f"Box '{roi.name}' is large enough on {counted(len(views), 'test photo')} only, of"
+            f"Box '{roi.name}' is large enough on {counted(len(views), f'{photos} photo')} only, of"
             f" {len(images)}: its scores say little. Use a larger --max-side, or more photos of it."
         )
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)

@@ -17,6 +17,7 @@ from ..training.config import TrainConfig, miniature, with_steps
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
+TEST, VALIDATION = PHOTOS = ("test", "validation")
 MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
 COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
 
@@ -46,6 +47,8 @@ class RunConfig:
             15,000 of 50,000).
         whole_schedule: whether `scaled` shrinks the intervals of the schedule with the steps.
         test_every: every n-th photo that sees a box, by distance, becomes a test photo.
+        evaluate_on: `test` photos or `validation` photos. Settings are chosen on the latter; test
+            photos are then used by nothing.
         seed: of everything random.
     """
 
@@ -63,6 +66,7 @@ class RunConfig:
     baseline_densify: float = 0.5
     whole_schedule: bool = False
     test_every: int = 8
+    evaluate_on: str = TEST
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -70,6 +74,7 @@ class RunConfig:
             ("strategy", self.strategy, STRATEGIES),
             ("roi_init", self.roi_init, INITS),
             ("roi_order", self.roi_order, ORDERS),
+            ("evaluate_on", self.evaluate_on, PHOTOS),
         ):
             if value not in allowed:
                 raise ConfigError(f"{name} is '{value}'.", f"Use one of {', '.join(allowed)}.")
@@ -93,6 +98,11 @@ class RunConfig:
         if not 0 <= self.seed <= MAX_SEED:
             raise ConfigError(
                 f"The seed is {self.seed}.", f"Use an integer from 0 to {MAX_SEED:,}."
+            )
+        if self.evaluate_on == VALIDATION and not self.test_every:
+            raise ConfigError(
+                "Without test photos (test_every 0) there are no validation photos.",
+                "Set test_every to 2 or more.",
             )
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(

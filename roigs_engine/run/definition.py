@@ -16,7 +16,7 @@ from ..model.scene import SfmScene
 from ..model.visibility import check_has_points
 from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
-from .config import RunConfig
+from .config import TEST, VALIDATION, RunConfig
 
 MANIFEST_VERSION = 2  # increase it if an older run folder cannot be resumed
 
@@ -30,7 +30,10 @@ class Run:
         scene: all photos, test photos included; in the local frame.
         rois: the boxes, in the local frame.
         config: settings.
-        test: names of the test photos, which only the evaluation uses.
+        test: names of the test photos. Only the evaluation uses them; with validation photos,
+            nothing does.
+        validation: names of the validation photos, which replace the test photos in the evaluation;
+            empty if the run is evaluated on test photos.
         manual: box -> its photos, best first, for boxes with a manual selection.
         frame: the local frame, in which everything is computed; files are in the world's.
         inputs: the scene and the boxes for the manifest (`inputs_record`).
@@ -43,12 +46,23 @@ class Run:
     frame: LocalFrame
     inputs: Mapping[str, Any]
     test: tuple[str, ...] = ()
+    validation: tuple[str, ...] = ()
     manual: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @cached_property
     def train_scene(self) -> SfmScene:
-        """The scene without its test photos."""
-        return self.scene.without(set(self.test))
+        """The scene without its test and validation photos."""
+        return self.scene.without({*self.test, *self.validation})
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the photos that the evaluation measures: validation or test photos."""
+        return self.validation if self.config.evaluate_on == VALIDATION else self.test
+
+    def split(self) -> dict[str, Any]:
+        """Which photos are evaluated on; ready for JSON."""
+        record = {"evaluate_on": self.config.evaluate_on, TEST: list(self.test)}
+        return record | ({VALIDATION: list(self.validation)} if self.validation else {})
 
     @cached_property
     def extent(self) -> float:
@@ -83,7 +97,7 @@ def define_run(
     manual: Mapping[str, Sequence[str]] | None = None,
     context: Context = QUIET,
 ) -> Run:
-    """The run of these inputs; chooses its test photos.
+    """The run of these inputs; chooses its test photos, and validation photos if it has any.
 
     Args:
         folder, config: see `Run`.
@@ -92,7 +106,8 @@ def define_run(
         context: gets a warning for manual photos that cannot be used.
 
     Raises:
-        SceneError: the model has no points, or too few photos see a box to choose a test photo.
+        SceneError: the model has no points, or too few photos see a box to choose test and
+            validation photos.
         RoiError: no point lies in a box, or no photo sees one that does.
         ConfigError: `manual` names photos that cannot be used.
         Stopped: on request.
@@ -104,8 +119,11 @@ def define_run(
     frame = LocalFrame.of_scene(scene)
     local, boxes = frame.scene(scene), tuple(frame.box(roi) for roi in rois)
     test = choose_test_views(local, boxes, config.test_every, context)
+    validation: tuple[str, ...] = ()
+    if config.evaluate_on == VALIDATION:
+        validation = _validation_views(local, boxes, config.test_every, test, context)
     usable = {
-        roi: usable_manual(names, local, test, roi, context)
+        roi: usable_manual(names, local, (*test, *validation), roi, context)
         for roi, names in (manual or {}).items()
     }
     return Run(
@@ -114,7 +132,23 @@ def define_run(
         rois=boxes,
         config=config,
         test=test,
+        validation=validation,
         manual=usable,
         frame=frame,
         inputs=inputs_record(scene, rois),
     )
+
+
+def _validation_views(
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    every: int,
+    test: Sequence[str],
+    context: Context,
+) -> tuple[str, ...]:
+    """Names of the validation photos: chosen like test photos, from those that are none."""
+    try:
+        return choose_test_views(scene.without(set(test)), rois, every, context)
+    except SceneError as error:
+        message = f"No validation photos can be chosen beside the test photos. {error.message}"
+        raise SceneError(message, error.hint) from error

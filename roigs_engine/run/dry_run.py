@@ -55,7 +55,7 @@ def _head(run: Run, plan: Plan) -> list[str]:
         notes.append("a run decodes them first and leaves damaged ones out")
     lines = [
         f"Plan of {run.folder}: preset {config.preset}, {config.strategy}, seed {config.seed}",
-        f"Photos: {count}, {count - len(run.test)} to train on, {len(run.test)} to test on"
+        f"Photos: {count}, {len(run.train_scene.images)} to train on, {_held_out(run)}"
         + "".join(f"; {note}" for note in notes),
     ]
     for folder, selections in plan.selections.items():
@@ -66,6 +66,12 @@ def _head(run: Run, plan: Plan) -> list[str]:
             for s in selections
         ]
     return lines
+
+
+def _held_out(run: Run) -> str:
+    if not run.validation:
+        return f"{len(run.test)} to test on"
+    return f"{len(run.validation)} to validate on, {counted(len(run.test), 'test photo')} unused"
 
 
 def _row(expected: StageForecast) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from .strategies import plan_run
 
 
 def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
-    """Write the manifest and the test photos' names to the folder; warn about scene problems.
+    """Write the manifest and the held-out photos' names to the folder; warn about scene problems.
 
     Args:
         run: the run; its folder must not be in use (`formats.lock`).
@@ -32,7 +32,7 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
     """
     run_memory(run, context)
     claim(run.folder, run.manifest(), update=update, context=context)
-    write_json(run.folder / SPLIT, {"test": list(run.test)})
+    write_json(run.folder / SPLIT, run.split())
     for text in scene_warnings(run.train_scene, run.rois):
         context.warn(text)
 

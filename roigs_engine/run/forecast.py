@@ -116,7 +116,7 @@ def _forecast(run: Run, plan: Plan, statuses: Sequence[StageStatus], context: Co
         stages.append(StageForecast(stage=stage, status=status, whole=whole))
     return Forecast(
         stages=stages,
-        evaluation=evaluation_seconds([stage.whole for stage in stages], len(run.test)),
+        evaluation=evaluation_seconds([stage.whole for stage in stages], len(run.measured)),
         device=(
             counted(library.threads(), "thread") if context.device == "cpu" else context.device
         ),

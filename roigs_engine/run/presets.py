@@ -132,5 +132,6 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
         baseline_densify=config.baseline_densify,
         whole_schedule=False,
         test_every=config.test_every,
+        evaluate_on=config.evaluate_on,
         seed=config.seed,
     )

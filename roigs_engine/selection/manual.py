@@ -51,12 +51,13 @@ def usable_manual(
 ) -> tuple[str, ...]:
     """The manually selected photos of a box that can be trained on.
 
-    Test photos, and photos of the model that cannot be used, are skipped with a warning.
+    Test and validation photos, and photos of the model that cannot be used, are skipped with a
+    warning.
 
     Args:
         names: the user's photos.
         scene: the whole scene, test photos included.
-        test: the test photos.
+        test: the test and validation photos.
         roi: the box's name.
         context: receives the warnings.
 
@@ -72,7 +73,7 @@ def usable_manual(
                 "Remove this name.",
             )
     for reason, skipped in (
-        ("used for testing", [name for name in names if name in test_names]),
+        ("held out for the evaluation", [name for name in names if name in test_names]),
         ("which cannot be used", [name for name in names if name not in usable_names]),
     ):
         if skipped:

@@ -55,7 +55,10 @@ def test_without_test_photos_all_are_trained_on(scene: SfmScene, tmp_path: Path)
     run = opened(tmp_path, scene, [BOX], production())
     train_run(run)
     assert run.test == () and len(run.train_scene.images) == len(scene.images)
-    assert json.loads((tmp_path / "split.json").read_text(encoding="utf-8")) == {"test": []}
+    assert json.loads((tmp_path / "split.json").read_text(encoding="utf-8")) == {
+        "evaluate_on": "test",
+        "test": [],
+    }
 
 
 # --- photos given by the user ---
@@ -90,7 +93,7 @@ def test_given_photos_that_cannot_be_used(scene: SfmScene, tmp_path: Path) -> No
     )
     assert PhotoSets(run).selection(BOX).names == (there,)
     texts = [event.text for event in events if isinstance(event, Message)]
-    assert any("used for testing" in text and test[0] in text for text in texts)
+    assert any("held out for the evaluation" in text and test[0] in text for text in texts)
     assert any("cannot be used" in text and "gone.png" in text for text in texts)
     with pytest.raises(ConfigError, match=r"'nothing\.png'"):
         opened(tmp_path / "c", scene, [BOX], config, manual={"thing": ["nothing.png"]})
