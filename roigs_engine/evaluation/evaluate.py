@@ -24,6 +24,8 @@ from ..model.scene import PosedImage, SfmScene
 from ..photos.headers import PhotoError
 from . import metrics
 from .scores import (
+    FULL_SCENE,
+    FULL_SCENE_TUNED,
     MIN_OBJECT,
     Evaluation,
     ModelScore,
@@ -42,7 +44,7 @@ def evaluate(
     rois: Sequence[OrientedBox],
     *,
     context: Context = QUIET,
-    baseline: str = "Full Scene",
+    baseline: str | None = None,
     object_mask_from: str | None = None,
     photos: str = "test",
 ) -> Evaluation:
@@ -58,7 +60,8 @@ def evaluate(
         test: names of the test photos.
         rois: the boxes.
         context: receives events; checked for cancellation between photos.
-        baseline: name of the model that gains are relative to.
+        baseline: name of the model that gains are relative to; None: the tuned Full Scene if there
+            is one, else Full Scene.
         object_mask_from: name of the model whose depth defines the object's mask; None: the best
             one. Use the same model in evaluations that are compared.
         photos: what these photos are: `test` or `validation` photos.
@@ -69,6 +72,9 @@ def evaluate(
             `object_mask_from`.
     """
     images = _checked(models, scene, test)
+    if baseline is None:
+        tuned = any(model.name == FULL_SCENE_TUNED for model in models)
+        baseline = FULL_SCENE_TUNED if tuned else FULL_SCENE
     plans = [plan_views(roi, images, models, object_mask_from, context, photos) for roi in rois]
     samples, image_views = _measure(models, images, plans, context)
     names = tuple(image.name for image in images if image.name in image_views[models[0]])

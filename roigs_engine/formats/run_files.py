@@ -27,16 +27,19 @@ SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine
 """Names of stages; the last is followed by the box's."""
 FULL_SCENE_STAGE, MATCHED_STAGE, FULL_OBJECT_STAGE = "full-scene", "matched-scene", "full-object-"
 """Names of the baselines' stages; the last is followed by the box's."""
+TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
+"""Followed by `scene`, `matched` (the first only) or `object-` and the box's name."""
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its run. No stage is called that."""
 
 _FILES = (MANIFEST, PROVENANCE, SPLIT, LOCK, EVENTS, RESULT, BACKGROUND, PREVIEW)
 _RESULTS = (FINE, COARSE, REPORT, REPORT_DATA, CROPS, SELECTION, ARCHIVE, CACHE)
 _STAGES = (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, FULL_SCENE_STAGE, MATCHED_STAGE)
+_PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
 _NAMES = {*_FILES, *_RESULTS, *_STAGES}
 
 
 def is_own(name: str) -> bool:
     """Whether a run writes a file or folder of that name; case does not count."""
     name = name.casefold()
-    return name in _NAMES or name.startswith((OBJECT_STAGE, FULL_OBJECT_STAGE, COMPARED))
+    return name in _NAMES or name.startswith(_PREFIXES)

@@ -19,7 +19,8 @@ INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
 TEST, VALIDATION = PHOTOS = ("test", "validation")
 MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
-COMPARISONS = ("full-scene", "full-object", *STRATEGIES)
+BASELINES = ("full-scene", "full-object", "full-scene-tuned", "full-object-tuned")
+COMPARISONS = (*BASELINES, *STRATEGIES)
 
 
 @dataclass(frozen=True, kw_only=True)

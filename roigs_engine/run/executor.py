@@ -34,13 +34,13 @@ class TrainedModel:
         name: of its row, unique among the rows of a box.
         gaussians: the model.
         stages: stages shared by all boxes.
-        by_roi: box -> its own stage.
+        by_roi: box -> its own stages.
     """
 
     name: str
     gaussians: Gaussians
     stages: Sequence[StageResult] = ()
-    by_roi: dict[str, StageResult] = field(default_factory=dict)
+    by_roi: dict[str, tuple[StageResult, ...]] = field(default_factory=dict)
 
     @property
     def rois(self) -> tuple[str, ...] | None:
@@ -50,11 +50,11 @@ class TrainedModel:
     @property
     def all_stages(self) -> list[StageResult]:
         """All stages behind it."""
-        return [*self.stages, *self.by_roi.values()]
+        return [*self.stages, *(stage for own in self.by_roi.values() for stage in own)]
 
     def stages_for(self, roi: str) -> list[StageResult]:
         """The stages that this model would need if `roi` were the only box."""
-        return [*self.stages, *([self.by_roi[roi]] if roi in self.by_roi else [])]
+        return [*self.stages, *self.by_roi.get(roi, ())]
 
     def evaluated(self) -> EvaluatedModel:
         """The model for the evaluation, with the time of all its stages."""
@@ -141,7 +141,9 @@ class Executor:
     def model(self, planned: PlannedModel) -> TrainedModel:
         """The planned model, trained."""
         stages = [self.result(stage) for stage in planned.stages]
-        by_roi = {roi: self.result(stage) for roi, stage in planned.by_roi.items()}
+        by_roi = {
+            roi: tuple(self.result(stage) for stage in own) for roi, own in planned.by_roi.items()
+        }
         return TrainedModel(
             name=planned.name,
             gaussians=self.gaussians(planned.source),

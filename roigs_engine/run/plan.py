@@ -110,21 +110,21 @@ class PlannedModel:
         name: unique among the rows of a box.
         source: where its Gaussians come from.
         stages: its stages that all boxes share.
-        by_roi: box -> its own stage.
+        by_roi: box -> its own stages.
     """
 
     name: str
     source: Source
     stages: tuple[Stage, ...] = ()
-    by_roi: dict[str, Stage] = field(default_factory=dict)
+    by_roi: dict[str, tuple[Stage, ...]] = field(default_factory=dict)
 
     @classmethod
-    def of_stage(cls, name: str, stage: Stage, roi: str = "") -> PlannedModel:
-        """The result of a stage, for one box or for all."""
-        source = result_of(stage)
+    def of_stages(cls, name: str, *stages: Stage, roi: str = "") -> PlannedModel:
+        """The result of the last of these stages, for one box or for all."""
+        source = result_of(stages[-1])
         if roi:
-            return cls(name=name, source=source, by_roi={roi: stage})
-        return cls(name=name, source=source, stages=(stage,))
+            return cls(name=name, source=source, by_roi={roi: stages})
+        return cls(name=name, source=source, stages=stages)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,7 +179,10 @@ class Plan:
 
     def _model_stages(self) -> Iterator[Stage]:
         for model in self.models:
-            yield from (*model.stages, *model.by_roi.values(), *model.source.inputs)
+            yield from model.stages
+            for own in model.by_roi.values():
+                yield from own
+            yield from model.source.inputs
 
 
 def result_of(stage: Stage) -> Source:

@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ..training.config import TrainConfig, with_steps
 from .config import RunConfig
-from .presets import joint_recipe
+from .presets import in_strategy, joint_recipe
+
+COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunedBaseline:
+    """Settings of a tuned baseline.
+
+    Attributes:
+        coarse: of its first stage; None: it has one stage only.
+        scale: factor on the size of the photos of the first stage.
+        fine: of its last stage, on photos of full size.
+    """
+
+    coarse: TrainConfig | None
+    scale: float
+    fine: TrainConfig
 
 
 def baseline(config: RunConfig) -> TrainConfig:
@@ -17,7 +34,7 @@ def baseline(config: RunConfig) -> TrainConfig:
     return replace(
         config.scene,
         steps=config.total_steps,
-        densify_until=int(config.baseline_densify * config.total_steps + 1e-9),
+        densify_until=_densify_steps(config),
         lr_means_final=TrainConfig.lr_means_final,
         grad_threshold=TrainConfig.grad_threshold,
         reset_every=config.scene.reset_every or TrainConfig.reset_every,
@@ -30,6 +47,46 @@ def matched_baseline(config: RunConfig) -> TrainConfig:
     So only the Gaussian budget limits the number of Gaussians there.
     """
     return replace(baseline(config), box_grad_threshold=config.roi.grad_threshold / 4)
+
+
+def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> TunedBaseline:
+    """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
+
+    These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
+    threshold. With two stages, the steps that densify are as many in sum as in the baseline; the
+    last stage densifies for a third of its steps at the least, like the joint stage.
+    """
+    ours = config if config.strategy == "joint" else in_strategy(config, "joint")
+    fine = replace(
+        ours.roi,
+        densify_in_boxes=False,
+        grad_threshold=TrainConfig.grad_threshold,
+        box_budget=0.0,
+        full_every=1,
+        view_weighting=0.0,
+    )
+    if coarse_to_fine:
+        until = max(_densify_steps(config) - ours.scene.densify_until, ours.roi.steps // 3)
+        fine = replace(fine, densify_until=min(until, fine.steps))
+        return TunedBaseline(coarse=ours.scene, scale=ours.scene_scale, fine=fine)
+    fine = replace(
+        with_steps(fine, config.total_steps),
+        sh_start=ours.scene.sh_start,
+        densify_from=ours.scene.densify_from,
+        densify_until=_densify_steps(config),
+    )
+    return TunedBaseline(coarse=None, scale=1.0, fine=fine)
+
+
+def tuned_matched_baseline(config: RunConfig) -> TunedBaseline:
+    """The tuned baseline with the lower threshold of `matched_baseline` in the boxes."""
+    tuned, threshold = tuned_baseline(config), config.roi.grad_threshold / 4
+    return replace(tuned, fine=replace(tuned.fine, box_grad_threshold=threshold))
+
+
+def _densify_steps(config: RunConfig) -> int:
+    """How many steps of a baseline densify."""
+    return int(config.baseline_densify * config.total_steps + 1e-9)
 
 
 def object_stage(config: RunConfig) -> TrainConfig:

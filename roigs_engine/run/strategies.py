@@ -9,6 +9,7 @@ from itertools import starmap
 
 from ..context import QUIET, Context
 from ..errors import SceneError
+from ..evaluation.scores import FULL_SCENE, FULL_SCENE_TUNED
 from ..formats import run_files
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
@@ -23,7 +24,7 @@ from .photo_sets import PhotoSets
 from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage, result_of
 from .presets import in_strategy
 
-BASELINE = "Full Scene"
+BASELINE, TUNED = FULL_SCENE, FULL_SCENE_TUNED
 
 
 def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) -> Plan:
@@ -42,8 +43,12 @@ def plan_run(run: Run, compare: Sequence[str] = (), context: Context = QUIET) ->
     plan = Plan()
     if "full-scene" in compare:
         plan += full_scene(photos)
+    if "full-scene-tuned" in compare:
+        plan += full_scene_tuned(photos)
     if "full-object" in compare:
         plan += full_objects(photos)
+    if "full-object-tuned" in compare:
+        plan += full_objects_tuned(photos)
     for name in STRATEGIES:
         if name in compare and name != run.config.strategy:
             other = replace(run, config=in_strategy(run.config, name))
@@ -55,7 +60,7 @@ def full_scene(photos: PhotoSets) -> Plan:
     """Baseline: standard 3DGS on all training photos, for the steps of both stages."""
     config = stage_configs.baseline(photos.run.config)
     stage = _stage(run_files.FULL_SCENE_STAGE, photos, photos.images, config)
-    return Plan(models=(PlannedModel.of_stage(BASELINE, stage),))
+    return Plan(models=(PlannedModel.of_stages(BASELINE, stage),))
 
 
 def full_objects(photos: PhotoSets) -> Plan:
@@ -64,7 +69,7 @@ def full_objects(photos: PhotoSets) -> Plan:
     models = []
     for roi in photos.run.rois:
         stage = _stage(f"{run_files.FULL_OBJECT_STAGE}{roi.name}", photos, photos.seen(roi), config)
-        models.append(PlannedModel.of_stage("Full Object", stage, roi.name))
+        models.append(PlannedModel.of_stages("Full Object", stage, roi=roi.name))
     return Plan(models=tuple(models))
 
 
@@ -78,7 +83,63 @@ def matched(photos: PhotoSets, ours: PlannedModel) -> Plan:
     config = stage_configs.matched_baseline(run.config)
     stage = _stage(run_files.MATCHED_STAGE, photos, photos.images, config, rois=run.rois)
     stage = replace(stage, matched=ours.source)
-    return Plan(models=(PlannedModel.of_stage("Matched", stage),))
+    return Plan(models=(PlannedModel.of_stages("Matched", stage),))
+
+
+def full_scene_tuned(
+    photos: PhotoSets, *, coarse_to_fine: bool = stage_configs.COARSE_TO_FINE
+) -> Plan:
+    """Baseline: Full Scene with every setting of ours that fits any scene.
+
+    Boxes only measure the view spacing, and say which Gaussians are in front of them.
+    """
+    config = stage_configs.tuned_baseline(photos.run.config, coarse_to_fine)
+    stages = _tuned(photos, "scene", photos.images, config, photos.run.rois)
+    return Plan(models=(PlannedModel.of_stages(TUNED, *stages),))
+
+
+def full_objects_tuned(photos: PhotoSets) -> Plan:
+    """Baseline of each box: as `full_scene_tuned`, on all photos that see the box."""
+    config = stage_configs.tuned_baseline(photos.run.config)
+    models = []
+    for roi in photos.run.rois:
+        name = f"{run_files.OBJECT_STAGE}{roi.name}"
+        stages = _tuned(photos, name, photos.seen(roi), config, (roi,))
+        models.append(PlannedModel.of_stages("Full Object, tuned", *stages, roi=roi.name))
+    return Plan(models=tuple(models))
+
+
+def matched_tuned(photos: PhotoSets, ours: PlannedModel) -> Plan:
+    """Baseline: as `matched`, of the tuned Full Scene."""
+    config = stage_configs.tuned_matched_baseline(photos.run.config)
+    *coarse, fine = _tuned(
+        photos, "matched", photos.images, config, photos.run.rois, coarse_name="scene"
+    )
+    fine = replace(fine, matched=ours.source)
+    return Plan(models=(PlannedModel.of_stages("Matched, tuned", *coarse, fine),))
+
+
+def _tuned(
+    photos: PhotoSets,
+    name: str,
+    images: tuple[PosedImage, ...],
+    config: stage_configs.TunedBaseline,
+    rois: Sequence[OrientedBox],
+    *,
+    coarse_name: str = "",
+) -> tuple[Stage, ...]:
+    """The stages of a tuned baseline. Its first stage may be the run's own Scene-GS."""
+    fine = run_files.TUNED_STAGE + name
+    if config.coarse is None:
+        return (_stage(fine, photos, images, config.fine, rois=rois),)
+    small = tuple(image.scaled(config.scale) for image in images)
+    first = run_files.TUNED_COARSE_STAGE + (coarse_name or name)
+    coarse = _stage(first, photos, small, config.coarse)
+    if photos.run.config.scene == config.coarse:
+        own = scene_stage(photos)
+        coarse = own if own.fingerprint == coarse.fingerprint else coarse
+    last = _stage(fine, photos, images, config.fine, rois=rois, start=result_of(coarse))
+    return coarse, last
 
 
 def strategy(photos: PhotoSets, *, folder: str = "", coarse: Stage | None = None) -> Plan:
@@ -125,8 +186,8 @@ def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, 
         order=_mixed_order,
     )
     return (
-        PlannedModel.of_stage("Scene-GS (joint)", scene),
-        PlannedModel(name="Joint", source=result_of(joint), stages=(scene, joint)),
+        PlannedModel.of_stages("Scene-GS (joint)", scene),
+        PlannedModel.of_stages("Joint", scene, joint),
     )
 
 
@@ -136,11 +197,14 @@ def _independent(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedM
     With `refine_share`, a joint refinement follows (ours).
     """
     run = photos.run
-    objects = {roi.name: _object_stage(photos, scene, roi, folder) for roi in run.rois}
-    composed = Source(kind=MERGE, inputs=(scene, *objects.values()), rois=run.rois)
+    stages = [_object_stage(photos, scene, roi, folder) for roi in run.rois]
+    objects: dict[str, tuple[Stage, ...]] = {
+        roi.name: (stage,) for roi, stage in zip(run.rois, stages, strict=True)
+    }
+    composed = Source(kind=MERGE, inputs=(scene, *stages), rois=run.rois)
     models = [
-        PlannedModel.of_stage("Scene-GS", scene),
-        *(PlannedModel.of_stage("Object-GS", stage, roi) for roi, stage in objects.items()),
+        PlannedModel.of_stages("Scene-GS", scene),
+        *(PlannedModel.of_stages("Object-GS", *own, roi=roi) for roi, own in objects.items()),
         PlannedModel(name="Composition", source=composed, stages=(scene,), by_roi=objects),
     ]
     if run.config.refine_steps:
