@@ -87,7 +87,7 @@ def cut(scene: SfmScene, box: OrientedBox, case: Case) -> SfmScene:
 
 def measured(case: Case, source: StudyScene, options: argparse.Namespace, context: Context) -> Path:
     """The record of a case; trained and evaluated now unless it is there."""
-    folder = options.out / case.name
+    folder: Path = options.out / case.name
     record = folder / run_files.REPORT_DATA
     if record.exists():
         return record

@@ -155,12 +155,11 @@ def plan_views(
         context.warn(f"No {photos} photo shows box '{roi.name}': no scores.")
     elif len(views) < FEW_VIEWS or largest < MIN_SILHOUETTE:
         large = sum(not view.small for view in views.values())
-        advice = "a larger --max-side, or " if large < len(images) else ""
+        hint = "Use a larger --max-side, or more" if large < len(images) else "Use more"
+        count = counted(len(images), f"{photos} photo")
         context.warn(
-            f"The scores of box '{roi.name}' say little:"
-            f" {large} of {counted(len(images), f'{photos} photo')} show it on"
-            f" {MIN_SILHOUETTE:,} pixels or more. Use {advice}more {photos} photos"
-            " (a smaller --test-every)."
+            f"The scores of box '{roi.name}' say little: {large} of {count} show it on"
+            f" {MIN_SILHOUETTE:,} pixels or more. {hint} {photos} photos (a smaller --test-every)."
         )
     rows = tuple(m for m in models if m.rois is None or roi.name in m.rois)
     names = [model.name for model in rows]
