@@ -36,6 +36,7 @@ WRONG_SIZE = "wrong size"
 UNREADABLE = "unreadable"
 NO_CAMERA = "without a camera"
 DUPLICATE = "twice in the model"
+CANNOT_UNDISTORT = "cannot be undistorted"  # after the camera's model
 Shrink = Callable[[int, int], tuple[int, int]]
 
 
@@ -126,7 +127,7 @@ class PhotoLoader:
             else:
                 target = pinhole.resized(*shrink(*size))
         except SceneError:
-            return f"{camera.model} cannot be undistorted"
+            return f"{camera.model} {CANNOT_UNDISTORT}"
         self.posed[image.image_id] = PosedImage(
             name=photo_name(image),
             path=path,

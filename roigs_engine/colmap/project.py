@@ -17,8 +17,9 @@ from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
 from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
-from .posed_photos import UNPOSED, PhotoLoader, Shrink, photo_name
+from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
+from .undistort import HINT_RESAMPLE
 
 NAMED = 4  # skipped photos that a message names
 
@@ -217,6 +218,9 @@ def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]])
     if not model.images:
         return SceneError("The model has no posed photos.", "Run COLMAP's mapper to its end.")
     counts = ", ".join(f"{len(names)} {reason}" for reason, names in skipped.items())
+    reason = max(skipped, key=lambda reason: len(skipped[reason]))
+    if reason.endswith(CANNOT_UNDISTORT):
+        return SceneError(f"The model's photos cannot be used ({counts}).", HINT_RESAMPLE)
     first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
     return SceneError(
         f"The model's photos cannot be used ({counts}).",

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ..context import Context
+from ..errors import RunFolderError
 from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
 from ..formats.files import cannot_write, open_log
+from ..formats.lock import check_held
 from ..formats.run_files import EVENTS
 from ..formats.text import printable
 from .stopping import StopRequest
@@ -38,6 +40,7 @@ class Console:
             sys.stdout.encoding = "utf-8"  # escapes for what a locale lacks would not be JSON
         self._bar: tqdm[None] | None = None
         self._log: TextIO | None = None
+        self._log_path: Path | None = None
         self._early: list[str] | None = None  # for the log, until it is open
 
     def watch(self) -> None:
@@ -70,13 +73,22 @@ class Console:
             self._log = open_log(path)
         except OSError as error:
             raise cannot_write(path, error) from error
+        self._log_path = path
         early, self._early = self._early or [], None
         if early:
             self._append("\n".join(early), self._log)
 
+    def _may_write(self) -> bool:
+        """Whether the folder of the log is still this process's own."""
+        if self._log_path is not None:
+            with suppress(RunFolderError):
+                check_held(self._log_path)
+                return True
+        return False
+
     def emit(self, event: Event) -> None:
         """Show one event."""
-        if self._log is not None:
+        if self._log is not None and self._may_write():
             self._append(to_json(event), self._log)
         elif self._early is not None:
             self._early.append(to_json(event))

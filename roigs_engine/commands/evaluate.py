@@ -90,13 +90,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     def check(cameras: SfmScene) -> None:
         for roi in rois:
             check_has_points(cameras, roi)
-        lost = {name for names in cameras.skipped.values() for name in names}
-        unknown = sorted(set(test) - {image.name for image in cameras.images} - lost)
-        if unknown:
-            raise ConfigError(
-                f"{split} names '{unknown[0]}', which is not in the scene.",
-                "Use the split.json of a run on this scene.",
-            )
+        _check_test_photos(test, split, cameras)
 
     scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
     wanted = set(test or choose_test_views(scene, rois, args.test_every or TEST_EVERY))
@@ -132,6 +126,22 @@ def _model_files(texts: Sequence[str]) -> dict[str, Path]:
             raise ConfigError(f"--model names '{name}' twice.", "Give each model its own name.")
         files[name] = path
     return files
+
+
+def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScene) -> None:
+    """Raise ConfigError if the split names photos of another scene, or none that can be used."""
+    lost = {name for names in cameras.skipped.values() for name in names}
+    unknown = sorted(set(test) - {image.name for image in cameras.images} - lost)
+    if unknown:
+        raise ConfigError(
+            f"{split} names '{unknown[0]}', which is not in the scene.",
+            "Use the split.json of a run on this scene.",
+        )
+    if test and lost.issuperset(test):
+        raise ConfigError(
+            f"No test photo of {split} can be used, the first is {test[0]}.",
+            "Put the photos back, or test on others (--test-every).",
+        )
 
 
 def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:

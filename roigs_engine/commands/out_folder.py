@@ -31,12 +31,14 @@ def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:
         )
 
 
-def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ConfigError if a command would replace one of the files that it reads."""
+def refuse_inputs(
+    outputs: Iterable[Path], inputs: Iterable[Path | None], hint: str = "Choose another --out."
+) -> None:
+    """Raise ConfigError, with the hint, if a command would replace one of the files it reads."""
     given = [path for path in inputs if path is not None]
     for output in outputs:
         if any(_is_same(output, path) for path in given):
-            raise ConfigError(f"{output} is an input of this command.", "Choose another --out.")
+            raise ConfigError(f"{output} is an input of this command.", hint)
 
 
 def _is_same(path: Path, other: Path) -> bool:

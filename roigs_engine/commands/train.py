@@ -26,7 +26,7 @@ from .options import (
     load_scene,
     run_config,
 )
-from .out_folder import refuse_run_files
+from .out_folder import refuse_inputs, refuse_run_files
 from .values import PATH, Number
 
 if TYPE_CHECKING:
@@ -143,13 +143,15 @@ def show_plan(
     args: argparse.Namespace, console: Console, compare: Sequence[str] = ()
 ) -> dict[str, str]:
     """Print the plan of the run; a few steps are trained to measure time, nothing is written."""
+    from ..photos.contents import FILE as CONTENTS
     from ..run.definition import define_run
     from ..run.dry_run import describe_plan
 
     inputs = _inputs(args)
     context = _context(args, console)
     # What is in the photos matters only if there are results to compare them with.
-    cache = args.run_dir / run_files.CACHE if (args.run_dir / run_files.MANIFEST).exists() else None
+    cache = args.run_dir / run_files.CACHE
+    cache = cache if (cache / CONTENTS).exists() else None
     scene = load_scene(args, console, cache, pixels=False)
     run = define_run(args.run_dir, scene, context=context, **inputs)
     console.print(describe_plan(run, compare, context, update=args.update))
@@ -160,6 +162,10 @@ def _inputs(args: argparse.Namespace) -> dict[str, Any]:
     """Boxes, settings and manual photos for `define_run`, whose folder is not another run's."""
     refuse_run_files(args.run_dir, option="--run-dir")
     rois, config = boxes(args), run_config(args)
+    if args.selection:
+        own = (args.run_dir / run_files.SELECTION / f"{roi.name}.json" for roi in rois)
+        given = [args.selection / f"{roi.name}.json" for roi in rois]
+        refuse_inputs(own, given, "Give a copy of that folder to --selection.")
     manual = load_manual(args.selection, rois) if args.selection else {}
     return {"rois": rois, "config": config, "manual": manual}
 

@@ -94,6 +94,14 @@ def check_box(name: str, world_to_box: Float64, half_extents: Float64) -> None:
         )
 
 
+def _numbers(value: Any, shape: tuple[int, ...]) -> Float64:
+    """The JSON value as numbers; ValueError or TypeError if it is not of that shape."""
+    array = np.array(value, dtype=object).reshape(shape)
+    if any(isinstance(number, bool) for number in array.flat):
+        raise TypeError("true and false are no numbers")
+    return array.astype(float)
+
+
 def roi_record(record: Any) -> RoiRecord:
     """A box from `{"name", "min", "max"}` or `{"name", "world_to_box", "half_extents"}`.
 
@@ -109,11 +117,10 @@ def roi_record(record: Any) -> RoiRecord:
         raise RoiError(f"Box '{name}' has both 'min' and 'world_to_box'.", FORM_HINT)
     try:
         if "min" in record:
-            low = np.asarray(record["min"], dtype=float).reshape(3)
-            high = np.asarray(record["max"], dtype=float).reshape(3)
+            low, high = (_numbers(record[key], (3,)) for key in ("min", "max"))
             return RoiRecord.between(name, low, high)
-        transform = np.array(record["world_to_box"], dtype=float).reshape(4, 4)
-        half_extents = np.asarray(record["half_extents"], dtype=float).reshape(3)
+        transform = _numbers(record["world_to_box"], (4, 4))
+        half_extents = _numbers(record["half_extents"], (3,))
     except KeyError as error:
         raise RoiError(f"Box '{name}' has no {error}.", FORM_HINT) from error
     except (ValueError, TypeError, OverflowError) as error:

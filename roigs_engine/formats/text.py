@@ -95,7 +95,7 @@ def counted(count: int, noun: str) -> str:
 
 def in_gb(size: int) -> str:
     """A number of bytes for a message."""
-    return f"{size / 1e9:.1f} GB"
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 or not size else f"{max(1, size // 10**6)} MB"
 
 
 def json_digest(value: Any) -> str:

@@ -250,4 +250,9 @@ class Executor:
         for roi in rois:
             for model, name in ((result, run_files.FINE), (coarse, run_files.COARSE)):
                 path = own_folder(folder, name) / f"{roi.name}.ply"
-                crop(model, roi, rois).save_ply(path, frame)
+                cropped = crop(model, roi, rois)
+                cropped.save_ply(path, frame)
+                if name == run_files.FINE and not len(cropped):
+                    self.context.warn(
+                        f"The result has no Gaussian in box '{roi.name}'. Are the cameras right?"
+                    )

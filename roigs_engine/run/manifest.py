@@ -10,7 +10,7 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats import run_files
 from ..formats.files import own_folder, read_json, write_json
-from ..formats.run_files import MANIFEST
+from ..formats.run_files import MANIFEST, PROVENANCE, SPLIT
 from ..formats.text import json_digest
 from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
@@ -95,7 +95,8 @@ def read_manifest(path: Path) -> Any:
 
 
 def check_version(folder: Path) -> None:
-    """Raise RunFolderError if another version of the engine made the folder."""
+    """Raise RunFolderError if another version of the engine made the folder, or somebody else."""
+    refuse_foreign_files(folder)
     path = folder / MANIFEST
     record = read_manifest(path) if path.exists() else None
     version = MANIFEST_VERSION
@@ -107,6 +108,18 @@ def check_version(folder: Path) -> None:
             f"{folder} was made by {'a later' if newer else 'an earlier'} version; this version"
             " cannot resume it.",
             "Choose another run folder (--run-dir); the results in this one stay as they are.",
+        )
+
+
+def refuse_foreign_files(folder: Path) -> None:
+    """Raise RunFolderError if a run would replace files that are not a run's."""
+    if any((folder / name).exists() for name in (MANIFEST, SPLIT, PROVENANCE)):
+        return  # without a manifest, the results of a run are verified and kept
+    found = next((name for name in RESULTS if (folder / name).exists()), None)
+    if found is not None:
+        raise RunFolderError(
+            f"{folder} is not a run folder, and a run would replace its {found}.",
+            "Choose another run folder (--run-dir).",
         )
 
 
@@ -138,6 +151,7 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
     if before == now:
         return ""
     name = path.removeprefix("config.").removeprefix("selection.")
+    name = name.replace("manual", "--selection", 1) if name.startswith("manual") else name
     if name == "sizes" and isinstance(before, list) and isinstance(now, list):
         sizes = (", ".join(map(str, value)) for value in (before, now))
         return "the photos' size was {}, now {} (--max-side, --downscale)".format(*sizes)
@@ -161,7 +175,8 @@ def _photos_changed(before: dict[str, Any], now: dict[str, Any]) -> str:
     if not names:
         return ""
     first = names[0]
-    how = "is missing" if first not in now else "is new" if first not in before else "changed"
+    lost, new = (set(names) - side.keys() for side in (now, before))
     if len(names) == 1:
-        return f"the photo {first} {how}"
-    return f"{len(names)} photos changed, the first is {first}"
+        return f"the photo {first} {'is missing' if lost else 'is new' if new else 'changed'}"
+    how = "are missing" if len(lost) == len(names) else "are new" if len(new) == len(names) else ""
+    return f"{len(names)} photos {how or 'changed'}, the first is {first}"

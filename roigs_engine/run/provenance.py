@@ -58,7 +58,7 @@ def recorded(folder: Path, seed: int, device: str) -> Iterator[None]:
     try:
         yield
         now["ended"] = "done"
-    except Stopped:
+    except (Stopped, KeyboardInterrupt):
         now["ended"] = "stopped"
         raise
     except EngineError as error:

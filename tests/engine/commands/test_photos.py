@@ -107,6 +107,43 @@ def test_a_test_photo_lost_later_costs_its_row(
     assert table["test_views"] == rest
 
 
+def test_when_all_test_photos_are_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    project, run = scene(tmp_path), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    for name in split_of(run):
+        (project.folder / "images" / name).unlink()
+    words = ["--model", f"A={run / run_files.RESULT}", "--out", str(tmp_path / "out")]
+    capsys.readouterr()
+    assert main(["evaluate", str(project.folder), "--roi", BOX, *words]) == 2
+    assert "Put the photos back" in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_selection_is_not_read_from_where_it_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project, run = scene(tmp_path), tmp_path / "run"
+    assert main(arguments(project, run)) == 0
+    mine = (run / "selection" / "thing.json").read_bytes()
+    capsys.readouterr()
+    words = arguments(project, run, "--selection", str(run / "selection"))
+    assert "Give a copy" in refused(capsys, *words)
+    assert (run / "selection" / "thing.json").read_bytes() == mine
+
+
+@pytest.mark.parametrize("name", ["result.ply", "report.md", "rois/thing.ply"])
+def test_a_folder_with_results_of_others_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    project = scene(tmp_path)
+    mine = project.folder / name
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine", encoding="utf-8")
+    for more in ((), ("--dry-run",)):
+        assert "is not a run folder" in refused(capsys, *arguments(project, project.folder, *more))
+    assert mine.read_text(encoding="utf-8") == "mine"
+
+
 def test_models_of_a_run_are_tested_on_its_test_photos(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -119,3 +119,8 @@ def test_files_without_boxes(text: str, tmp_path: Path) -> None:
         read_rois(path)
     with pytest.raises(RoiError, match="Cannot read"):
         read_rois(tmp_path / "none.json")
+
+
+def test_true_is_no_number() -> None:
+    with pytest.raises(RoiError, match="wrong shape"):
+        roi_record({"name": "a", "min": [True, 0, 0], "max": [2, 2, 2]})

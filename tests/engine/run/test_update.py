@@ -77,7 +77,7 @@ def test_given_photos_are_used_in_their_order(scene: SfmScene, tmp_path: Path) -
     assert photos.selection(SECOND).method == "coverage"
     manifest = json.loads((tmp_path / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["manual"] == {"thing": given}
-    with pytest.raises(RunFolderError, match="manual"):
+    with pytest.raises(RunFolderError, match="--selection"):
         opened(tmp_path, scene, [BOX, SECOND], production(), manual={"thing": given[:2]})
 
 
