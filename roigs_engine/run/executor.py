@@ -106,14 +106,13 @@ class Executor:
                 place = own_folder(self.run.folder, folder, run_files.SELECTION)
                 record = chosen.in_units(self.run.frame.scale).to_dict()
                 write_json(place / f"{chosen.roi}.json", record)
-        models = []
-        for planned in plan.models:
-            models.append(self.model(planned))
+        for planned in plan.in_training_order:
+            self.model(planned)
             for output in plan.outputs:
                 if output.model is planned:
                     self._write(output)
         self.close()
-        return models
+        return [self.model(planned) for planned in plan.models]
 
     def result(self, stage: Stage) -> StageResult:
         """The stage's result: loaded if finished, else trained now."""

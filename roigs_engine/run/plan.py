@@ -164,8 +164,14 @@ class Plan:
         )
 
     @cached_property
+    def in_training_order(self) -> tuple[PlannedModel, ...]:
+        """The models, those that are written first: a user waits for them."""
+        written = [output.model for output in reversed(self.outputs)]
+        return (*written, *(model for model in self.models if model not in written))
+
+    @cached_property
     def stages(self) -> tuple[Stage, ...]:
-        """Each stage once, after the stages that it needs."""
+        """Each stage once, in the order of training, after the stages that it needs."""
         found: dict[str, Stage] = {}
 
         def visit(stage: Stage) -> None:
@@ -178,7 +184,7 @@ class Plan:
         return tuple(found.values())
 
     def _model_stages(self) -> Iterator[Stage]:
-        for model in self.models:
+        for model in self.in_training_order:
             yield from model.stages
             for own in model.by_roi.values():
                 yield from own

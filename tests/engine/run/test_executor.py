@@ -154,11 +154,11 @@ def test_a_plan_is_made_without_training(scene: SfmScene, tmp_path: Path) -> Non
     run = define_run(tmp_path / "run", scene, [BOX], tiny("joint"))
     assert stage_names(run) == ["scene", "joint"]
     assert stage_names(run, "full-scene", "full-object") == [
-        *("full-scene", "full-object-thing", "scene", "joint")
+        *("scene", "joint", "full-scene", "full-object-thing")
     ]
     assert stage_names(run, "independent") == [
-        *(f"compare-independent/{name}" for name in ("scene", "object-thing", "refine")),
         *("scene", "joint"),
+        *(f"compare-independent/{name}" for name in ("scene", "object-thing", "refine")),
     ]
     refined = define_run(tmp_path / "run", scene, [BOX], tiny("independent", refine_share=0.2))
     assert stage_names(refined) == ["scene", "object-thing", "refine"]

@@ -114,7 +114,7 @@ def test_all_photos_whole_shuffled_and_everywhere(scene: SfmScene) -> None:
 def test_the_first_stage_is_the_runs_own_where_it_is_the_same(scene: SfmScene) -> None:
     config = tiny("joint", scene_scale=0.5)
     names = list(by_name(planned(scene, config, compare=("full-scene", "full-scene-tuned"))))
-    assert names == ["full-scene", "scene", "tuned-scene", "joint"]
+    assert names == ["scene", "joint", "full-scene", "tuned-scene"]
     reserving = by_name(planned(scene, replace(config, kept_share=0.5)))
     first, own = reserving["tuned-coarse-scene"], reserving["scene"]
     assert first.config == own.config and len(own.images) < len(first.images)
