@@ -118,7 +118,7 @@ def refuse_foreign_files(folder: Path) -> None:
     found = next((name for name in RESULTS if (folder / name).exists()), None)
     if found is not None:
         raise RunFolderError(
-            f"{folder} is not a run folder, and a run would replace its {found}.",
+            f"{folder} is not a run folder, and a run would replace {folder / found}.",
             "Choose another run folder (--run-dir).",
         )
 
