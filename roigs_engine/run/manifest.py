@@ -119,7 +119,7 @@ def refuse_foreign_files(folder: Path) -> None:
     if found is not None:
         raise RunFolderError(
             f"{folder} is not a run folder, and a run would replace {folder / found}.",
-            "Choose another run folder (--run-dir).",
+            "Move away what is there, or choose another run folder (--run-dir).",
         )
 
 
