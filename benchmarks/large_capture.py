@@ -13,6 +13,7 @@ import json
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,18 +59,23 @@ class Peaks:
         self.rows: list[tuple[str, float, float]] = []
         self._folder = Path(f"/proc/{process}")
         self._stage, self._since = "load", time.monotonic()
+        self._peak = 0.0
 
     def event(self, event: dict[str, Any]) -> None:
         """A stage ends where the next one begins."""
+        with suppress(OSError, StopIteration):  # the process may have ended
+            self._peak = self._read_peak()
         if event["event"] in ("stagestarted", "done", "failed"):
             seconds = time.monotonic() - self._since
-            self.rows.append((self._stage, seconds, self._peak()))
+            self.rows.append((self._stage, seconds, self._peak))
+            print(f"{self._stage}: {seconds:.1f} s, {self._peak:.0f} MiB", flush=True)
             self._stage, self._since = str(event.get("stage", "")), time.monotonic()
-            (self._folder / "clear_refs").write_text("5", encoding="ascii")  # the peak begins anew
+            with suppress(OSError):
+                (self._folder / "clear_refs").write_text("5", encoding="ascii")  # it begins anew
         elif event["event"] == "message":
             print(event["text"], flush=True)
 
-    def _peak(self) -> float:
+    def _read_peak(self) -> float:
         """MiB."""
         lines = (self._folder / "status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024

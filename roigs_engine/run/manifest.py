@@ -118,8 +118,8 @@ def refuse_foreign_files(folder: Path) -> None:
     found = next((name for name in RESULTS if (folder / name).exists()), None)
     if found is not None:
         raise RunFolderError(
-            f"{folder} is not a run folder, and a run would replace its {found}.",
-            "Choose another run folder (--run-dir).",
+            f"{folder} is not a run folder, and a run would replace {folder / found}.",
+            "Move away what is there, or choose another run folder (--run-dir).",
         )
 
 
