@@ -77,22 +77,29 @@ ROIGS_INLINE void linearise(const Camera& camera, Geometry& g) {
     }
 }
 
-// Projects the Gaussians in rows `ids`. Returns the lanes in front of the near plane; the others
-// hold finite nonsense or not.
-ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, const int32_t* ids,
-                          Geometry& g) {
-    Floats mean[4], scale[4];
+// Projects the centres of the Gaussians in rows `ids`. Returns the lanes in front of the near plane
+// whose projection lies inside the camera's bounds; the others hold finite nonsense or not.
+ROIGS_INLINE Mask project_centres(const Gaussians& gaussians, const Camera& camera,
+                                  const int32_t* ids, Geometry& g) {
+    Floats mean[4];
     load_few_columns<3>(gaussians.means, 3, ids, mean);
     for (int k = 0; k < 3; ++k) g.mean[k] = mean[k];
     for (int r = 0; r < 3; ++r) {
         const float* row = camera.world_to_camera[r];
         g.t[r] = row[0] * mean[0] + row[1] * mean[1] + row[2] * mean[2] + row[3];
     }
-    const Mask in_front = greater(g.t[2], splat(kNear));
     g.inverse_z = 1.0f / g.t[2];
     g.x = camera.fx * g.t[0] * g.inverse_z + camera.cx;
     g.y = camera.fy * g.t[1] * g.inverse_z + camera.cy;
+    const Mask columns = both(greater(g.x, splat(camera.left)), less(g.x, splat(camera.right)));
+    const Mask rows = both(greater(g.y, splat(camera.top)), less(g.y, splat(camera.bottom)));
+    return both(greater(g.t[2], splat(kNear)), both(columns, rows));
+}
 
+// Projects their shapes, after their centres.
+ROIGS_INLINE void project_shapes(const Gaussians& gaussians, const Camera& camera,
+                                 const int32_t* ids, Geometry& g) {
+    Floats scale[4];
     rotate(gaussians.quats, ids, g);
     load_few_columns<3>(gaussians.scales, 3, ids, scale);
     for (int k = 0; k < 3; ++k) g.scale[k] = gaussians.raw ? exp(scale[k]) : scale[k];
@@ -116,7 +123,6 @@ ROIGS_INLINE Mask project(const Gaussians& gaussians, const Camera& camera, cons
     g.xx = x2 + kBlur;
     g.xy = dot3(g.U[0], g.U[1]);
     g.yy = y2 + kBlur;
-    return in_front;
 }
 
 // L of Splat: Sigma'^-1 = L L^T / kExponentScale.

@@ -155,9 +155,10 @@ bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, ListBudget
         int32_t ids[kLanes];
         const Mask exists = consecutive(i, end, ids);
         Geometry g;
-        const Mask in_front = project(gaussians, view.camera, ids, g);
-        if (!any(in_front)) continue;
-        count += pack_splats(g, both(exists, in_front), bounds, ids, splats + count);
+        const Mask drawable = project_centres(gaussians, view.camera, ids, g);
+        if (!any(drawable)) continue;
+        project_shapes(gaussians, view.camera, ids, g);
+        count += pack_splats(g, both(exists, drawable), bounds, ids, splats + count);
     }
     if (view.masked) count = keep_wanted(view, splats, count);
     colour_splats(gaussians, view.camera, splats, count);

@@ -164,7 +164,8 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     Floats moments[16];
     sum_slots(view, batch, moments);
     Geometry g;
-    project(gaussians, view.camera, batch.id, g);
+    project_centres(gaussians, view.camera, batch.id, g);
+    project_shapes(gaussians, view.camera, batch.id, g);
     const Gradient2d d = unwhiten(g, moments);
     Floats scale[3], quat[4], dT[2][3], mean[3];
     covariance_gradient(g, d, scale, quat, dT);

@@ -61,6 +61,7 @@ struct Camera {
     float position[3];  // world frame
     float fx, fy, cx, cy;
     float background[3];
+    float left, top, right, bottom;  // px: Gaussians with a centre not inside are left out
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
     const uint8_t* tile_mask;  // of these, the ones to work on, row by row; null: all

@@ -12,6 +12,11 @@ the camera depth of its centre (3DGS, eq. 3). Pixel centres lie at +0.5. The con
 (near plane, blur, opacity bounds) are in `rasterize.inputs`. A Gaussian with NaN or Inf is culled;
 its gradient is zero.
 
+With `max_slope`, a Gaussian is culled if its centre is beside the image and |x / z| (camera frame)
+is larger, or above or below the image and |y / z| is larger. Out there the EWA approximation fails:
+a needle just before the camera plane would cover the image like fog. `view.render_view` has such a
+limit (`inputs.MAX_SLOPE`), training has none.
+
 Gradients: if an input is a leaf with an allocated `.grad`, the cpu backend adds to that buffer and
 touches only the rows of visible Gaussians. So the cost of a training step does not depend on the
 invisible Gaussians. Otherwise inputs get dense gradients, as in any torch function. Cameras and
@@ -31,6 +36,7 @@ from .inputs import (
     background_colour,
     check_backward_step,
     check_inputs,
+    checked_max_slope,
     checked_pixel_weights,
     used_sh_degree,
 )
@@ -54,6 +60,7 @@ def rasterize(
     *,
     sh_degree: int | None = None,  # bands above it are ignored, without gradient; None: no limit
     raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
+    max_slope: float | None = None,  # none farther beside the image; None: all
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
     with_depth: bool = False,  # also return the mean depth
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
@@ -88,6 +95,7 @@ def rasterize(
         height=int(height),
         sh_degree=used_sh_degree(sh.shape[1], sh_degree),
         raw=raw,
+        max_slope=checked_max_slope(max_slope),
         background=background_colour(background, means),
         with_depth=with_depth,
         with_max_weight=with_max_weight,

@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .inputs import BackwardStep, RenderInputs, RenderOutput
+from .inputs import BackwardStep, RenderInputs, RenderOutput, centre_bounds
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 
@@ -144,13 +144,15 @@ def render(inputs: RenderInputs) -> RenderOutput:
 def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[bindings.Camera]:
     background = inputs.background.tolist()
     structures = []
-    for view, K in zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True):
+    cameras = zip(inputs.viewmats.tolist(), inputs.Ks.tolist(), strict=True)
+    for c, (view, K) in enumerate(cameras):
         camera = bindings.Camera()
         camera.world_to_camera[:] = [*view[0], *view[1], *view[2]]
         # Python's floats are float64: needed here, as differences of large numbers lose digits
         camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
+        camera.centre_bounds[:] = centre_bounds(inputs, c)
         camera.size[:] = [inputs.width, inputs.height]
         camera.tiles[:] = inputs.tiles
         camera.tile_mask = pointer(tile_mask)

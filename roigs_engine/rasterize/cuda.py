@@ -7,8 +7,8 @@ by 0.3. The differences (docs/cuda.md):
 * A Gaussian is in the list of every tile that its bounding rectangle touches, also if its ellipse
   does not reach the tile: `visible` has a few more Gaussians, with zero gradients.
 * A pixel stops before the Gaussian that would leave a transmittance below 1e-4.
-* gsplat does not check for NaN and Inf. Here such Gaussians are removed after the projection, and
-  their gradients set to zero.
+* gsplat does not check for NaN and Inf, and has no `max_slope`. Here such Gaussians are removed
+  after the projection, and their gradients set to zero.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from ..cuda import library
 from ..errors import KernelError
-from .inputs import BLUR, NEAR, TILE, RenderInputs, RenderOutput
+from .inputs import BLUR, NEAR, TILE, RenderInputs, RenderOutput, centre_bounds, inside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +148,7 @@ def _draw(
 
 
 def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussians:
-    """Project and colour all Gaussians; remove those with NaN or Inf."""
+    """Project and colour all Gaussians; remove those with NaN or Inf, or beyond `max_slope`."""
     # Views have their own hooks, which zero the gradients of removed Gaussians.
     means, quats, scales, opacities, sh = (p.view_as(p) for p in inputs.parameters)
     small = (means, quats, scales, opacities)
@@ -171,6 +171,8 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
     with torch.no_grad():
         total = means2d.sum(-1) + conics.sum(-1) + depths + opacities
         drawn = (radii > 0).all(-1) & total.isfinite()  # (1, N)
+        if inputs.max_slope is not None:  # the bounds wait for the GPU: not in training
+            drawn &= inside(means2d, centre_bounds(inputs, camera))
         pose = view.double()  # differences of large numbers lose digits
         eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)
     colours = gsplat.spherical_harmonics(

@@ -22,6 +22,8 @@ from .inputs import (
     TILE,
     RenderInputs,
     RenderOutput,
+    centre_bounds,
+    inside,
 )
 
 PIXELS_AT_ONCE = 1 << 14
@@ -77,6 +79,7 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
         everything = torch.arange(inputs.means.shape[0], device=inputs.means.device)
         fields = project_all(inputs, camera, everything)
         usable = (fields[4] > NEAR) & (fields[2] > ALPHA_MIN)
+        usable &= inside(fields[0], centre_bounds(inputs, camera))
         for field in fields:
             usable &= torch.isfinite(field if field.ndim == 1 else field.sum(dim=1))
         index = usable.nonzero()[:, 0]

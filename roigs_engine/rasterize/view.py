@@ -13,6 +13,7 @@ from ..cuda.memory import explain_out_of_memory, smaller_side
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from . import RenderOutput, rasterize
+from .inputs import MAX_SLOPE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +39,10 @@ def render_view(
     with_depth: bool = False,
     background: Tensor | None = None,  # (3,)
 ) -> RenderedView:
-    """Render the model from one camera, on the model's device, without gradients."""
+    """Render the model from one camera, on the model's device, without gradients.
+
+    Gaussians beyond `MAX_SLOPE` are left out, in everything that is shown or measured.
+    """
     size = camera.width, camera.height
 
     def doing() -> str:
@@ -49,7 +53,12 @@ def render_view(
 
     with explain_out_of_memory(doing, advice):
         output = rasterize_view(
-            gaussians, camera, world_to_camera, background=background, with_depth=with_depth
+            gaussians,
+            camera,
+            world_to_camera,
+            max_slope=MAX_SLOPE,
+            background=background,
+            with_depth=with_depth,
         )
     depth = output.depth[0] if with_depth and output.depth is not None else None
     return RenderedView(image=output.image[0].clamp(0, 1), depth=depth)
@@ -58,7 +67,7 @@ def render_view(
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
-    """`rasterize` a model from one camera, on the model's device.
+    """`rasterize` a model from one camera, on the model's device; as in training by default.
 
     Args:
         gaussians: the model.

@@ -5,6 +5,7 @@
 #define ALPHA_MIN (1.0 / 255.0)
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the view
+#define MAX_SLOPE 3.0        // of centres outside the view; beyond, EWA splatting fails
 
 #define TEXEL(map, i) texelFetch(map, ivec2(int((i) % ROW), int((i) / ROW)), 0)
 #define OBJECT(i, k) texelFetch(objects, ivec2(k, i), 0)
@@ -87,6 +88,11 @@ void main()
   if (perspective) {
     principal = (1.0 - vec2(projection[2][0], projection[2][1])) * 0.5 * view_size;
     centre = focal * t.xy / depth + principal;
+    vec2 low = min(vec2(0.0), principal - MAX_SLOPE * focal);
+    vec2 high = max(view_size, principal + MAX_SLOPE * focal);
+    if (!(all(greaterThan(centre, low)) && all(lessThan(centre, high)))) {
+      return;
+    }
     vec2 margin = FRUSTUM_MARGIN * 0.5 * view_size / focal;
     vec2 slope = clamp(t.xy / depth,
                        -(principal / focal + margin),

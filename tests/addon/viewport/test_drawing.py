@@ -13,10 +13,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.addon.scenes import ROOT
-from tests.addon.splat_cases import random_ply
+from tests.addon.splat_cases import random_arrays, random_ply
 from tests.poses import look_at
 
 pytestmark = pytest.mark.blender
@@ -86,6 +87,27 @@ def test_the_viewport_draws_what_the_engine_draws(
     gaussians = Gaussians.load_ply(path)
     render_sequence(gaussians, load_camera_path(tmp_path / "cameras.json"), tmp_path)
     assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
+
+
+def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_path: Path) -> None:
+    """Needles whose centre is just before the camera plane and far beside the picture."""
+    pytest.importorskip("torch")
+    from roigs_engine.formats.splat_ply import write_ply
+    from roigs_engine.model.gaussians import Gaussians
+    from roigs_engine.rasterize.camera_path import load_camera_path
+    from roigs_engine.rasterize.sequence import render_sequence
+
+    arrays, chosen = random_arrays(700, seed=6), cameras()[2:]
+    to_world = np.linalg.inv(chosen[0]["world_to_camera"])
+    beside = np.array([[1.0, 0.2, 0.05, 1], [-1.0, 0.4, 0.03, 1], [0.1, 2.0, 0.1, 1]])
+    arrays["means"][:3] = (beside @ to_world.T)[:, :3]
+    arrays["log_scales"][:3] = np.log([0.27, 0.27, 3.5])
+    arrays["logit_opacities"][:3] = 3.0
+    write_ply(tmp_path / "splats.ply", arrays)
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+    path = load_camera_path(tmp_path / "cameras.json")
+    render_sequence(Gaussians.load_ply(tmp_path / "splats.ply"), path, tmp_path)
+    run(blender, "viewport_parity.py", tmp_path)
 
 
 def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from roigs_engine.context import Context
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.rasterize import RenderOutput, rasterize
 from roigs_engine.training import photo_order
+from roigs_engine.training import trainer as trainer_module
 from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
@@ -95,6 +98,21 @@ def test_training_lowers_the_loss(scene: SfmScene) -> None:
     start = mean_loss(trainer, 12)
     assert trainer.run()
     assert mean_loss(trainer, 12) < 0.5 * start
+
+
+def test_training_draws_without_a_limit_of_slope(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other viewers have none: what only they would draw must cost the loss."""
+    seen = set()
+
+    def noted(*args: Any, **options: Any) -> RenderOutput:
+        seen.add(options.get("max_slope"))
+        return rasterize(*args, **options)
+
+    monkeypatch.setattr(trainer_module, "rasterize", noted)
+    Trainer(first_model(scene), stage_data(scene), SHORT).run()
+    assert seen == {None}
 
 
 @pytest.mark.parametrize(
