@@ -31,7 +31,7 @@ def test_a_dry_run_leaves_no_trace(
     run = tmp_path / "run"
     assert main([command, *arguments(project, run, "--dry-run")]) == 0
     shown = capsys.readouterr().out
-    stages = ["scene", "joint"] if command == "train" else ["full-scene", "scene", "joint"]
+    stages = ["scene", "joint"] if command == "train" else ["scene", "joint", "full-scene"]
     lines = [line.split() for line in shown.splitlines()]
     begin = next(row for row, words in enumerate(lines) if words[:2] == ["stage", "photos"]) + 1
     assert [words[0] for words in lines[begin : begin + len(stages)]] == stages
