@@ -2,7 +2,8 @@
 
 A person with a phone takes 12 to 24 photos. Each case cuts a capture down to so many (at random, as
 an arc around the box, or evenly), with the points that two of them still see, and trains our model
-and the tuned Full Scene. No case may fail badly, so the table has the worst photo of each.
+and the tuned Full Scene. They are measured on all photos that were left out; of an arc, whose other
+photos show other sides, on test photos. No case may fail badly, so the table has the worst photo.
 DIR/CASE has the run of a case; a case that is done is not trained again.
 """
 
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 
 from benchmarks.markdown import table
+from benchmarks.study.rows import changed, parse_variant
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.console import Console
@@ -33,7 +35,6 @@ from roigs_engine.formats.files import read_json
 from roigs_engine.kernels import library
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.config import PHOTOS, TEST
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.presets import preset
@@ -94,12 +95,19 @@ def measured(case: Case, source: StudyScene, options: argparse.Namespace, contex
     scene = load_colmap(source.path, max_side=options.max_side, cache=options.out / "cache")
     rois = source.rois
     few = cut(scene, rois[0], case)
-    config = preset(options.preset).scaled(options.steps)
-    config = replace(config, evaluate_on=options.evaluate_on, seed=case.seed)
+    config = preset(options.preset)
+    if options.change:
+        config = changed(config, parse_variant(f"x:{options.change}", options.preset).changes)
+    config = config.scaled(options.steps)
+    every = config.test_every if case.kind == "arc" else 0
+    config = replace(config, test_every=every, seed=case.seed)
     run = define_run(folder, few, rois, config, context=context)
     models = [m.evaluated() for m in train_run(run, ("full-scene-tuned",), context)]
-    evaluation = evaluate(models, run.scene, run.measured, run.rois, context=context)
-    write_crops(evaluation, models, run.scene, run.rois, folder, context=context)
+    whole = run.frame.scene(scene)
+    kept = {image.name for image in few.images}
+    photos = run.test or tuple(image.name for image in whole.images if image.name not in kept)
+    evaluation = evaluate(models, whole, photos, run.rois, context=context)
+    write_crops(evaluation, models, whole, run.rois, folder, context=context)
     write_report(evaluation, folder)
     return record
 
@@ -166,7 +174,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--steps", type=float, default=1.0, metavar="F")
     parser.add_argument("--max-side", type=int, default=640)
     parser.add_argument("--threads", type=int)
-    parser.add_argument("--evaluate-on", choices=PHOTOS, default=TEST)
+    parser.add_argument("--change", metavar="FIELD=VALUE,...", help="other settings of the preset")
     return parser.parse_args(arguments)
 
 
