@@ -13,7 +13,7 @@ from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, SPLIT
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
 from ..model.scene import SfmScene
-from ..run.config import PHOTOS, TEST, VALIDATION
+from ..run.config import PHOTOS, TEST, VALIDATION, RunConfig
 from .console import Console
 from .options import (
     add_device_option,
@@ -27,7 +27,6 @@ from .options import (
 from .out_folder import refuse_inputs
 from .values import NAME, PATH, integer, named_file
 
-TEST_EVERY = 8
 HELP = "compare PLYs on test photos, in each box and on the whole image"
 EXAMPLES = """\
   python -m roigs_engine evaluate garden --rois garden/rois.json --out out \\
@@ -93,7 +92,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         _check_test_photos(test, split, cameras)
 
     scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
-    wanted = set(test or choose_test_views(scene, rois, args.test_every or TEST_EVERY))
+    wanted = set(test or choose_test_views(scene, rois, args.test_every or RunConfig.test_every))
     test = [image.name for image in scene.images if image.name in wanted]
     if len(test) < len(wanted):
         first = min(wanted - set(test))

@@ -17,6 +17,14 @@ def chosen(roi) -> list[str]:
     return [item.name for item in roi.roigs.selection]
 
 
+def selected(bpy: ModuleType, project: Path, run: Path):
+    """The scene, with three photos selected for its box."""
+    scene = ready(bpy, project, run)
+    scene.roigs.count = 3
+    bpy.ops.roigs.select_cameras()
+    return scene
+
+
 @pytest.mark.parametrize("method", ["coverage", "greedy", "static", "fvs", "random"])
 def test_the_selection_is_the_engines(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path, method: str
@@ -49,9 +57,7 @@ def test_chosen_cameras_are_coloured_and_collected(
     from roigs_addon.scene import lookup
     from roigs_addon.scene.selections import CHOSEN_COLOUR
 
-    bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    scene.roigs.count = 3
-    bpy.ops.roigs.select_cameras()
+    bpy, scene = blender, selected(blender, project, tmp_path / "run")
     roi = lookup.rois(scene)[0]
     found = lookup.cameras(scene)
     green = {
@@ -109,9 +115,7 @@ def test_the_list_is_kept_in_the_file(
 ) -> None:
     from roigs_addon.scene import lookup, selections
 
-    bpy, scene = blender, ready(blender, project, tmp_path / "run")
-    scene.roigs.count = 3
-    bpy.ops.roigs.select_cameras()
+    bpy, scene = blender, selected(blender, project, tmp_path / "run")
     roi = lookup.rois(scene)[0]
     names, before = chosen(roi), record(roi, scene)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))

@@ -20,6 +20,7 @@ from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, SfmScene
 from roigs_engine.rasterize import rasterize, view
+from tests.engine.evaluation.tables import score
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 
 CAMERA = Camera(width=80, height=60, fx=70.0, fy=75.0, cx=41.0, cy=28.5)
@@ -52,29 +53,14 @@ def two_models() -> list[EvaluatedModel]:
     ]
 
 
-def score(model: str, psnr: dict[str, float]) -> ModelScore:
+def scored(model: str, psnr: dict[str, float]) -> ModelScore:
     views = tuple(ViewScore(view=k, roi_psnr=v, roi_ssim=0.9) for k, v in psnr.items())
-    return ModelScore(
-        model=model,
-        roi_psnr=0.0,
-        object_psnr=None,
-        roi_ssim=0.9,
-        image_psnr=0.0,
-        peak_gain=None,
-        peak_view=None,
-        gaussians=1,
-        gaussians_in_box=1,
-        seconds=0.0,
-        stages={},
-        ply_bytes=0,
-        views=views,
-        image_views={},
-    )
+    return score(model, views)
 
 
 def test_largest_median_and_least_gain_are_shown() -> None:
-    base = score("base", {"a": 20, "b": 20, "c": 20, "d": 20, "e": 20})
-    ours = score("ours", {"a": 21, "b": 25, "c": 19, "d": 22, "e": 20.5})
+    base = scored("base", {"a": 20, "b": 20, "c": 20, "d": 20, "e": 20})
+    ours = scored("ours", {"a": 21, "b": 25, "c": 19, "d": 22, "e": 20.5})
     assert choose_views(ours, base) == {
         "b": "largest gain",
         "a": "median gain",
@@ -84,9 +70,9 @@ def test_largest_median_and_least_gain_are_shown() -> None:
 
 
 def test_few_photos_are_not_shown_twice() -> None:
-    base, ours = score("base", {"a": 20}), score("ours", {"a": 21})
+    base, ours = scored("base", {"a": 20}), scored("ours", {"a": 21})
     assert choose_views(ours, base) == {"a": "largest gain"}
-    base, ours = score("base", {"a": 20, "b": 20}), score("ours", {"a": 21, "b": 22})
+    base, ours = scored("base", {"a": 20, "b": 20}), scored("ours", {"a": 21, "b": 22})
     assert set(choose_views(ours, base)) == {"a", "b"}
 
 

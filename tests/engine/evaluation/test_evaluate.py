@@ -21,10 +21,6 @@ from roigs_engine.evaluation.report import format_markdown, write_report
 from roigs_engine.evaluation.scores import (
     MIN_SILHOUETTE,
     Evaluation,
-    MeasuredView,
-    ModelScore,
-    RoiScores,
-    ViewScore,
 )
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats.events import Event, Message, Progress, StageStarted
@@ -34,6 +30,7 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize import view as view_module
+from tests.engine.evaluation.tables import cells
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 
 FAR = OrientedBox.axis_aligned("far | corner", [2.0, -0.4, -0.4], [2.8, 0.4, 0.4])
@@ -298,10 +295,6 @@ def test_ply_size_is_that_of_the_file(tmp_path: Path) -> None:
     assert 0 < (tmp_path / "m.ply").stat().st_size - ply_bytes(model) < 3000
 
 
-def cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.replace("\\|", "/").strip("|").split("|")]
-
-
 def test_markdown_table(result: Evaluation) -> None:
     text = format_markdown(result)
     assert text.startswith("# Evaluation on 3 test photos")
@@ -323,100 +316,6 @@ def test_markdown_table(result: Evaluation) -> None:
     assert "scene 60 + object 40" in text
     assert "sigma 1.5" in text
     assert "No FLIP: `pip install flip-evaluator`" in text
-
-
-def by_hand() -> Evaluation:
-    """A baseline and a model on four photos, whose numbers are made by hand."""
-
-    def row(name: str, psnr: list[float], **numbers: float | str | None) -> ModelScore:
-        views = tuple(
-            ViewScore(view=f"{k}.png", roi_psnr=value, roi_ssim=0.5, distance=float(4 - k))
-            for k, value in enumerate(psnr)
-        )
-        return dataclasses.replace(
-            ModelScore(
-                model=name,
-                roi_psnr=20.0,
-                object_psnr=None,
-                roi_ssim=0.5,
-                image_psnr=20.0,
-                peak_gain=None,
-                peak_view=None,
-                gaussians=1,
-                gaussians_in_box=1,
-                seconds=1.0,
-                stages={},
-                ply_bytes=1,
-                views=views,
-                image_views={},
-            ),
-            **numbers,
-        )
-
-    base = row("plain", [20, 20, 20, 20], near_psnr=20.0, far_psnr=20.0)
-    ours = row(
-        *("ours", [19.5, 21, 22, 23]),
-        near_psnr=23.0,
-        far_psnr=19.5,
-        won_share=0.75,
-        peak_gain=3.0,
-        peak_view="3.png",
-        worst_gain=-0.5,
-        worst_view="0.png",
-    )
-    views = tuple(
-        MeasuredView(
-            view=f"{k}.png",
-            silhouette_pixels=2000,
-            object_pixels=0,
-            camera_inside=False,
-            small=False,
-        )
-        for k in range(4)
-    )
-    box = RoiScores(roi="box", views=views, left_out=(), object_mask_from="ours", rows=(base, ours))
-    return Evaluation(test_views=tuple(v.view for v in views), baseline="plain", rois=(box,))
-
-
-def test_markdown_table_of_single_photos() -> None:
-    text = format_markdown(by_hand())
-    table = text.split("Near and far, and single photos:\n\n")[1].split("\n\n")[0].splitlines()
-    header, _, base, ours = (cells(line) for line in table)
-    assert header[1:] == [
-        *("near third (dB)", "far third (dB)", "peak gain (dB)"),
-        *("worst gain (dB)", "photos won"),
-    ]
-    assert base[1:] == ["20.00", "**20.00**", "–", "–", "–"]
-    assert ours[1:] == ["**23.00**", "19.50", "+3.00", "-0.50", "75%"]
-    assert "on the 1 of 4 photos nearest to the box (1.0 box diagonals from its centre)" in text
-    assert "on the 1 farthest (4.0)" in text
-    assert "over 'plain'" in text
-    assert "Photos of the peak and the worst gain: ours 3.png, 0.png." in text
-
-
-def test_a_report_says_validation_photos() -> None:
-    scores = dataclasses.replace(by_hand().rois[0], left_out=("8.png",))
-    unseen = dataclasses.replace(scores, roi="unseen", views=(), rows=())
-    report = dataclasses.replace(by_hand(), photos="validation", rois=(scores, unseen))
-    text = format_markdown(report)
-    assert text.count("validation photo") == 3 and "test photo" not in text
-
-
-def test_a_report_of_version_0_1_0_is_read() -> None:
-    record = by_hand().to_dict()
-    del record["photos"]
-    for row in record["rois"][0]["rows"]:
-        for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
-            del row[name]
-        for view in row["views"]:
-            del view["distance"], view["roi_flip"]
-    old = Evaluation.from_dict(record)
-    assert old.rois[0].rows[1].peak_gain == 3.0
-    assert old.rois[0].rows[1].near_psnr is None
-    text = format_markdown(old)
-    assert "near third" not in text and "Near third" not in text
-    assert "None" not in text
-    assert "peak gain" in text and "worst gain (dB)" not in text
 
 
 def test_json_there_and_back(result: Evaluation, tmp_path: Path) -> None:

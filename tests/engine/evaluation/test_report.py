@@ -1,0 +1,91 @@
+"""The report of an evaluation whose numbers are made by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from roigs_engine.evaluation.report import format_markdown
+from roigs_engine.evaluation.scores import (
+    Evaluation,
+    MeasuredView,
+    ModelScore,
+    RoiScores,
+    ViewScore,
+)
+from tests.engine.evaluation.tables import cells, score
+
+
+def by_hand() -> Evaluation:
+    """A baseline and a model on four photos, whose numbers are made by hand."""
+
+    def row(name: str, psnr: list[float], **numbers: float | str | None) -> ModelScore:
+        views = tuple(
+            ViewScore(view=f"{k}.png", roi_psnr=value, roi_ssim=0.5, distance=float(4 - k))
+            for k, value in enumerate(psnr)
+        )
+        return score(name, views, **numbers)
+
+    base = row("plain", [20, 20, 20, 20], near_psnr=20.0, far_psnr=20.0)
+    ours = row(
+        *("ours", [19.5, 21, 22, 23]),
+        near_psnr=23.0,
+        far_psnr=19.5,
+        won_share=0.75,
+        peak_gain=3.0,
+        peak_view="3.png",
+        worst_gain=-0.5,
+        worst_view="0.png",
+    )
+    views = tuple(
+        MeasuredView(
+            view=f"{k}.png",
+            silhouette_pixels=2000,
+            object_pixels=0,
+            camera_inside=False,
+            small=False,
+        )
+        for k in range(4)
+    )
+    box = RoiScores(roi="box", views=views, left_out=(), object_mask_from="ours", rows=(base, ours))
+    return Evaluation(test_views=tuple(v.view for v in views), baseline="plain", rois=(box,))
+
+
+def test_markdown_table_of_single_photos() -> None:
+    text = format_markdown(by_hand())
+    table = text.split("Near and far, and single photos:\n\n")[1].split("\n\n")[0].splitlines()
+    header, _, base, ours = (cells(line) for line in table)
+    assert header[1:] == [
+        *("near third (dB)", "far third (dB)", "peak gain (dB)"),
+        *("worst gain (dB)", "photos won"),
+    ]
+    assert base[1:] == ["20.00", "**20.00**", "–", "–", "–"]
+    assert ours[1:] == ["**23.00**", "19.50", "+3.00", "-0.50", "75%"]
+    assert "on the 1 of 4 photos nearest to the box (1.0 box diagonals from its centre)" in text
+    assert "on the 1 farthest (4.0)" in text
+    assert "over 'plain'" in text
+    assert "Photos of the peak and the worst gain: ours 3.png, 0.png." in text
+
+
+def test_a_report_says_validation_photos() -> None:
+    scores = dataclasses.replace(by_hand().rois[0], left_out=("8.png",))
+    unseen = dataclasses.replace(scores, roi="unseen", views=(), rows=())
+    report = dataclasses.replace(by_hand(), photos="validation", rois=(scores, unseen))
+    text = format_markdown(report)
+    assert text.count("validation photo") == 3 and "test photo" not in text
+
+
+def test_a_report_of_version_0_1_0_is_read() -> None:
+    record = by_hand().to_dict()
+    del record["photos"]
+    for row in record["rois"][0]["rows"]:
+        for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
+            del row[name]
+        for view in row["views"]:
+            del view["distance"], view["roi_flip"]
+    old = Evaluation.from_dict(record)
+    assert old.rois[0].rows[1].peak_gain == 3.0
+    assert old.rois[0].rows[1].near_psnr is None
+    text = format_markdown(old)
+    assert "near third" not in text and "Near third" not in text
+    assert "None" not in text
+    assert "peak gain" in text and "worst gain (dB)" not in text
