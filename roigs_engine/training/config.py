@@ -51,8 +51,8 @@ class TrainConfig:
         contribution_every: shortest window, in steps. At the end of a window, Gaussians are removed
             if their alpha x T stayed below 1/255 on all its training pixels; 0: never.
         min_views: multi-view consistency (`consistency.py`). At its end, the stage removes
-            Gaussians in front of the boxes that fewer training photos show, and Gaussians in the
-            boxes that no photo shows; 0: none.
+            Gaussians in front of the boxes that fewer training photos show, Gaussians in the boxes
+            that no photo shows, and fog between the photos (`between_views.py`); 0: none.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
     """

@@ -24,6 +24,7 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..rasterize import RenderOutput, rasterize
 from .averaging import ModelMean
+from .between_views import View, fills_only_between
 from .budget import BoxBudget
 from .callbacks import PeriodicCallback
 from .config import TrainConfig
@@ -55,6 +56,7 @@ class StageData:
         rois: boxes that limit densification, if the stage's config says so.
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
+        between: views between the photos (`between_views.py`), used with `config.min_views`.
         seed: for the positions of split Gaussians.
         device: where to train; devices differ only in rounding.
     """
@@ -66,6 +68,7 @@ class StageData:
     rois: Sequence[OrientedBox] = ()
     budgets: Sequence[BoxBudget] | None = None
     masks: RoiMasks | None = None
+    between: Sequence[View] = ()
     seed: int = 0
     device: torch.device = CPU
 
@@ -244,6 +247,7 @@ class Trainer:
         data, views = self.data, self.config.min_views
         try:
             keep = consistent_across_views(self._parameters, data.images, data.rois, views, context)
+            keep &= ~fills_only_between(self._parameters, data.images, data.between, context)
         except Stopped:
             return False
         if not bool(keep.all()):

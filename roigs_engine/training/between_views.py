@@ -1,0 +1,136 @@
+"""Prunes what fills a view between the photos, but no photo: fog that training cannot see (ours).
+
+With few photos, a background Gaussian can grow large beside all of them: they hardly show it, so
+nothing limits it, and it covers every view between them. So cameras are put between neighbouring
+photos, and a Gaussian goes if one of them sees much more of it than any photo does.
+
+Something real could fill such a view if the camera stood close to it. The limits exclude that. A
+surface at distance d from the photos fills at most (d / (d / 4))^2 = 16 times as much of a view
+from a quarter of the distance; cameras nearer than that to the scene's points are not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from ..context import QUIET, Context
+from ..cuda.device import CPU
+from ..cuda.library import has_blending_weights
+from ..model.gaussians import Gaussians
+from ..model.scene import Camera, Float64, PosedImage
+from ..rasterize.view import rasterize_view
+
+View = tuple[Camera, Float64]
+"""A camera and its world_to_camera."""
+
+NEIGHBOURS = 4
+WIDEST = 72.0  # degrees between the directions of two photos that have views between them
+MOST_VIEWS = 200
+SIDE = 256  # pixels; shares of a view need no more
+NEAREST = 0.25  # least distance of a view from the scene, in distances of its two photos
+MORE = NEAREST**-2  # how much more of a view than of any photo is too much
+LEAST = 1e-3  # share of a view that is worth a look
+POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
+
+
+def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, ...]:
+    """Cameras at a quarter, a half and three quarters of the way between neighbouring photos.
+
+    Args:
+        images: the photos.
+        points: (P, 3) of the scene, world units.
+
+    Returns:
+        At most `MOST_VIEWS`, evenly spread over all pairs; none without neighbours.
+    """
+    pairs = _neighbours(images)
+    shares = (0.5,) if len(pairs) * 3 > MOST_VIEWS else (0.25, 0.5, 0.75)
+    steps = [(first, second, share) for first, second in pairs for share in shares]
+    kept = np.linspace(0, len(steps) - 1, min(len(steps), MOST_VIEWS)).round().astype(int)
+    reach = [_reach(image.centre, points) for image in images]
+    views = []
+    for first, second, share in (steps[k] for k in kept):
+        camera = images[first].camera.thumbnail(SIDE)
+        pose = _between(images[first], images[second], share)
+        centre = -pose[:3, :3].T @ pose[:3, 3]
+        if _reach(centre, points) >= NEAREST * min(reach[first], reach[second]):
+            views.append((camera, pose))
+    return tuple(views)
+
+
+@torch.no_grad()
+def fills_only_between(
+    gaussians: Gaussians,
+    images: Sequence[PosedImage],
+    views: Sequence[View],
+    context: Context = QUIET,
+) -> Tensor:
+    """(N,) bool: which Gaussians fill a view between the photos, but no photo.
+
+    Args:
+        gaussians: the model, N rows.
+        images: the training photos; their pixels are not used.
+        views: of `views_between`.
+        context: checked for cancellation between views.
+    """
+    device = gaussians.means.device
+    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
+    photos = [(image.camera.thumbnail(SIDE), image.world_to_camera) for image in images]
+    if not views:
+        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
+    filled = _largest_share(model, views, context)
+    fog = (filled > LEAST) & (filled > MORE * _largest_share(model, photos, context))
+    return fog.to(device)
+
+
+def _largest_share(model: Gaussians, views: Sequence[View], context: Context) -> Tensor:
+    """(N,) the largest share of a view's light that each Gaussian has."""
+    largest = torch.zeros(len(model), device=model.means.device)
+    for camera, pose in views:
+        context.check_cancelled()
+        # colours do not matter
+        output = rasterize_view(model, camera, pose, sh_degree=0, with_weight_sum=True)
+        assert output.weight_sum is not None
+        torch.maximum(largest, output.weight_sum / (camera.width * camera.height), out=largest)
+    return largest
+
+
+def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
+    """Pairs of photos that stand and look alike: each with its nearest ones."""
+    centres = np.array([image.centre for image in images])
+    forward = np.array([image.forward for image in images])
+    spread = np.median(np.linalg.norm(centres - centres.mean(axis=0), axis=1))
+    pairs = set()
+    for k in range(len(images)):
+        cosine = forward @ forward[k]
+        apart = np.linalg.norm(centres - centres[k], axis=1) / max(spread, 1e-12) + 1 - cosine
+        apart[cosine < np.cos(np.radians(WIDEST))] = np.inf
+        apart[k] = np.inf
+        order = np.argsort(apart, kind="stable")[:NEIGHBOURS]
+        pairs |= {(min(k, int(j)), max(k, int(j))) for j in order if apart[j] < np.inf}
+    return sorted(pairs)
+
+
+def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
+    """(4, 4) world_to_camera on the way from the first photo's camera to the second's."""
+    start = Rotation.from_matrix(first.world_to_camera[:3, :3])
+    turn = Rotation.from_matrix(second.world_to_camera[:3, :3]) * start.inv()
+    rotation = (Rotation.from_rotvec(share * turn.as_rotvec()) * start).as_matrix()
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -rotation @ ((1 - share) * first.centre + share * second.centre)
+    return pose
+
+
+def _reach(centre: Float64, points: Float64) -> float:
+    """Distance to the scene: to the tenth nearest of its points; infinite without points."""
+    if len(points) == 0:
+        return np.inf
+    squared = ((points - centre) ** 2).sum(axis=1)
+    nearest = min(POINTS, len(points)) - 1
+    return float(np.sqrt(np.partition(squared, nearest)[nearest]))
