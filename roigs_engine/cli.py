@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from . import __version__
-from .commands import compose, evaluate, export, inspect, render, run, select, train
+from .commands import compose, evaluate, export, inspect, refine_cameras, render, run, select, train
 from .commands.console import Console
 from .commands.options_file import with_options_file
 from .commands.out_folder import refuse_run_files
@@ -27,6 +27,7 @@ from .machine import is_memory_full
 COMMANDS: dict[str, ModuleType] = {
     "inspect": inspect,
     "export": export,
+    "refine-cameras": refine_cameras,
     "select": select,
     "train": train,
     "compose": compose,

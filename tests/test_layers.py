@@ -45,8 +45,8 @@ TORCH_FREE = (
     *("", "cli", "colmap", "context", "formats", "kernels.build", "kernels.library", "photos"),
     *("run.config", "run.presets", "selection"),
 )
-# Where pycolmap may be imported: the one place that needs it.
-PYCOLMAP = {"colmap.undistort"}
+# Where pycolmap may be imported.
+PYCOLMAP = {"colmap.library"}
 # What may write to the terminal: the command line, and the build script that setup.py runs.
 PRINTING = {"commands", "cli", "kernels.build"}
 IMPORT_NAMES = {
@@ -227,7 +227,7 @@ def test_formats_need_numpy_alone() -> None:
             assert foreign <= {"numpy"}, name
 
 
-def test_pycolmap_stays_where_photos_are_undistorted() -> None:
+def test_pycolmap_is_imported_in_one_place() -> None:
     users = {
         name.removeprefix(f"{ENGINE}.")
         for name, path in files(ENGINE).items()

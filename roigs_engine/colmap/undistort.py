@@ -1,16 +1,15 @@
-"""Undistorts photos to pinhole cameras, with a cache. The only module that imports pycolmap."""
+"""Undistorts photos to pinhole cameras, with a cache."""
 
 from __future__ import annotations
 
 import atexit
 import hashlib
 import shutil
-import signal
 import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write
 from ..model.scene import Camera
 from ..photos.parallel import decoding_bytes
+from .library import pycolmap_module
 from .records import ONE_FOCAL, ModelCamera
 
 # Models that are a pinhole if their distortion is zero (a fisheye is not), and the index of their
@@ -242,19 +242,7 @@ def _options() -> Any:
     return _pycolmap().UndistortCameraOptions(blank_pixels=0.0)
 
 
-@cache
 def _pycolmap() -> Any:
-    """The module pycolmap with its log switched off: it also raises its errors."""
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise EngineError(
-            f"Undistorting photos needs pycolmap, which is not installed ({error}).",
-            "Install pycolmap, or use a model written by COLMAP's image_undistorter.",
-        ) from error
-    pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL.value)
-    if threading.current_thread() is threading.main_thread():
-        # The import installs a SIGTERM handler that prints a stack trace; restore the old handler.
-        signal.signal(signal.SIGTERM, before)
-    return pycolmap
+    return pycolmap_module(
+        "Undistorting photos", ", or use a model written by COLMAP's image_undistorter"
+    )

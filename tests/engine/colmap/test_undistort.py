@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from roigs_engine.colmap import undistort
+from roigs_engine.colmap.library import pycolmap_module
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.records import CAMERA_MODELS
 from roigs_engine.context import Context
@@ -224,11 +225,11 @@ def test_without_pycolmap_pinholes_still_load(
     write_project(tmp_path / "plain")
     distorted(tmp_path / "bent", "SIMPLE_RADIAL")
     monkeypatch.setitem(__import__("sys").modules, "pycolmap", None)
-    undistort._pycolmap.cache_clear()
+    pycolmap_module.cache_clear()
     undistort.undistorted_camera.cache_clear()
     try:
         assert len(load_colmap(tmp_path / "plain").images) == 3
         with pytest.raises(EngineError, match="needs pycolmap"):
             load_colmap(tmp_path / "bent")
     finally:
-        undistort._pycolmap.cache_clear()
+        pycolmap_module.cache_clear()

@@ -1,0 +1,177 @@
+"""Cameras with the wrong lens model are found again from the tracks; what is good stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.colmap.refine import refine_cameras
+from roigs_engine.context import Context
+from roigs_engine.errors import SceneError, Stopped
+from tests.engine.synthetic_colmap import Project, camera, write_project
+
+LENS = [200.0, 190.0, 120.0, 90.0, 0.2, -0.6, 0.0, 0.0]  # OPENCV: no SIMPLE_RADIAL is like it
+POINTS = np.random.default_rng(3).uniform(-1, 1, (400, 3)) * [1.6, 1.2, 0.9]
+NAMES = [f"{k:02}.png" for k in range(10)]
+
+
+def bent(folder: Path, *, noise: float = 0.05, cameras: int = 1, photos: int = 10) -> Project:
+    """A project whose keypoints an OPENCV lens took, and whose cameras are SIMPLE_RADIAL.
+
+    COLMAP's own bundle adjustment has fitted the rest to that.
+    """
+    lenses = [camera("OPENCV", 240, 180, LENS) for _ in range(cameras)]
+    made = write_project(folder, names=NAMES[:photos], cameras=lenses, points=POINTS, arc=2.0)
+    model = folder / "sparse" / "0"
+    scene = pycolmap.Reconstruction(str(model))
+    rng = np.random.default_rng(5)
+    for image in scene.images.values():
+        for keypoint in image.points2D:
+            keypoint.xy = keypoint.xy + rng.normal(scale=noise, size=2)
+    for lens in scene.cameras.values():
+        lens.model = pycolmap.CameraModelId.SIMPLE_RADIAL
+        lens.params = [200.0, 120.0, 90.0, 0.0]
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in scene.reg_image_ids():
+        config.add_image(image)
+    pycolmap.create_default_bundle_adjuster(options, config, scene).solve()
+    scene.transform(pycolmap.estimate_sim3d(positions(scene), POINTS))
+    scene.write(str(model))
+    return made
+
+
+def positions(scene: pycolmap.Reconstruction) -> np.ndarray:
+    """(P, 3) points in the order of their ids."""
+    return np.array([scene.points3D[key].xyz for key in sorted(scene.point3D_ids())])
+
+
+def centres(model: Path) -> np.ndarray:
+    """(V, 3) camera centres in the order of the photos' names."""
+    images = pycolmap.Reconstruction(str(model)).images.values()
+    return np.array([i.projection_center() for i in sorted(images, key=lambda image: image.name)])
+
+
+def test_the_true_cameras_are_found_and_the_world_stays(tmp_path: Path) -> None:
+    made = bent(tmp_path)
+    old, new = tmp_path / "sparse" / "0", tmp_path / "sparse" / "refined"
+    done = refine_cameras(old, new)
+    assert done.better and done.cameras == 1
+    assert done.after < 0.07 < 0.08 < done.before  # keypoints are 0.05 px off in x and y
+    truth = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in made.poses])
+    before, after = (np.linalg.norm(centres(m) - truth, axis=1).max() for m in (old, new))
+    assert after < before / 2
+    refined = pycolmap.Reconstruction(str(new))
+    lens = refined.cameras[1]
+    assert lens.model.name == "OPENCV" and np.allclose(lens.params[4:6], LENS[4:6], atol=0.1)
+    assert np.median(np.linalg.norm(positions(refined) - POINTS, axis=1)) < 0.01
+
+
+def test_photos_tracks_and_points_are_the_same(tmp_path: Path) -> None:
+    bent(tmp_path)
+    old, new = tmp_path / "sparse" / "0", tmp_path / "sparse" / "refined"
+    refine_cameras(old, new)
+    before, after = (load_colmap(model, pixels=False) for model in (old, new))
+    assert [i.name for i in before.images] == [i.name for i in after.images]
+    for one, other in zip(before.images, after.images, strict=True):
+        assert np.array_equal(one.point_indices, other.point_indices)
+    assert np.array_equal(before.colors, after.colors)
+
+
+def test_cameras_that_fit_are_left_alone(tmp_path: Path) -> None:
+    """Nothing but noise is left: more parameters cannot help."""
+    write_project(
+        tmp_path,
+        names=NAMES,
+        cameras=[camera("OPENCV", 240, 180, LENS)],
+        points=POINTS,
+        images=None,
+        arc=2.0,
+    )
+    before = (tmp_path / "sparse" / "0" / "images.bin").read_bytes()
+    done = refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
+    assert done.cameras == 0
+    assert done.better == (tmp_path / "new").exists()
+    assert (tmp_path / "sparse" / "0" / "images.bin").read_bytes() == before
+
+
+def test_a_camera_of_few_photos_keeps_its_model(tmp_path: Path) -> None:
+    bent(tmp_path, cameras=5)  # two photos each
+    done = refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
+    assert done.cameras == 0
+
+
+def test_wrong_matches_do_not_move_the_cameras(tmp_path: Path) -> None:
+    made = bent(tmp_path)
+    model = tmp_path / "sparse" / "0"
+    scene = pycolmap.Reconstruction(str(model))
+    rng = np.random.default_rng(9)
+    for image in scene.images.values():
+        for keypoint in rng.choice(len(image.points2D), 20, replace=False):
+            image.points2D[keypoint].xy = rng.uniform(0, 180, 2)
+    scene.write(str(model))
+    done = refine_cameras(model, tmp_path / "new")
+    assert done.better and done.after < 0.15
+    truth = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in made.poses])
+    assert np.linalg.norm(centres(tmp_path / "new") - truth, axis=1).max() < 0.1
+
+
+@pytest.mark.parametrize("photos", [2, 3])
+def test_too_few_tracks_are_one_clear_error(tmp_path: Path, photos: int) -> None:
+    write_project(tmp_path, names=NAMES[:photos], images=None)
+    with pytest.raises(SceneError, match="too few points that 4 or more photos observe"):
+        refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
+
+
+def test_a_model_without_tracks_is_one_clear_error(tmp_path: Path) -> None:
+    write_project(tmp_path, names=NAMES, images=None, tracks=False)
+    with pytest.raises(SceneError, match="too few points"):
+        refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
+
+
+def test_what_exists_is_not_replaced(tmp_path: Path) -> None:
+    bent(tmp_path)
+    model = tmp_path / "sparse" / "0"
+    before = (model / "images.bin").read_bytes()
+    with pytest.raises(SceneError, match="exists already"):
+        refine_cameras(model, model)
+    assert (model / "images.bin").read_bytes() == before
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(SceneError, match="exists already"):
+        refine_cameras(model, tmp_path / "file")
+
+
+def test_a_damaged_model_is_an_error(tmp_path: Path) -> None:
+    bent(tmp_path)
+    images = tmp_path / "sparse" / "0" / "images.bin"
+    images.write_bytes(images.read_bytes()[:-100])
+    with pytest.raises(SceneError, match="ends after"):
+        refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
+
+
+def test_it_can_be_stopped(tmp_path: Path) -> None:
+    bent(tmp_path)
+    with pytest.raises(Stopped):
+        refine_cameras(
+            tmp_path / "sparse" / "0", tmp_path / "new", Context(should_stop=lambda: True)
+        )
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_command_writes_beside_the_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bent(tmp_path)
+    assert main(["refine-cameras", str(tmp_path)]) == 0
+    output = capsys.readouterr()
+    assert "The cameras fit better" in output.out
+    assert "bundle_adjustment" not in output.err
+    assert load_colmap(tmp_path / "sparse" / "refined", pixels=False).images
+    assert main(["refine-cameras", str(tmp_path)]) == 2
+    assert "exists already" in capsys.readouterr().err
