@@ -14,7 +14,7 @@ from .values import PATH
 HELP = "fit the cameras of a COLMAP model better, which makes everything trained with them sharper"
 EXAMPLES = """\
   python -m roigs_engine refine-cameras garden
-  python -m roigs_engine run garden/sparse/refined --rois garden/rois.json --run-dir runs/garden"""
+  python -m roigs_engine refine-cameras garden --out garden-refined"""
 REFINED = "refined"
 
 
