@@ -10,8 +10,10 @@ these better than the old cameras, adjusted without them with COLMAP's own loss.
 
 from __future__ import annotations
 
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,6 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import SceneError
-from ..formats.files import UNREADABLE
 from ..model.scene import Float64
 from .library import pycolmap_module
 from .model_files import HINT_DAMAGED, read_model
@@ -86,6 +87,11 @@ def refine_cameras(model: Path, out: Path, context: Context = QUIET) -> Refineme
         raise SceneError(f"{out} exists already.", "Give another --out, or remove it.")
     colmap = pycolmap_module("Refining cameras")
     read_model(model, context)  # pycolmap may not return from a damaged model
+    with _explained(model):
+        return _refined(colmap, model, out, context)
+
+
+def _refined(colmap: Any, model: Path, out: Path, context: Context) -> Refinement:
     scene, started = _read(colmap, model), time.monotonic()
     left_out = _left_out(scene)
     if len(left_out) < FEWEST_LEFT_OUT:
@@ -112,21 +118,36 @@ def refine_cameras(model: Path, out: Path, context: Context = QUIET) -> Refineme
     return done
 
 
-def _read(colmap: Any, model: Path) -> Any:
+@contextmanager
+def _explained(model: Path) -> Iterator[None]:
+    """Turn pycolmap's errors about a model into one line."""
     try:
-        return colmap.Reconstruction(str(model))
+        yield
     except (ValueError, RuntimeError, IndexError, KeyError) as error:
-        first = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"
-        raise SceneError(f"pycolmap cannot read {model} ({first}).", HINT_DAMAGED) from error
+        last = (str(error).strip().splitlines() or ["no reason given"])[-1]
+        raise SceneError(f"pycolmap cannot use {model} ({last}).", HINT_DAMAGED) from error
+
+
+def _read(colmap: Any, model: Path) -> Any:
+    """The model without points that have no position."""
+    scene = colmap.Reconstruction(str(model))
+    for key in scene.point3D_ids():
+        if not np.isfinite(scene.points3D[key].xyz).all():
+            scene.delete_point3D(key)
+    return scene
 
 
 def _write(scene: Any, out: Path) -> None:
+    """Write all files, or none."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        scene.write(str(out))
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as folder:
+            scene.write(folder)
+            for path in Path(folder).iterdir():
+                path.replace(out / path.name)
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
-        raise SceneError(f"Cannot write {out} ({reason}).", UNREADABLE) from error
+        raise SceneError(f"Cannot write {out} ({reason}).", "Give another --out.") from error
 
 
 def _left_out(scene: Any) -> list[Observation]:

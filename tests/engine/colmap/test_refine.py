@@ -155,6 +155,38 @@ def test_a_damaged_model_is_an_error(tmp_path: Path) -> None:
         refine_cameras(tmp_path / "sparse" / "0", tmp_path / "new")
 
 
+def test_what_pycolmap_refuses_is_an_error(tmp_path: Path) -> None:
+    """An observation of a point that the model does not have."""
+    bent(tmp_path)
+    scene = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
+    model = tmp_path / "text"
+    model.mkdir()
+    scene.write_text(str(model))
+    points = (model / "points3D.txt").read_text().splitlines()
+    (model / "points3D.txt").write_text("\n".join(points[:-1]) + "\n")
+    with pytest.raises(SceneError, match="pycolmap cannot use"):
+        refine_cameras(model, tmp_path / "new")
+
+
+def test_a_point_without_a_position_is_left_out(tmp_path: Path) -> None:
+    bent(tmp_path)
+    model = tmp_path / "sparse" / "0"
+    scene = pycolmap.Reconstruction(str(model))
+    lost = next(iter(scene.point3D_ids()))
+    scene.points3D[lost].xyz = np.full(3, np.nan)
+    scene.write(str(model))
+    assert refine_cameras(model, tmp_path / "new").better
+    refined = pycolmap.Reconstruction(str(tmp_path / "new"))
+    assert refined.num_points3D() == scene.num_points3D() - 1
+
+
+def test_an_output_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    bent(tmp_path)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(SceneError, match="Cannot write"):
+        refine_cameras(tmp_path / "sparse" / "0", tmp_path / "file" / "new")
+
+
 def test_it_can_be_stopped(tmp_path: Path) -> None:
     bent(tmp_path)
     with pytest.raises(Stopped):
