@@ -86,12 +86,15 @@ def refine_cameras(model: Path, out: Path, context: Context = QUIET) -> Refineme
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SceneError(f"{out} exists already.", "Give another --out, or remove it.")
     colmap = pycolmap_module("Refining cameras")
-    read_model(model, context)  # pycolmap may not return from a damaged model
+    # pycolmap may not return from a damaged model, and cuts names at spaces in text files
+    names = {image.image_id: image.name for image in read_model(model, context).images}
     with _explained(model):
-        return _refined(colmap, model, out, context)
+        return _refined(colmap, model, names, out, context)
 
 
-def _refined(colmap: Any, model: Path, out: Path, context: Context) -> Refinement:
+def _refined(
+    colmap: Any, model: Path, names: dict[int, str], out: Path, context: Context
+) -> Refinement:
     scene, started = _read(colmap, model), time.monotonic()
     left_out = _left_out(scene)
     if len(left_out) < FEWEST_LEFT_OUT:
@@ -114,6 +117,8 @@ def _refined(colmap: Any, model: Path, out: Path, context: Context) -> Refinemen
         for image, keypoint, point in left_out:
             scene.add_observation(point, colmap.TrackElement(image, keypoint))
         _carry_back(colmap, scene, placed)
+        for key, image in scene.images.items():
+            image.name = names[key]
         _write(scene, out)
     return done
 

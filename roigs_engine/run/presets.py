@@ -73,6 +73,8 @@ def joint_recipe(
             densify_until=roi_steps // 3,
             densify_in_boxes=True,
             grad_threshold=8e-5,
+            # Twice 3DGS's: what shows behind the objects must not stay as coarse as the Scene-GS.
+            outside_grad_threshold=4e-4,
             box_budget=2.2,
             full_every=4,
             view_weighting=1.0,

@@ -60,6 +60,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
     fine = replace(
         ours.roi,
         densify_in_boxes=False,
+        outside_grad_threshold=0.0,
         grad_threshold=TrainConfig.grad_threshold,
         box_budget=0.0,
         full_every=1,

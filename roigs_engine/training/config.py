@@ -34,6 +34,8 @@ class TrainConfig:
         split_fraction: a Gaussian larger than this share of the size reference is split.
         densify_in_boxes: clone and split only Gaussians whose centre is in a box (paper,
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
+        outside_grad_threshold: with `densify_in_boxes`, Gaussians outside the boxes above this
+            gradient are densified too; 0: none (paper).
         box_margin: factor on the sides of the boxes for densification, budgets and masks, because
             things close to an object fill much of its silhouette.
         box_budget: factor of the Gaussian budget of a box (`budget.py`); 0: no limit.
@@ -76,6 +78,7 @@ class TrainConfig:
     grad_threshold: float = 2e-4
     split_fraction: float = 0.01
     densify_in_boxes: bool = False
+    outside_grad_threshold: float = 0.0
     box_margin: float = 1.0
     box_budget: float = 0.0
     box_grad_threshold: float = 0.0

@@ -1,4 +1,4 @@
-"""Density control with rules for boxes (ROI-GS, sec. II-B): only in boxes, within budgets."""
+"""Density control with rules for boxes (ROI-GS, sec. II-B): only or mainly in boxes, in budgets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .adaptive import AdaptiveDensity
 
 
 class InBoxDensity(AdaptiveDensity):
-    """3DGS with up to three rules: densify in boxes only, a threshold for boxes, budgets."""
+    """3DGS with up to three rules: boxes only or outside at a threshold, one for boxes, budgets."""
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
         """(N,) bool; if a box's budget is too small for all, the largest gradients go first."""
@@ -21,7 +21,8 @@ class InBoxDensity(AdaptiveDensity):
         if config.box_grad_threshold:
             mask = torch.where(owner >= 0, gradient > config.box_grad_threshold, mask)
         if config.densify_in_boxes:
-            mask &= owner >= 0
+            outside = config.outside_grad_threshold or torch.inf
+            mask = torch.where(owner >= 0, mask, gradient > outside)
         progress = step / config.densify_until
         for index, budget in enumerate(self.inputs.budgets or ()):
             mine = torch.nonzero(mask & (owner == index)).flatten()

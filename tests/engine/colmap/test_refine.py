@@ -84,6 +84,19 @@ def test_photos_tracks_and_points_are_the_same(tmp_path: Path) -> None:
     assert np.array_equal(before.colors, after.colors)
 
 
+def test_names_with_spaces_in_a_text_model_stay_whole(tmp_path: Path) -> None:
+    bent(tmp_path)
+    scene = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
+    for image in scene.images.values():
+        image.name = f"a walk/{image.name}"
+    model = tmp_path / "text"
+    model.mkdir()
+    scene.write_text(str(model))
+    refine_cameras(model, tmp_path / "new")
+    refined = pycolmap.Reconstruction(str(tmp_path / "new"))
+    assert {i.name for i in refined.images.values()} == {f"a walk/{name}" for name in NAMES}
+
+
 def test_cameras_that_fit_are_left_alone(tmp_path: Path) -> None:
     """Nothing but noise is left: more parameters cannot help."""
     write_project(
