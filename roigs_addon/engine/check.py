@@ -18,6 +18,7 @@ class Finding:
 
 TASKS = (
     ("Reading models", python.FOR_READING),
+    ("Refining cameras", python.FOR_REFINING),
     ("Selecting photos", python.FOR_READING),
     ("Selecting by Gaussian process", python.FOR_GAUSSIAN_PROCESS),
     ("Training and rendering", python.FOR_TRAINING),

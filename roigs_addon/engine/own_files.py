@@ -11,7 +11,7 @@ from ..shared import run_files
 
 RENDERS = "renders"
 
-CHECK, UNDISTORT = "photos", "undistort"
+CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
 
 OWN = "blender"
 """The add-on's own folder in it; all that follows is in there."""
@@ -30,6 +30,7 @@ def stage_in_words(stage: str) -> str:
         run_files.REFINE_STAGE: "refining",
         CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
+        CAMERAS: "cameras",
     }
     if stage.startswith(run_files.OBJECT_STAGE):
         return f"box '{stage.removeprefix(run_files.OBJECT_STAGE)}'"

@@ -21,6 +21,7 @@ VARIABLE = "ROIGS_ENGINE_PYTHON"
 PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch")
 FOR_READING = ("numpy",)
 FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
+FOR_REFINING = ("numpy", "pycolmap")
 FOR_DISTORTION = ("numpy", "PIL", "pycolmap")
 FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
 

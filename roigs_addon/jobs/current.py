@@ -19,7 +19,7 @@ from ..errors import AddonError
 from ..windows import Timer, redraw, redraw_sidebars
 from . import terminal, undo
 from .job import Job
-from .spec import JobSpec
+from .spec import JobSpec, nothing
 from .state import JobState
 
 POLL_SECONDS = 0.15
@@ -96,7 +96,8 @@ def _result(job: Job) -> JobResult:
 
 def _ended(job: Job) -> None:
     result = _result(job)
-    if not result.stopped and not result.failed:
+    changed = job.spec.on_done is not nothing
+    if changed and not result.stopped and not result.failed:
         undo.push(job.spec.title)
     for listener in on_end:
         listener()

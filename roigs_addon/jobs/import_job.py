@@ -18,13 +18,14 @@ from .spec import IMPORTING, JobSpec
 LOG = "engine.log"
 
 
-def spec(scene: bpy.types.Scene, chosen: str, images: str) -> JobSpec:
+def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool = False) -> JobSpec:
     """The job that imports a model.
 
     Args:
         scene: to import into.
         chosen: the folder of a COLMAP project, or a file in it.
         images: the folder of its photos; empty to find it.
+        same_frame: see `importing.import_folder`.
 
     Raises:
         AddonError: there is no such folder, or the cache cannot be written to.
@@ -34,9 +35,7 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str) -> JobSpec:
         folder = folder.parent
     if not folder.is_dir():
         raise AddonError(f"There is no folder {folder}. Choose the folder of a COLMAP project.")
-    out = export_folder(folder)
-    with writing(out, "Cache Folder in the add-on's preferences"):
-        out.mkdir(parents=True, exist_ok=True)
+    out = made_export_folder(folder)
     find = run_folders.finder(scene)
     arguments = ["export", str(folder), "--out", str(out)]
     if images:
@@ -46,7 +45,7 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str) -> JobSpec:
         now = find()
         if now is None:
             return
-        importing.import_folder(now, out, project_name(folder))
+        importing.import_folder(now, out, project_name(folder), same_frame=same_frame)
         selections.mark_chosen(now)
         _hide_relationship_lines()
         scene_props(now).colmap, scene_props(now).images = str(folder), images
@@ -65,6 +64,18 @@ def export_folder(colmap: Path) -> Path:
     """The folder of the cache for a model's exported files; each path has its own."""
     key = hashlib.sha256(str(colmap.resolve()).encode()).hexdigest()[:16]
     return settings.models_folder() / key
+
+
+def made_export_folder(colmap: Path) -> Path:
+    """That folder, created if it is missing.
+
+    Raises:
+        AddonError: the cache cannot be written to.
+    """
+    out = export_folder(colmap)
+    with writing(out, "Cache Folder in the add-on's preferences"):
+        out.mkdir(parents=True, exist_ok=True)
+    return out
 
 
 def _hide_relationship_lines() -> None:

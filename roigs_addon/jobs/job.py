@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from .state import STOPPED, STOPPING, JobState
 
 
 class Job:
-    """A running engine command with its state.
+    """A running engine command with its state; another command may follow it in the same job.
 
     Attributes:
         spec: what runs.
@@ -50,12 +50,8 @@ class Job:
         self.messages: deque[str] = deque(maxlen=100)
         self._on_end = on_end
         self._preview: Path | None = None
-        try:
-            self.process = EngineProcess(engine, spec.arguments, log=spec.log)
-        except (OSError, EngineError) as error:
-            raise AddonError(
-                f"The engine's Python cannot be started ({error}). See the add-on's preferences."
-            ) from error
+        self._engine = engine
+        self.process = _started(engine, spec)
 
     @property
     def finished(self) -> bool:
@@ -75,7 +71,7 @@ class Job:
             self._preview = None
         if not running and self.result is None:
             self._finish()
-        return running
+        return not self.finished
 
     def stop(self) -> None:
         """Ask the engine to stop."""
@@ -98,15 +94,48 @@ class Job:
                 self._preview = path
 
     def _finish(self) -> None:
-        self.result = self.process.result()
-        if self.result.stopped:
-            self.state.message = STOPPED
-        elif not self.result.failed:
+        result = self.process.result()
+        if self.stopping and self.spec.then and not result.failed:
+            result = replace(result, stopped=True)  # of the whole job, though not of this command
+        self.result = result
+        if not result.stopped and not result.failed:
             self.state.message = ""
-            self.result = replace(self.result, message=_guarded(self.spec.on_done))
-        self.state.error = self.result.message
+            error = _guarded(partial(self._go_on, result.outputs))
+            if not self.finished:
+                return
+            result = replace(result, message=error)
+        self._end(result)
+
+    def _go_on(self, outputs: Mapping[str, str]) -> None:
+        """Start the command that follows; if there is none, take the results."""
+        following = self.spec.then(outputs) if self.spec.then else None
+        if following is None:
+            self.spec.on_done()
+            return
+        self.process = _started(self._engine, following)
+        self.spec, self.result = following, None
+        warnings = self.state.warnings
+        self.state = JobState(title=following.title, log=following.log, warnings=warnings)
+
+    def _end(self, result: JobResult) -> None:
+        self.result = result
+        if result.stopped:
+            self.state.message = STOPPED
+        elif not result.failed:
+            self.state.outcome = self.spec.done_text
+        self.state.error = result.message
         self.state.stage = ""
         self._on_end(self)
+
+
+def _started(engine: Engine, spec: JobSpec) -> EngineProcess:
+    """The engine at work on it."""
+    try:
+        return EngineProcess(engine, spec.arguments, log=spec.log)
+    except (OSError, EngineError) as error:
+        raise AddonError(
+            f"The engine's Python cannot be started ({error}). See the add-on's preferences."
+        ) from error
 
 
 def _is_file_in(folder: Path | None, path: Path) -> bool:

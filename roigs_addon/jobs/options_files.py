@@ -23,18 +23,11 @@ def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dic
     Raises:
         AddonError: there is no model, or there are no boxes.
     """
-    props = scene_props(scene)
-    if not props.colmap:
-        raise AddonError("No COLMAP model has been imported. Import one first.")
-    if not Path(props.colmap).is_dir():
-        raise AddonError(
-            f"The COLMAP folder {props.colmap} no longer exists."
-            " Import it again from its new place."
-        )
+    props, colmap = scene_props(scene), colmap_folder(scene)
     if not boxes:
         raise AddonError("There are no boxes. Add one around each object to sharpen.")
     values: dict[str, Any] = {
-        "scene": props.colmap,
+        "scene": str(colmap),
         "images": bpy.path.abspath(props.images) or None,
         "max_side": props.max_side,
         "method": props.method,
@@ -44,6 +37,22 @@ def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dic
         "test_every": props.test_every,
     }
     return {key: value for key, value in values.items() if value is not None}
+
+
+def colmap_folder(scene: bpy.types.Scene) -> Path:
+    """The folder that was imported.
+
+    Raises:
+        AddonError: there is none, or it is gone.
+    """
+    folder = scene_props(scene).colmap
+    if not folder:
+        raise AddonError("No COLMAP model has been imported. Import one first.")
+    if not Path(folder).is_dir():
+        raise AddonError(
+            f"The COLMAP folder {folder} no longer exists. Import it again from its new place."
+        )
+    return Path(folder)
 
 
 def machine_options() -> list[str]:

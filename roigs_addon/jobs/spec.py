@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-IMPORTING, SELECTING, TRAINING, RENDERING = "Importing", "Selecting", "Training", "Rendering"
+IMPORTING, REFINING, SELECTING = "Importing", "Refining", "Selecting"
+TRAINING, RENDERING = "Training", "Rendering"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 
@@ -25,6 +26,9 @@ class JobSpec:
         folder: of the run; previews outside it are ignored.
         on_preview: called with the path of each preview.
         on_done: called after a job that was finished, not stopped; may raise AddonError.
+        then: called with the engine's outputs (name -> path) after a command that was finished, not
+            stopped; returns the command with which the job goes on, or None if there is none; may
+            raise AddonError.
         done_text: what the user is told then; empty where the window shows it anyway.
     """
 
@@ -34,4 +38,5 @@ class JobSpec:
     folder: Path | None = None
     on_preview: Callable[[Path], None] = nothing
     on_done: Callable[[], None] = nothing
+    then: Callable[[Mapping[str, str]], JobSpec | None] | None = None
     done_text: str = ""

@@ -24,6 +24,7 @@ class JobState:
         message: for the user, replaced by the next one.
         warnings: for the user, the first few; they stay after the job.
         error: why the job failed; empty if it did not.
+        outcome: what came of it, for the user; empty where the window shows it anyway.
     """
 
     title: str = ""
@@ -37,6 +38,7 @@ class JobState:
     seconds_left: float = 0.0
     message: str = ""
     error: str = ""
+    outcome: str = ""
     warnings: list[str] = field(default_factory=list)
 
     def take(self, event: events.Record) -> None:

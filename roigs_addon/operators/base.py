@@ -43,14 +43,18 @@ def box_problem(context: bpy.types.Context) -> str:
     return "" if lookup.active_roi(context) else NO_BOX
 
 
-def engine_problem(context: bpy.types.Context) -> str:
-    """Why neither selection nor training can start; empty if they can."""
-    scene = scene_of(context)
+def model_problem(context: bpy.types.Context) -> str:
+    """Why nothing can be done with the model now; empty if it can."""
     if current.busy():
         return BUSY
-    if not scene_props(scene).colmap:
-        return "Import a COLMAP model first"
-    return "" if lookup.rois(scene) else "First add a box around each object to sharpen"
+    return "" if scene_props(scene_of(context)).colmap else "Import a COLMAP model first"
+
+
+def engine_problem(context: bpy.types.Context) -> str:
+    """Why neither selection nor training can start; empty if they can."""
+    boxes = lookup.rois(scene_of(context))
+    no_box = "" if boxes else "First add a box around each object to sharpen"
+    return model_problem(context) or no_box
 
 
 class EngineOperator(bpy.types.Operator):

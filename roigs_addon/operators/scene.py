@@ -1,8 +1,9 @@
-"""Step 1, Scene: import a COLMAP model, look through its photos."""
+"""Step 1, Scene: import a COLMAP model, refine its cameras, look through its photos."""
 
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
@@ -10,12 +11,15 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..blender import registration, scene_of, view_3d_of, view_layer_of
+from ..engine import refined_model
 from ..engine.python import FOR_READING
 from ..errors import AddonError
-from ..jobs import current, import_job
+from ..facts import run_facts
+from ..jobs import current, import_job, refine_job
 from ..jobs.spec import JobSpec
+from ..properties import scene_props
 from ..scene import cameras, lookup
-from .base import BUSY, FRESH, EngineOperator, available, failed
+from .base import BUSY, FRESH, EngineOperator, available, failed, model_problem
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -69,6 +73,34 @@ class ImportColmap(EngineOperator, ImportHelper):  # type: ignore[misc] # the st
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}
+
+
+class RefineCameras(EngineOperator):
+    """Fit the cameras to the points again, with a fuller lens model: results become sharper"""
+
+    bl_idname = "roigs.refine_cameras"
+    bl_label = "Refine Cameras"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a model whose cameras are not refined, and an idle engine."""
+        folder = Path(scene_props(scene_of(context)).colmap)
+        refined = "The cameras are refined already" if _is_refined(folder) else ""
+        return available(cls, model_problem(context) or refined)
+
+    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
+        """Refining needs more than reading."""
+        return refine_job.packages(scene_of(context))
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """Write the refined model, then import it."""
+        return refine_job.spec(scene_of(context))
+
+
+def _is_refined(folder: Path) -> bool:
+    """Whether it is the folder of a refined model."""
+    named = refined_model.is_refined_name(folder)
+    return named and run_facts.is_file(folder / refined_model.CAMERAS)
 
 
 class LookThrough(bpy.types.Operator):
@@ -125,7 +157,7 @@ def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout.operator(ImportColmap.bl_idname, text="COLMAP (ROI-GS)")
 
 
-_register, _unregister = registration(ImportColmap, LookThrough)
+_register, _unregister = registration(ImportColmap, RefineCameras, LookThrough)
 
 
 def register() -> None:

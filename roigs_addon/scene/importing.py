@@ -24,7 +24,9 @@ PHOTOS_OF_IMPORT = "roigs_photos"
 """Custom property that marks the collection of an import's cameras."""
 
 
-def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> None:
+def import_folder(
+    scene: bpy.types.Scene, folder: Path, name: str, *, same_frame: bool = False
+) -> None:
     """Import an exported model into the scene, replacing an earlier import.
 
     The root stays, and so do the boxes below it. If it is the same model, wherever it was read
@@ -34,6 +36,7 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> None:
         scene: gets a collection with root, cameras and points.
         folder: what `export --out` wrote.
         name: of the collection.
+        same_frame: it is the earlier model with other cameras, so the root keeps its place.
 
     Raises:
         AddonError: the folder does not contain an exported model.
@@ -44,7 +47,7 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> None:
     before = [lookup.photo_record(item) for item in lookup.cameras(scene).values()]
     active = lookup.photo_record(scene.camera) if scene.camera else None
     _remove_earlier(scene)
-    root = _root(scene, name, before, photos)
+    root = _root(scene, name, photos, same_frame=same_frame or _same_frame(before, photos))
     root.empty_display_size = extent * 0.25
     parent = root.users_collection[0]
     collection = _photo_collection(parent, name)
@@ -65,14 +68,14 @@ def import_folder(scene: bpy.types.Scene, folder: Path, name: str) -> None:
 
 
 def _root(
-    scene: bpy.types.Scene, name: str, before: list[Photo | None], photos: list[Photo]
+    scene: bpy.types.Scene, name: str, photos: list[Photo], *, same_frame: bool
 ) -> bpy.types.Object:
     """The scene's root, made if there is none, and placed anew for another model."""
     root: bpy.types.Object | None = scene_props(scene).root
     fresh = root is None or root.name not in scene.objects
     if root is None or fresh:
         root = _new_root(scene, name)
-    if fresh or not _same_frame(before, photos):
+    if fresh or not same_frame:
         root.matrix_world = upright(photos).to_matrix().to_4x4()
     return root
 

@@ -72,7 +72,7 @@ def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def job(layout: bpy.types.UILayout, title: str) -> bool:
-    """The progress or the error of the job of this title, and warnings; False without the first."""
+    """What is to be said of the job of this title; whether it runs or has failed."""
     state = current.state()
     if state.title != title:
         return False
@@ -85,6 +85,8 @@ def job(layout: bpy.types.UILayout, title: str) -> bool:
     if state.error:
         wrong(layout, state.error)
         layout.operator(train.ShowLog.bl_idname, icon="TEXT")
+    elif state.outcome:
+        done(layout, state.outcome)
     return bool(state.error)
 
 

@@ -8,8 +8,9 @@ import bpy
 
 from ..blender import layout_of, mesh_of, registration, scene_of
 from ..facts import photo_names
-from ..jobs.spec import IMPORTING
-from ..operators.scene import ImportColmap, LookThrough
+from ..jobs.import_job import project_name
+from ..jobs.spec import IMPORTING, REFINING
+from ..operators.scene import ImportColmap, LookThrough, RefineCameras
 from ..properties import scene_props
 from ..scene import lookup
 from ..shared import text
@@ -24,18 +25,19 @@ class ScenePanel(SidebarPanel):
     bl_label = "1. Scene"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Import, what was imported, and the photo to look through."""
+        """Import, refine, what was imported, and the photo to look through."""
         layout, scene = layout_of(self), scene_of(context)
         props = scene_props(scene)
         layout.operator(ImportColmap.bl_idname, icon="IMPORT")
-        if show.job(layout, IMPORTING):
+        layout.operator(RefineCameras.bl_idname, icon="CON_CAMERASOLVER")
+        if show.job(layout, IMPORTING) or show.job(layout, REFINING):
             return
         if not props.colmap:
             show.todo(layout, "Import the folder of a COLMAP project")
             return
         cloud = lookup.points(scene)
         points = len(mesh_of(cloud).vertices) if cloud else 0
-        project = Path(props.colmap).name
+        project = project_name(Path(props.colmap))
         photos = text.counted(photo_names.count(scene), "photo")
         show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
         if props.skipped:

@@ -264,7 +264,7 @@ def test_errors_are_the_engines_own_words(
 def test_the_name_of_a_project(addon: ModuleType) -> None:
     from roigs_addon.jobs.import_job import project_name
 
-    for path in ("/a/garden", "/a/garden/sparse", "/a/garden/sparse/0", "/a/garden/sparse/1"):
+    for path in ("/a/garden", "/a/garden/sparse", "/a/garden/sparse/0", "/a/garden/sparse/refined"):
         assert project_name(Path(path)) == "garden"
 
 

@@ -1,0 +1,63 @@
+"""Where refined models are, and whether they are still right."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from roigs_addon.engine import refined_model
+from roigs_addon.engine.refined_model import IMAGES, PARTS, refined_folder
+
+
+def model(folder: Path, seconds: float) -> Path:
+    """A folder with the files of a model, last changed then."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in PARTS:
+        (folder / name).touch()
+        os.utime(folder / name, (seconds, seconds))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("imported", "refined"),
+    [
+        ("garden", "garden/sparse/refined"),
+        ("garden/sparse", "garden/sparse/refined"),
+        ("garden/sparse/0", "garden/sparse/refined"),
+        ("garden/sparse/refined", "garden/sparse/refined"),
+        ("garden/sparse/1", "garden/sparse/refined-1"),
+        ("garden/sparse/refined-1", "garden/sparse/refined-1"),
+        ("flat", "flat/refined"),
+    ],
+)
+def test_every_model_has_a_folder_of_its_own(tmp_path: Path, imported: str, refined: str) -> None:
+    for name in ("garden/sparse/0", "garden/sparse/1", "flat"):
+        (tmp_path / name).mkdir(parents=True)
+    assert refined_folder(tmp_path / imported) == tmp_path / refined
+
+
+def test_a_project_below_a_folder_called_sparse(tmp_path: Path) -> None:
+    project = tmp_path / "sparse" / "0"
+    (project / "sparse" / "0").mkdir(parents=True)
+    assert refined_folder(project) == project / "sparse" / "refined"
+
+
+def test_a_model_is_complete_with_all_its_files(tmp_path: Path) -> None:
+    assert not refined_model.is_complete(tmp_path / "none")
+    folder = model(tmp_path / "refined", 1000)
+    assert refined_model.is_complete(folder)
+    (folder / "points3D.bin").unlink()
+    assert not refined_model.is_complete(folder)
+
+
+@pytest.mark.parametrize("source", ["sparse/0", "sparse"])
+def test_a_newer_model_makes_it_outdated(tmp_path: Path, source: str) -> None:
+    made_from = model(tmp_path / source, 1000)
+    folder = model(tmp_path / "sparse" / "refined", 2000)
+    assert not refined_model.is_outdated(folder)
+    model(tmp_path / "sparse" / "other", 3000)  # no model that the engine would take by itself
+    assert not refined_model.is_outdated(folder)
+    os.utime(made_from / IMAGES[0], (3000, 3000))
+    assert refined_model.is_outdated(folder)
