@@ -3,7 +3,7 @@
     python tools/demo.py RUN_DIR [--steps-factor F]
 
 First the headless example of the add-on (import, boxes, photos, training, picture, .blend), then
-`roigs_engine run` on the same run folder, which finds the training done, trains the baseline and
+`roigs_engine run` on the same run folder, which finds the training done, trains the baselines and
 writes the table. Without bpy, the engine does it all alone. Run it with the engine's Python.
 """
 
@@ -19,6 +19,7 @@ import blender_module
 
 SCENE = Path("demo/scene")
 EXAMPLE = "roigs_addon/examples/headless.py"
+BASELINES = ("full-scene", "full-scene-tuned")
 
 
 def call(command: list[str], variables: dict[str, str] | None = None) -> int:
@@ -36,12 +37,13 @@ def main() -> int:
     run_dir, factor = str(options.run_dir), ["--steps-factor", options.steps_factor]
     rois = ["--rois", str(SCENE / "rois.json")]
     engine = [sys.executable, "-m", "roigs_engine", "run"]
+    compare = ["--compare", *BASELINES]
     try:
         blender = blender_module.working_python()
     except blender_module.NoBlenderError as error:
         print(f"note: without Blender, the engine alone: {error}", flush=True)
         preset = ["--preset", "draft", *factor]
-        return call([*engine, str(SCENE), *rois, *preset, "--run-dir", run_dir])
+        return call([*engine, str(SCENE), *rois, *preset, *compare, "--run-dir", run_dir])
 
     # From here on, Ctrl-C stops what runs, which keeps its work; this script then ends after it.
     signal.signal(signal.SIGINT, lambda *_: None)
@@ -55,7 +57,7 @@ def main() -> int:
     if status:
         return status
     request = str(Path(run_dir) / "blender" / "train.json")
-    status = call([*engine, request, "--compare", "full-scene", "--run-dir", run_dir])
+    status = call([*engine, request, *compare, "--run-dir", run_dir])
     if status == 0:
         for what, where in (("Blender", "scene.blend"), ("rendered", "renders")):
             print(f"{what + ':':10}{options.run_dir / where}")

@@ -1,8 +1,9 @@
 """Side-by-side images of every box on test photos: the photo, then the models.
 
-For each box there are three photos: those with the largest, the median and the least gain of the
-result over the baseline, so that the choice is fair. Files: `crops/ROI/PHOTO.png`, and
-`crops/ROI/overview.png`, the whole median photo with the box drawn into it.
+For each box there are up to four photos: those with the largest, the median and the least gain of
+the result over the baseline, so that the choice is fair, and the nearest one. Files:
+`crops/ROI/PHOTO.png`, and `crops/ROI/overview.png`, the whole median photo with the box drawn into
+it.
 """
 
 from __future__ import annotations
@@ -76,8 +77,7 @@ def write_crops(
             picture = partial(_side_by_side, scene.image(name), roi, panels, label)
             written += _saved(folder / f"{safe_name(name)}.png", picture, context)
         context.check_cancelled()
-        median = list(chosen)[len(chosen) // 2]
-        picture = partial(_overview, scene.image(median), roi, panels[-1][1])
+        picture = partial(_overview, scene.image(_median(chosen)), roi, panels[-1][1])
         written += _saved(folder / "overview.png", picture, context)
     return written
 
@@ -93,10 +93,10 @@ def _saved(path: Path, picture: Callable[[], NDArray[np.uint8]], context: Contex
 
 
 def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
-    """Photo -> its label: largest, median and least gain in ROI PSNR, in this order.
+    """Photo -> its label: largest, median and least gain in ROI PSNR, and nearest, in this order.
 
-    With fewer than three photos, all are shown. If result and baseline are the same model, its PSNR
-    replaces the gain.
+    With fewer than three photos, all are shown; a photo has its first label. If result and baseline
+    are the same model, its PSNR replaces the gain.
     """
     before = {view.view: view.roi_psnr for view in baseline.views}
     gain = {view.view: view.roi_psnr - before.get(view.view, 0.0) for view in result.views}
@@ -107,7 +107,15 @@ def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
     picks: dict[str, str] = {}
     for index, label in ((0, "largest"), (len(order) // 2, "median"), (-1, "least")):
         picks.setdefault(order[index], f"{label} {word}")
+    distances = {view.view: view.distance for view in result.views if view.distance is not None}
+    if distances:
+        picks.setdefault(min(distances, key=lambda name: (distances[name], name)), "nearest")
     return picks
+
+
+def _median(chosen: dict[str, str]) -> str:
+    """The photo with the median gain, or the first if there is none of its own."""
+    return next((name for name, label in chosen.items() if "median" in label), next(iter(chosen)))
 
 
 def _shown(scores: RoiScores, baseline: str, names: Sequence[str] | None) -> list[ModelScore]:

@@ -69,6 +69,19 @@ def test_largest_median_and_least_gain_are_shown() -> None:
     assert choose_views(base, base)["a"] == "largest PSNR"
 
 
+def test_the_nearest_photo_is_shown_too_but_not_twice() -> None:
+    base = scored("base", {"a": 20, "b": 20, "c": 20, "d": 20, "e": 20})
+    gains = {"a": 21.0, "b": 25.0, "c": 19.0, "d": 22.0, "e": 20.5}
+    for nearest, label in (("d", "nearest"), ("b", "largest gain")):
+        views = tuple(
+            ViewScore(view=k, roi_psnr=v, roi_ssim=0.9, distance=1.0 if k == nearest else 2.0)
+            for k, v in gains.items()
+        )
+        chosen = choose_views(score("ours", views), base)
+        assert chosen[nearest] == label
+        assert len(chosen) == (4 if label == "nearest" else 3)
+
+
 def test_few_photos_are_not_shown_twice() -> None:
     base, ours = scored("base", {"a": 20}), scored("ours", {"a": 21})
     assert choose_views(ours, base) == {"a": "largest gain"}
@@ -81,7 +94,7 @@ def test_pictures_of_a_box(scene: SfmScene, evaluation: Evaluation, tmp_path: Pa
     written = write_crops(evaluation, models, scene, [BOX], tmp_path)
     folder = tmp_path / "crops" / "thing"
     assert set(folder.iterdir()) == set(written)
-    assert len(written) == 4
+    assert len(written) == 5
     assert written[-1].name == "overview.png"
     for path in written:
         with Image.open(path) as picture:
@@ -89,7 +102,7 @@ def test_pictures_of_a_box(scene: SfmScene, evaluation: Evaluation, tmp_path: Pa
             assert 400 <= picture.height <= 760
             assert picture.width > picture.height
     only = write_crops(evaluation, models, scene, [BOX], tmp_path / "b", names=["Ours"])
-    assert len(only) == 4
+    assert len(only) == 4  # the nearest photo is one of the three
     for one, both in zip(only[:3], written[:3], strict=True):
         assert Image.open(one).width < Image.open(both).width
 

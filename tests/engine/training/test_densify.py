@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +168,16 @@ def test_each_box_has_its_own_budget() -> None:
     )
     assert int(chosen[gaussians.in_box(left)].sum()) == 3
     assert int(chosen[gaussians.in_box(right)].sum()) == 8
+
+
+def test_outside_the_boxes_another_threshold_may_densify_without_budgets() -> None:
+    gaussians = model(300)
+    inside, gradient = gaussians.in_box(BOX), torch.linspace(0, 3e-4, 300)
+    config = replace(IN_BOXES, grad_threshold=1e-4, outside_grad_threshold=2e-4)
+    chosen = control(config, stats(gradient), [BOX], None).densify_mask(gaussians, 0)
+    assert torch.equal(chosen, gradient > torch.where(inside, 1e-4, 2e-4))
+    full = control(config, stats(gradient), [BOX], [int(inside.sum())]).densify_mask(gaussians, 0)
+    assert torch.equal(full, chosen & ~inside)
 
 
 def test_boxes_may_have_a_threshold_and_limits_of_their_own() -> None:
