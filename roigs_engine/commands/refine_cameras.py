@@ -15,7 +15,7 @@ HELP = "fit the cameras of a COLMAP model better, which makes everything trained
 EXAMPLES = """\
   python -m roigs_engine refine-cameras garden
   python -m roigs_engine refine-cameras garden --out garden-refined"""
-REFINED = "refined"
+SPARSE, REFINED = "sparse", "refined"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,14 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=PATH,
         metavar="DIR",
-        help="folder of the new model (default: `refined` beside the model's folder)",
+        help="folder of the new model (default: sparse/refined, or `refined` in a model's own folder)",
     )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Refine the cameras, and say how much better they fit."""
     model = find_model(args.scene, console.context)
-    out: Path = args.out or model.parent / REFINED
+    out: Path = args.out or refined_folder(model)
     done = refine_cameras(model, out, console.context)
     console.print(described(done))
     if not done.better:
@@ -45,6 +45,16 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         f"The new model is in {out}. Use this folder as the scene; boxes stay as they are."
     )
     return {"model": str(out)}
+
+
+def refined_folder(model: Path) -> Path:
+    """Where the refined model goes; its photos are found from there.
+
+    `sparse/refined` for `sparse/0` or `sparse`, `sparse/refined-1` for `sparse/1`.
+    """
+    if model.parent.name != SPARSE:
+        return model / REFINED
+    return model.with_name(REFINED if model.name == "0" else f"{REFINED}-{model.name}")
 
 
 def described(done: Refinement) -> str:

@@ -11,6 +11,7 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.refine import refine_cameras
+from roigs_engine.commands.refine_cameras import refined_folder
 from roigs_engine.context import Context
 from roigs_engine.errors import SceneError, Stopped
 from tests.engine.synthetic_colmap import Project, camera, write_project
@@ -219,4 +220,8 @@ def test_the_command_writes_beside_the_model(
     assert "bundle_adjustment" not in output.err
     assert load_colmap(tmp_path / "sparse" / "refined", pixels=False).images
     assert main(["refine-cameras", str(tmp_path)]) == 2
+    assert refined_folder(Path("p/sparse/0")) == Path("p/sparse/refined")
+    assert refined_folder(Path("p/sparse/1")) == Path("p/sparse/refined-1")
+    assert refined_folder(Path("p/sparse")) == Path("p/sparse/refined")
+    assert refined_folder(Path("p")) == Path("p/refined")
     assert "exists already" in capsys.readouterr().err
