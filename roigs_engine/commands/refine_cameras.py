@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=PATH,
         metavar="DIR",
-        help="folder of the new model (default: sparse/refined, or `refined` in a model's own folder)",
+        help="folder of the new model (default: sparse/refined)",
     )
 
 
