@@ -65,6 +65,7 @@ def draw(runs: Sequence[Path], out: Path) -> None:
         axes.scatter([], [], color=colour, label=label)
     axes.set_xlabel("CPU seconds of training")
     axes.set_ylabel("ROI PSNR, dB")
+    axes.margins(0.12)
     axes.set_xlim(left=0)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
