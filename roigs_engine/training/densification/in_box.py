@@ -1,4 +1,4 @@
-"""Density control with rules for boxes (ROI-GS, sec. II-B): only or mainly in boxes, in budgets."""
+"""Density control with rules for boxes (ROI-GS, sec. II-B): thresholds and budgets of their own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .adaptive import AdaptiveDensity
 
 
 class InBoxDensity(AdaptiveDensity):
-    """3DGS with up to three rules: boxes only or outside at a threshold, one for boxes, budgets."""
+    """3DGS with up to three rules: densify less outside, or only in boxes; a threshold; budgets."""
 
     def densify_mask(self, gaussians: Gaussians, step: int) -> Tensor:
         """(N,) bool; if a box's budget is too small for all, the largest gradients go first."""
