@@ -35,6 +35,7 @@ INCLUDED: dict[str, tuple[int | None, ...]] = {
     "RADIAL": (0, 0, 1, 2, 3, 4),
 }
 FEWEST_PHOTOS = 5  # of a camera that gets more parameters
+FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer could send it anywhere
 LEFT_OUT_EVERY = 3  # points
 LONG_TRACK = 4  # observations; of a shorter one, none can be left out
 FEWEST_LEFT_OUT = 50  # observations to compare by
@@ -203,7 +204,8 @@ def _adjusted(colmap: Any, scene: Any, left_out: Sequence[Observation], loss: st
     solver.solver_options.max_num_iterations = ITERATIONS
     config = colmap.BundleAdjustmentConfig()
     for image in scene.reg_image_ids():
-        config.add_image(image)
+        if scene.images[image].num_points3D >= FEWEST_OBSERVATIONS:
+            config.add_image(image)
     colmap.create_default_bundle_adjuster(options, config, scene).solve()
     return float(np.median(_errors(scene, left_out)))
 

@@ -121,6 +121,22 @@ def test_a_camera_of_few_photos_keeps_its_model(tmp_path: Path) -> None:
     assert done.cameras == 0
 
 
+def test_a_photo_with_few_observations_stays_where_it_is(tmp_path: Path) -> None:
+    bent(tmp_path)
+    model = tmp_path / "sparse" / "0"
+    scene = pycolmap.Reconstruction(str(model))
+    image = next(i for i in scene.images.values() if i.name == NAMES[3])
+    seen = [k for k, keypoint in enumerate(image.points2D) if keypoint.has_point3D()]
+    for keypoint in seen[4:]:
+        scene.delete_observation(image.image_id, keypoint)
+    for keypoint in seen[:4]:  # what is left is wrong, and would send it far away
+        image.points2D[keypoint].xy = np.random.default_rng(keypoint).uniform(0, 180, 2)
+    scene.write(str(model))
+    before = centres(model)
+    assert refine_cameras(model, tmp_path / "new").better
+    assert np.linalg.norm(centres(tmp_path / "new") - before, axis=1)[3] < 0.05
+
+
 def test_wrong_matches_do_not_move_the_cameras(tmp_path: Path) -> None:
     made = bent(tmp_path)
     model = tmp_path / "sparse" / "0"
