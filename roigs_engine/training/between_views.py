@@ -2,7 +2,8 @@
 
 With few photos, a background Gaussian can grow large beside all of them: they hardly show it, so
 nothing limits it, and it covers every view between them. So cameras are put between neighbouring
-photos, and a Gaussian goes if one of them sees much more of it than any photo does.
+photos and beside each of them, and a Gaussian goes if one of them sees much more of it than any
+photo does.
 
 Something real could fill such a view if the camera stood close to it. The limits exclude that. A
 surface at distance d from the photos fills at most (d / (d / 4))^2 = 16 times as much of a view
@@ -27,6 +28,8 @@ from ..rasterize.view import rasterize_view
 
 View = tuple[Camera, Float64]
 """A camera and its world_to_camera."""
+Poses = list[tuple[tuple[int, ...], Float64]]
+"""Positions of the photos that a view lies between or beside, and its world_to_camera."""
 
 NEIGHBOURS = 4
 WIDEST = 72.0  # degrees between the directions of two photos that have views between them
@@ -35,31 +38,31 @@ SIDE = 256  # pixels; shares of a view need no more
 NEAREST = 0.25  # least distance of a view from the scene, in distances of its two photos
 MORE = NEAREST**-2  # how much more of a view than of any photo is too much
 LEAST = 1e-3  # share of a view that is worth a look
+BESIDE = 0.25  # distance of a view beside a photo, in distances to the nearest photo
 POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
 
 
 def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, ...]:
-    """Cameras at a quarter, a half and three quarters of the way between neighbouring photos.
+    """Cameras between neighbouring photos, and beside each photo.
+
+    They stand at a quarter, a half and three quarters of the way to a neighbour; and to the left,
+    the right, above and below a photo, a quarter of the distance to the nearest one away.
 
     Args:
         images: the photos.
         points: (P, 3) of the scene, world units.
 
     Returns:
-        At most `MOST_VIEWS`, evenly spread over all pairs; none without neighbours.
+        At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
     """
-    pairs = _neighbours(images)
-    shares = (0.5,) if len(pairs) * 3 > MOST_VIEWS else (0.25, 0.5, 0.75)
-    steps = [(first, second, share) for first, second in pairs for share in shares]
-    kept = np.linspace(0, len(steps) - 1, min(len(steps), MOST_VIEWS)).round().astype(int)
     reach = [_reach(image.centre, points) for image in images]
     views = []
-    for first, second, share in (steps[k] for k in kept):
-        camera = images[first].camera.thumbnail(SIDE)
-        pose = _between(images[first], images[second], share)
-        centre = -pose[:3, :3].T @ pose[:3, 3]
-        if _reach(centre, points) >= NEAREST * min(reach[first], reach[second]):
-            views.append((camera, pose))
+    for poses in (_poses_between(images), _poses_beside(images)):
+        kept = np.linspace(0, len(poses) - 1, min(len(poses), MOST_VIEWS)).round().astype(int)
+        for photos, pose in (poses[k] for k in kept):
+            centre = -pose[:3, :3].T @ pose[:3, 3]
+            if _reach(centre, points) >= NEAREST * min(reach[photo] for photo in photos):
+                views.append((images[photos[0]].camera.thumbnail(SIDE), pose))
     return tuple(views)
 
 
@@ -114,6 +117,30 @@ def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
         order = np.argsort(apart, kind="stable")[:NEIGHBOURS]
         pairs |= {(min(k, int(j)), max(k, int(j))) for j in order if apart[j] < np.inf}
     return sorted(pairs)
+
+
+def _poses_between(images: Sequence[PosedImage]) -> Poses:
+    """Positions of two photos, and world_to_camera on the way from the first to the second."""
+    pairs = _neighbours(images)
+    shares = (0.5,) if len(pairs) * 3 > MOST_VIEWS else (0.25, 0.5, 0.75)
+    return [
+        ((first, second), _between(images[first], images[second], share))
+        for first, second in pairs
+        for share in shares
+    ]
+
+
+def _poses_beside(images: Sequence[PosedImage]) -> Poses:
+    """Position of a photo, and its world_to_camera moved to each of four sides."""
+    centres = np.array([image.centre for image in images])
+    poses: Poses = []
+    for k, image in enumerate(images):
+        apart = np.linalg.norm(np.delete(centres, k, axis=0) - centres[k], axis=1)
+        for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1)) if len(apart) else ():
+            pose = image.world_to_camera.copy()
+            pose[axis, 3] -= side * BESIDE * apart.min()
+            poses.append(((k,), pose))
+    return poses
 
 
 def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:

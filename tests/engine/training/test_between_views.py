@@ -86,23 +86,34 @@ def test_a_view_close_to_the_scene_is_not_used() -> None:
     images = [photo("a", np.array([-2.0, 0, 0]), target), photo("b", np.array([2.0, 0, 0]), target)]
     pillar = OBJECT * 0.5  # at the origin, half way
     far_away = OBJECT + target
-    assert len(views_between(images, far_away)) == 3
-    assert len(views_between(images, np.concatenate([pillar, far_away]))) < 3
+    used, less = (
+        views_between(images, points) for points in (far_away, np.concatenate([pillar, far_away]))
+    )
+    assert len(used) == 3 + 8
+    assert len(less) < len(used)
 
 
-def test_no_views_between_photos_that_look_in_other_directions_or_alone() -> None:
+def test_fog_beside_a_photo_far_from_the_others_goes() -> None:
+    """Between photos there is no view of it: it hangs above a photo."""
+    images = ring(10)
+    above = images[0].centre - 0.7 * images[0].world_to_camera[1, :3]
+    hidden = above + 0.1 * (np.zeros(3) - above), 0.03
+    assert not any(sees(image, hidden[0]) for image in images[:2])
+    assert fog(gaussians((np.zeros(3), 0.3), hidden), images) == [False, True]
+
+
+def test_a_photo_alone_has_no_views_and_opposite_ones_none_between_them() -> None:
     assert views_between(ring(1), OBJECT) == ()
-    assert views_between(ring(2), OBJECT) == ()  # opposite each other
-    assert fog(gaussians((at(0.05, 3.8), 0.05)), ring(2)) == [False]
+    assert len(views_between(ring(2), OBJECT)) == 8  # beside them only
 
 
 def test_views_of_many_photos_are_limited_and_of_few_are_three_per_pair() -> None:
-    assert len(views_between(ring(400), OBJECT)) == MOST_VIEWS
-    assert len(views_between(ring(3, 24), OBJECT)) == 9
+    assert len(views_between(ring(400), OBJECT)) == 2 * MOST_VIEWS
+    assert len(views_between(ring(3, 24), OBJECT)) == 9 + 12
 
 
 def test_without_points_all_views_are_used() -> None:
-    assert len(views_between(ring(3, 24), NO_POINTS)) == 9
+    assert len(views_between(ring(3, 24), NO_POINTS)) == 9 + 12
 
 
 def test_the_unit_of_the_world_does_not_matter() -> None:
