@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from roigs_engine.evaluation.scores import Evaluation
+from roigs_engine.evaluation.scores import FULL_SCENE, FULL_SCENE_TUNED, Evaluation
 from roigs_engine.formats import run_files
 from roigs_engine.formats.files import read_json
 
 SHOWN = {
-    "Full Scene": ("#bbbbbb", "standard 3DGS"),
-    "Full Scene, tuned": ("#4477aa", "3DGS, tuned"),
+    FULL_SCENE: ("#bbbbbb", "standard 3DGS"),
+    FULL_SCENE_TUNED: ("#4477aa", "3DGS, tuned"),
     "Joint": ("#ee6677", "ROI-GS"),
 }
 """Row -> its colour and name."""

@@ -77,7 +77,8 @@ def write_crops(
             picture = partial(_side_by_side, scene.image(name), roi, panels, label)
             written += _saved(folder / f"{safe_name(name)}.png", picture, context)
         context.check_cancelled()
-        picture = partial(_overview, scene.image(_median(chosen)), roi, panels[-1][1])
+        median = list(chosen)[min(1, len(chosen) - 1)]  # the second in order, or the only one
+        picture = partial(_overview, scene.image(median), roi, panels[-1][1])
         written += _saved(folder / "overview.png", picture, context)
     return written
 
@@ -111,11 +112,6 @@ def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
     if distances:
         picks.setdefault(min(distances, key=lambda name: (distances[name], name)), "nearest")
     return picks
-
-
-def _median(chosen: dict[str, str]) -> str:
-    """The photo with the median gain, or the first if there is none of its own."""
-    return next((name for name, label in chosen.items() if "median" in label), next(iter(chosen)))
 
 
 def _shown(scores: RoiScores, baseline: str, names: Sequence[str] | None) -> list[ModelScore]:

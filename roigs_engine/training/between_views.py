@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -55,15 +56,21 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
     Returns:
         At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
     """
-    reach = [_reach(image.centre, points) for image in images]
-    views = []
-    for poses in (_poses_between(images), _poses_beside(images)):
-        kept = np.linspace(0, len(poses) - 1, min(len(poses), MOST_VIEWS)).round().astype(int)
-        for photos, pose in (poses[k] for k in kept):
-            centre = -pose[:3, :3].T @ pose[:3, 3]
-            if _reach(centre, points) >= NEAREST * min(reach[photo] for photo in photos):
-                views.append((images[photos[0]].camera.thumbnail(SIDE), pose))
-    return tuple(views)
+    poses = [*_spread(_poses_between(images)), *_spread(_poses_beside(images))]
+    centres = [image.centre for image in images]
+    centres += [-pose[:3, :3].T @ pose[:3, 3] for _, pose in poses]
+    reach = _reach(np.array(centres), points)
+    return tuple(
+        (images[photos[0]].camera.thumbnail(SIDE), pose)
+        for (photos, pose), distance in zip(poses, reach[len(images) :], strict=True)
+        if distance >= NEAREST * min(reach[photo] for photo in photos)
+    )
+
+
+def _spread(poses: Poses) -> Poses:
+    """At most `MOST_VIEWS` of them, evenly spread."""
+    kept = np.linspace(0, len(poses) - 1, min(len(poses), MOST_VIEWS)).round().astype(int)
+    return [poses[k] for k in kept]
 
 
 @torch.no_grad()
@@ -154,10 +161,9 @@ def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
     return pose
 
 
-def _reach(centre: Float64, points: Float64) -> float:
-    """Distance to the scene: to the tenth nearest of its points; infinite without points."""
+def _reach(centres: Float64, points: Float64) -> Float64:
+    """(N, 3) -> (N,) distances to the scene: to its tenth nearest point; infinite: no points."""
     if len(points) == 0:
-        return np.inf
-    squared = ((points - centre) ** 2).sum(axis=1)
-    nearest = min(POINTS, len(points)) - 1
-    return float(np.sqrt(np.partition(squared, nearest)[nearest]))
+        return np.full(len(centres), np.inf)
+    distances, _ = cKDTree(points).query(centres, k=[min(POINTS, len(points))])
+    return np.asarray(distances[:, 0])

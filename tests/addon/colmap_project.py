@@ -39,12 +39,10 @@ def write_project(
     *,
     tracks: bool = True,
     bend: float = 0.0,
-    name: str = "photo {}.png",
 ) -> Path:
     """A text model with points in [-0.5, 0.5]^3 and photos that show them as coloured dots.
 
     `bend` is the radial distortion of the lens (k1), of which the model's camera knows nothing.
-    Photos are called `name`; pycolmap ends a name in a text model at its first space.
     """
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
@@ -61,13 +59,13 @@ def write_project(
         rays *= 1 + bend * (rays**2).sum(axis=1, keepdims=True)
         pixels = rays * PARAMS[:2] + PARAMS[2:]
         numbers = " ".join(f"{v:.17g}" for v in (*quaternion(pose[:3, :3]), *pose[:3, 3]))
-        lines.append(f"{index + 1} {numbers} 1 {name.format(index)}")
+        lines.append(f"{index + 1} {numbers} 1 photo {index}.png")
         inside = ((pixels > 0) & (pixels < (WIDTH, HEIGHT))).all(axis=1)
         seen = np.flatnonzero(inside) if tracks else []
         lines.append(" ".join(f"{pixels[k, 0]:.6f} {pixels[k, 1]:.6f} {k + 1}" for k in seen))
         for place, k in enumerate(seen):
             observers[k].append(f"{index + 1} {place}")
-        write_png(folder / "images" / name.format(index), dots(pixels, colours))
+        write_png(folder / "images" / f"photo {index}.png", dots(pixels, colours))
     (model / "images.txt").write_text("\n".join(lines) + "\n")
     rows = (
         f"{k + 1} {' '.join(f'{v:.17g}' for v in p)} {' '.join(map(str, c))} 0.5 {' '.join(o)}\n"

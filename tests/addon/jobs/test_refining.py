@@ -22,7 +22,7 @@ BEND, LEAN = -0.3, 0.05
 @pytest.fixture
 def scene(blender: ModuleType, addon: ModuleType, tmp_path: Path):
     """A scene whose photos have a lens that its cameras know nothing of, and whose poses lean."""
-    project = write_project(tmp_path / "garden", bend=BEND, name="{}.png")
+    project = write_project(tmp_path / "garden", bend=BEND)
     lean(project / "sparse" / "0" / "images.txt")
     return imported(blender, project)
 
@@ -31,7 +31,7 @@ def lean(images: Path) -> None:
     """Move the cameras of a text model back a little."""
     lines = images.read_text().splitlines()
     for row in range(0, len(lines), 2):
-        number, *pose, camera, photo = lines[row].split()
+        number, *pose, camera, photo = lines[row].split(maxsplit=9)
         pose[6] = f"{float(pose[6]) + LEAN:.17g}"
         lines[row] = " ".join([number, *pose, camera, photo])
     images.write_text("\n".join(lines) + "\n")
@@ -91,7 +91,7 @@ def test_the_refined_model_takes_the_old_ones_place(
     add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
     own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
     scene.collection.objects.link(own)
-    bpy.ops.roigs.look_through(photo="4.png")
+    bpy.ops.roigs.look_through(photo="photo 4.png")
     before, box, old = root.matrix_world.copy(), record(scene.objects["thing"], scene), poses(scene)
     steps.clear()
     assert bpy.ops.roigs.refine_cameras() == {"FINISHED"}
@@ -103,7 +103,7 @@ def test_the_refined_model_takes_the_old_ones_place(
     assert np.median(moved) > LEAN / 2
     assert scene.roigs.root == root and root.matrix_world == before
     assert record(lookup.rois(scene)[0], scene) == box
-    assert own.name in scene.objects and scene.camera == lookup.cameras(scene)["4.png"]
+    assert own.name in scene.objects and scene.camera == lookup.cameras(scene)["photo 4.png"]
     text = panel(bpy)
     assert refine_job.REFINED in text and "garden: 8 photos" in text
     assert not bpy.ops.roigs.refine_cameras.poll()
