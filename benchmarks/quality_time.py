@@ -48,8 +48,10 @@ def _cpu_seconds(stage: Path) -> float:
 
 def draw(runs: Sequence[Path], out: Path) -> None:
     """Write the picture."""
-    import matplotlib
-
+    try:
+        import matplotlib
+    except ImportError:
+        sys.exit("matplotlib is missing. Install the extra 'study': pip install -e '.[study]'.")
     matplotlib.use("Agg")
     from matplotlib import pyplot
 

@@ -10,10 +10,30 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING or __package__ == "roigs_addon":
     from roigs_engine.errors import EngineError
-    from roigs_engine.formats import events, files, lock, names, rois, run_files, splat_ply, text
+    from roigs_engine.formats import (
+        events,
+        files,
+        lock,
+        names,
+        refined_model,
+        rois,
+        run_files,
+        splat_ply,
+        text,
+    )
 else:
     from ..roigs_engine.errors import EngineError
-    from ..roigs_engine.formats import events, files, lock, names, rois, run_files, splat_ply, text
+    from ..roigs_engine.formats import (
+        events,
+        files,
+        lock,
+        names,
+        refined_model,
+        rois,
+        run_files,
+        splat_ply,
+        text,
+    )
 
 __all__ = [
     "EngineError",
@@ -21,6 +41,7 @@ __all__ = [
     "files",
     "lock",
     "names",
+    "refined_model",
     "rois",
     "run_files",
     "splat_ply",

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import bpy
 
-from ..engine import refined_model
 from ..engine.python import FOR_READING, FOR_REFINING
 from ..errors import AddonError
 from ..properties import scene_props
+from ..shared import refined_model
 from . import import_job, options_files, run_folders
 from .spec import REFINING, JobSpec
 

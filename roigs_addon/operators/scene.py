@@ -11,7 +11,6 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..blender import registration, scene_of, view_3d_of, view_layer_of
-from ..engine import refined_model
 from ..engine.python import FOR_READING
 from ..errors import AddonError
 from ..facts import run_facts
@@ -19,6 +18,7 @@ from ..jobs import current, import_job, refine_job
 from ..jobs.spec import JobSpec
 from ..properties import scene_props
 from ..scene import cameras, lookup
+from ..shared import refined_model
 from .base import BUSY, FRESH, EngineOperator, available, failed, model_problem
 
 if TYPE_CHECKING:

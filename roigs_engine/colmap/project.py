@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
+from ..formats.refined_model import is_complete, refined_folder
 from ..formats.rois import FAR
 from ..formats.text import counted
 from ..model.scene import Float64, Int64, SfmScene
@@ -21,6 +22,7 @@ from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
 
+SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
 NAMED = 4  # skipped photos that a message names
 
 
@@ -67,6 +69,8 @@ def load_colmap(
         text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
         context.warn(text)
     observed = _observations(model, ids, context)
+    if any(map(len, observed.values())):
+        _mention_refined(model, folder, context)
     if check is not None and loader.posed:
         check(without_strays(_scene(loader, observed, points, colors)))
     loader.load(cache, context)
@@ -91,6 +95,22 @@ def _scene(
         has_tracks=any(len(image.point_indices) for image in found),
         skipped={why: tuple(sorted(names)) for why, names in loader.skipped.items() if names},
     )
+
+
+def _mention_refined(model: Model, folder: Path, context: Context) -> None:
+    """Say that refined cameras may be better, or where they are, if the lens model is simple."""
+    used = {camera.model for camera in model.cameras.values()}
+    simple = [name for name in SIMPLE_LENSES if name in used]
+    if not simple:
+        return
+    refined = refined_folder(folder)
+    if is_complete(refined):
+        context.info(f"{refined} has refined cameras: with that folder, results are sharper.")
+    else:
+        context.info(
+            f"The model's lens ({', '.join(simple)}) has few parameters. If the photos' lens needs"
+            " more, refined cameras make results sharper (`refine-cameras`)."
+        )
 
 
 def _without_strays(scene: SfmScene, context: Context) -> SfmScene:

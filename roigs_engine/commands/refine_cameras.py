@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..colmap.project import find_model
 from ..colmap.refine import Refinement, refine_cameras
+from ..formats.refined_model import refined_folder
 from ..formats.text import counted
 from .console import Console
 from .values import PATH
@@ -15,7 +16,6 @@ HELP = "fit the cameras of a COLMAP model better, which makes everything trained
 EXAMPLES = """\
   python -m roigs_engine refine-cameras garden
   python -m roigs_engine refine-cameras garden --out garden-refined"""
-SPARSE, REFINED = "sparse", "refined"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,16 +45,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         f"The new model is in {out}. Use this folder as the scene; boxes stay as they are."
     )
     return {"model": str(out)}
-
-
-def refined_folder(model: Path) -> Path:
-    """Where the refined model goes; its photos are found from there.
-
-    `sparse/refined` for `sparse/0` or `sparse`, `sparse/refined-1` for `sparse/1`.
-    """
-    if model.parent.name != SPARSE:
-        return model / REFINED
-    return model.with_name(REFINED if model.name == "0" else f"{REFINED}-{model.name}")
 
 
 def described(done: Refinement) -> str:

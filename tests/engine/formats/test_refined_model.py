@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from roigs_addon.engine import refined_model
-from roigs_addon.engine.refined_model import IMAGES, PARTS, refined_folder
+from roigs_engine.formats import refined_model
+from roigs_engine.formats.refined_model import IMAGES, PARTS, refined_folder
 
 
 def model(folder: Path, seconds: float) -> Path:

@@ -1,4 +1,4 @@
-"""Where the model with refined cameras of a COLMAP project is. No bpy."""
+"""Where the model with refined cameras of a COLMAP project is."""
 
 from __future__ import annotations
 
