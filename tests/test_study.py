@@ -38,7 +38,7 @@ ROIS = {
     ]
 }
 ROWS = ["full-scene", "matched", "joint"]
-VARIANT = "roomy:roi.box_budget=9,selected_share=0.5"
+VARIANT = "roomy:roi.box_budget=90,selected_share=0.5"
 SEEDS = (0, 1)
 
 
@@ -48,7 +48,7 @@ def tiny() -> RunConfig:
     densify = {"densify_every": 2, "densify_until": 15, "reset_every": 0}
     scene = TrainConfig(steps=20, densify_from=2, grad_threshold=9.0, **densify)
     roi = replace(draft.roi, steps=20, grad_threshold=1e-9, average_steps=0, **densify)
-    return replace(draft, scene=scene, roi=replace(roi, box_budget=0.3), test_every=4)
+    return replace(draft, scene=scene, roi=replace(roi, box_budget=3.0), test_every=4)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -209,7 +209,7 @@ def test_the_page_shows_missing_rows_and_single_seeds(done: Path, scene_folder: 
     assert set(full_object[:-1]) == {"-"} and full_object[-1] == "0"
     assert "±" in lines["Joint"] and "†" not in lines["Joint"].split("|")[2]
     assert "†" in lines["roomy"] and "±" not in lines["roomy"]
-    assert "roi.box_budget=9.0,selected_share=0.5" in page
+    assert "roi.box_budget=90.0,selected_share=0.5" in page
     assert page.count("Near and far, and single photos") == 3  # two boxes, and all of them
     assert (
         ("| FLIP |" in page) == ("FLIP change" in page) == (find_spec("flip_evaluator") is not None)

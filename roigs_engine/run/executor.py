@@ -17,7 +17,6 @@ from ..model.gaussians import Gaussians
 from ..model.ownership import count_owned
 from ..model.scene import PosedImage
 from ..photos.cache import PhotoCache
-from ..training.between_views import View, views_between
 from ..training.budget import BoxBudget, budgets_from
 from ..training.masks import RoiMasks
 from ..training.trainer import StageData
@@ -195,9 +194,6 @@ class Executor:
                 view_weighting=stage.config.view_weighting,
                 context=self.context,
             )
-        between: tuple[View, ...] = ()
-        if stage.config.min_views:
-            between = views_between(stage.images, self.run.train_scene.points)
         return StageData(
             images=stage.images,
             photos=self._cache(stage.images),
@@ -206,7 +202,7 @@ class Executor:
             rois=stage.rois,
             budgets=self._budgets(stage),
             masks=masks,
-            between=between,
+            points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
         )

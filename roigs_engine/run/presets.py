@@ -75,8 +75,8 @@ def joint_recipe(
             grad_threshold=8e-5,
             # Twice 3DGS's: what shows behind the objects must not stay as coarse as the Scene-GS.
             outside_grad_threshold=4e-4,
-            box_budget=2.2,
-            full_every=4,
+            box_budget=26.0,
+            full_every=3,
             view_weighting=1.0,
             reset_every=0,
             min_views=4,

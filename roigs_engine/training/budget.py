@@ -2,8 +2,9 @@
 
 A box with few pixels in the photos must not get so many Gaussians that it overfits these pixels. A
 box that fills the photos must not make the model larger than Full Scene. The budget grows with the
-number of pixels that show the box, but more slowly: photos overlap, so twice the pixels do not show
-twice the surface. Factor and exponent are empirical (docs/lab_notebook.md).
+square root of the number of pixels that show the box: twice as wide photos double it, and so do
+four times as many photos, since photos overlap. Factor and root are empirical
+(docs/lab_notebook.md).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from .config import TrainConfig
 
-EXPONENT = 0.7
+EXPONENT = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,7 @@ def box_budgets(
     config: TrainConfig,
     context: Context = QUIET,
 ) -> tuple[int, ...] | None:
-    """Each box's budget at the end, `box_budget` x pixels^0.7; None when there is no limit.
+    """Each box's budget at the end, `box_budget` x pixels^0.5; None when there is no limit.
 
     Args:
         images: the stage's photos; each pixel in a box's silhouette counts.

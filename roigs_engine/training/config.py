@@ -52,9 +52,8 @@ class TrainConfig:
         reset_every: steps between opacity resets to 0.01 during densification; 0: none.
         contribution_every: shortest window, in steps. At the end of a window, Gaussians are removed
             if their alpha x T stayed below 1/255 on all its training pixels; 0: never.
-        min_views: multi-view consistency (`consistency.py`). At its end, the stage removes
-            Gaussians in front of the boxes that fewer training photos show, Gaussians in the boxes
-            that no photo shows, and fog between the photos (`between_views.py`); 0: none.
+        min_views: at its end, the stage removes floaters (`floaters/`); of these, Gaussians in
+            front of the boxes that fewer training photos show; 0: none.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
     """

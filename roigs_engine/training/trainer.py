@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,16 +21,15 @@ from ..formats.events import Progress
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..model.roi import OrientedBox
-from ..model.scene import PosedImage
+from ..model.scene import Float64, PosedImage
 from ..rasterize import RenderOutput, rasterize
 from .averaging import ModelMean
-from .between_views import View, fills_only_between
 from .budget import BoxBudget
 from .callbacks import PeriodicCallback
 from .config import TrainConfig
-from .consistency import consistent_across_views
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
+from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
 from .masks import RoiMask, RoiMasks
@@ -56,7 +55,7 @@ class StageData:
         rois: boxes that limit densification, if the stage's config says so.
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
-        between: views between the photos (`between_views.py`), used with `config.min_views`.
+        points: (P, 3) of the scene, world units; used with `config.min_views`.
         seed: for the positions of split Gaussians.
         device: where to train; devices differ only in rounding.
     """
@@ -68,7 +67,7 @@ class StageData:
     rois: Sequence[OrientedBox] = ()
     budgets: Sequence[BoxBudget] | None = None
     masks: RoiMasks | None = None
-    between: Sequence[View] = ()
+    points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     seed: int = 0
     device: torch.device = CPU
 
@@ -144,7 +143,7 @@ class Trainer:
             cpu_started = time.process_time() - self.cpu_seconds
         if self.step < self.config.steps:
             return False
-        return not self.config.min_views or self._prune_inconsistent(context)
+        return not self.config.min_views or self._prune_floaters(context)
 
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
@@ -241,17 +240,16 @@ class Trainer:
             self._parameters = _leaves(self._mean.mean())
             self._mean.clear()
 
-    def _prune_inconsistent(self, context: Context) -> bool:
-        """Prune floaters (`consistency.py`); False if stopped, with nothing changed."""
+    def _prune_floaters(self, context: Context) -> bool:
+        """Prune floaters; False if stopped, with nothing changed."""
         began, cpu_began = time.perf_counter(), time.process_time()
         data, views = self.data, self.config.min_views
         try:
-            keep = consistent_across_views(self._parameters, data.images, data.rois, views, context)
-            keep &= ~fills_only_between(self._parameters, data.images, data.between, context)
+            found = floaters(self._parameters, data.images, data.rois, data.points, views, context)
         except Stopped:
             return False
-        if not bool(keep.all()):
-            self._apply(unchanged(self._parameters).keep(keep.nonzero()[:, 0]))
+        if bool(found.any()):
+            self._apply(unchanged(self._parameters).keep((~found).nonzero()[:, 0]))
         self.seconds += time.perf_counter() - began
         self.cpu_seconds += time.process_time() - cpu_began
         return True

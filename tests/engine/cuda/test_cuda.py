@@ -21,7 +21,7 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.consistency import consistent_across_views
+from roigs_engine.training.floaters.consistency import consistent_across_views
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import StageData, Trainer

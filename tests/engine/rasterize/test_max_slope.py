@@ -21,7 +21,7 @@ from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize import RenderOutput, rasterize, view
 from roigs_engine.rasterize.inputs import MAX_SLOPE, NEAR
 from roigs_engine.rasterize.view import rasterize_view, render_view
-from roigs_engine.training.consistency import consistent_across_views
+from roigs_engine.training.floaters.consistency import consistent_across_views
 from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
     BACKGROUND,

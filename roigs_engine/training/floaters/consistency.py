@@ -15,15 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..context import QUIET, Context
-from ..cuda.device import CPU
-from ..cuda.library import has_blending_weights
-from ..model.gaussians import Gaussians
-from ..model.ownership import owners
-from ..model.roi import OrientedBox
-from ..model.scene import PosedImage
-from ..rasterize.view import rasterize_view
-from .densification.adaptive import VISIBLE_WEIGHT
+from ...context import QUIET, Context
+from ...cuda.device import CPU
+from ...cuda.library import has_blending_weights
+from ...model.gaussians import Gaussians
+from ...model.ownership import owners
+from ...model.roi import OrientedBox
+from ...model.scene import PosedImage
+from ...rasterize.view import rasterize_view
+from ..densification.adaptive import VISIBLE_WEIGHT
 
 
 @torch.no_grad()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -12,51 +10,27 @@ from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import PosedImage
-from roigs_engine.training.between_views import MOST_VIEWS, fills_only_between, views_between
-from tests.engine.synthetic_scene import CAMERA
-from tests.poses import look_at
-
-DISTANCE = 4.0
-OBJECT = np.random.default_rng(0).normal(scale=0.1, size=(50, 3))  # the scene's points
-NO_POINTS = np.zeros((0, 3))
-
-
-def photo(name: str, eye: np.ndarray, target: np.ndarray | None = None) -> PosedImage:
-    return PosedImage(
-        name=name,
-        path=Path(),
-        camera=CAMERA,
-        world_to_camera=look_at(eye, np.zeros(3) if target is None else target),
-        point_indices=np.zeros(0, dtype=np.int64),
-    )
-
-
-def ring(count: int, whole: int | None = None) -> list[PosedImage]:
-    """`count` photos of a ring of `whole` around the origin."""
-    return [photo(f"{k}.png", at(k / (whole or count))) for k in range(count)]
-
-
-def at(share: float, distance: float = DISTANCE) -> np.ndarray:
-    """A place on the ring."""
-    angle = 2 * np.pi * share
-    return distance * np.array([np.cos(angle), np.sin(angle), 0.0])
-
-
-def gaussians(*sized: tuple[np.ndarray, float]) -> Gaussians:
-    """Opaque balls, each (place, standard deviation)."""
-    count = len(sized)
-    arrays = {
-        "means": np.array([place for place, _ in sized]).reshape(count, 3),
-        "quats": np.tile([1.0, 0, 0, 0], (count, 1)),
-        "log_scales": np.log([size for _, size in sized])[:, None].repeat(3, axis=1),
-        "logit_opacities": np.full(count, 3.0),
-        "sh": np.zeros((count, 16, 3)),
-    }
-    return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
+from roigs_engine.training.floaters.between_views import (
+    MOST_VIEWS,
+    fills_only_between,
+    views_between,
+)
+from tests.engine.training.floaters.photos import (
+    DISTANCE,
+    NO_POINTS,
+    OBJECT,
+    at,
+    gaussians,
+    photo,
+    ring,
+    sees,
+    shown,
+)
 
 
 def fog(model: Gaussians, images: list[PosedImage]) -> list[bool]:
-    return fills_only_between(model, images, views_between(images, OBJECT)).tolist()
+    views = views_between(images, OBJECT)
+    return fills_only_between(model, views, shown(model, images)).tolist()
 
 
 def test_fog_before_a_view_between_two_photos_goes_and_the_object_stays() -> None:
@@ -65,13 +39,6 @@ def test_fog_before_a_view_between_two_photos_goes_and_the_object_stays() -> Non
     model = gaussians((np.zeros(3), 0.3), hidden)
     assert not sees(images[0], hidden[0]) and not sees(images[1], hidden[0])
     assert fog(model, images) == [False, True]
-
-
-def sees(image: PosedImage, point: np.ndarray) -> bool:
-    """Whether a point is inside the photo's frame."""
-    x, y, z = image.world_to_camera[:3, :3] @ point + image.world_to_camera[:3, 3]
-    u, v = CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy
-    return bool(z > 0 and 0 <= u < CAMERA.width and 0 <= v < CAMERA.height)
 
 
 def test_what_a_photo_shows_as_large_stays() -> None:
@@ -124,19 +91,20 @@ def test_the_unit_of_the_world_does_not_matter() -> None:
     views = views_between(images, OBJECT * scale)
     assert len(views) == len(views_between(ring(10), OBJECT))
     larger = Gaussians(**model.tensors() | scaled)
-    assert fills_only_between(larger, images, views).tolist() == [False, True]
+    assert fills_only_between(larger, views, shown(larger, images)).tolist() == [False, True]
 
 
 def test_it_can_be_stopped() -> None:
     stopping = Context(should_stop=lambda: True)
-    images = ring(10)
+    model, images = gaussians((np.zeros(3), 0.3)), ring(10)
+    views = views_between(images, OBJECT)
     with pytest.raises(Stopped):
-        fills_only_between(
-            gaussians((np.zeros(3), 0.3)), images, views_between(images, OBJECT), stopping
-        )
+        fills_only_between(model, views, shown(model, images), stopping)
 
 
 def test_nothing_changes_for_a_model_without_gaussians() -> None:
     images = ring(10)
-    none = fills_only_between(gaussians(), images, views_between(images, OBJECT))
+    none = fills_only_between(
+        gaussians(), views_between(images, OBJECT), shown(gaussians(), images)
+    )
     assert none.shape == (0,) and none.dtype == torch.bool

@@ -15,32 +15,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from ..context import QUIET, Context
-from ..cuda.device import CPU
-from ..cuda.library import has_blending_weights
-from ..model.gaussians import Gaussians
-from ..model.scene import Camera, Float64, PosedImage
-from ..rasterize.view import rasterize_view
+from ...context import QUIET, Context
+from ...model.gaussians import Gaussians
+from ...model.scene import Float64, PosedImage
+from .view_shares import LEAST, MORE, NEAREST, SIDE, View, largest_shares, reach
 
-View = tuple[Camera, Float64]
-"""A camera and its world_to_camera."""
 Poses = list[tuple[tuple[int, ...], Float64]]
 """Positions of the photos that a view lies between or beside, and its world_to_camera."""
 
 NEIGHBOURS = 4
 WIDEST = 72.0  # degrees between the directions of two photos that have views between them
 MOST_VIEWS = 200
-SIDE = 256  # pixels; shares of a view need no more
-NEAREST = 0.25  # least distance of a view from the scene, in distances of its two photos
-MORE = NEAREST**-2  # how much more of a view than of any photo is too much
-LEAST = 1e-3  # share of a view that is worth a look
 BESIDE = 0.25  # distance of a view beside a photo, in distances to the nearest photo
-POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
 
 
 def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, ...]:
@@ -59,11 +48,11 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
     poses = [*_spread(_poses_between(images)), *_spread(_poses_beside(images))]
     centres = [image.centre for image in images]
     centres += [-pose[:3, :3].T @ pose[:3, 3] for _, pose in poses]
-    reach = _reach(np.array(centres), points)
+    far = reach(np.array(centres), points)
     return tuple(
         (images[photos[0]].camera.thumbnail(SIDE), pose)
-        for (photos, pose), distance in zip(poses, reach[len(images) :], strict=True)
-        if distance >= NEAREST * min(reach[photo] for photo in photos)
+        for (photos, pose), distance in zip(poses, far[len(images) :], strict=True)
+        if distance >= NEAREST * min(far[photo] for photo in photos)
     )
 
 
@@ -73,41 +62,19 @@ def _spread(poses: Poses) -> Poses:
     return [poses[k] for k in kept]
 
 
-@torch.no_grad()
 def fills_only_between(
-    gaussians: Gaussians,
-    images: Sequence[PosedImage],
-    views: Sequence[View],
-    context: Context = QUIET,
+    gaussians: Gaussians, views: Sequence[View], shown: Tensor, context: Context = QUIET
 ) -> Tensor:
     """(N,) bool: which Gaussians fill a view between the photos, but no photo.
 
     Args:
         gaussians: the model, N rows.
-        images: the training photos; their pixels are not used.
         views: of `views_between`.
+        shown: (N,) the largest share of a photo that each fills (`view_shares.py`).
         context: checked for cancellation between views.
     """
-    device = gaussians.means.device
-    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
-    photos = [(image.camera.thumbnail(SIDE), image.world_to_camera) for image in images]
-    if not views:
-        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
-    filled = _largest_share(model, views, context)
-    fog = (filled > LEAST) & (filled > MORE * _largest_share(model, photos, context))
-    return fog.to(device)
-
-
-def _largest_share(model: Gaussians, views: Sequence[View], context: Context) -> Tensor:
-    """(N,) the largest share of a view's light that each Gaussian has."""
-    largest = torch.zeros(len(model), device=model.means.device)
-    for camera, pose in views:
-        context.check_cancelled()
-        # colours do not matter
-        output = rasterize_view(model, camera, pose, sh_degree=0, with_weight_sum=True)
-        assert output.weight_sum is not None
-        torch.maximum(largest, output.weight_sum / (camera.width * camera.height), out=largest)
-    return largest
+    filled = largest_shares(gaussians, views, context)
+    return (filled > LEAST) & (filled > MORE * shown)
 
 
 def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
@@ -159,11 +126,3 @@ def _between(first: PosedImage, second: PosedImage, share: float) -> Float64:
     pose[:3, :3] = rotation
     pose[:3, 3] = -rotation @ ((1 - share) * first.centre + share * second.centre)
     return pose
-
-
-def _reach(centres: Float64, points: Float64) -> Float64:
-    """(N, 3) -> (N,) distances to the scene: to its tenth nearest point; infinite: no points."""
-    if len(points) == 0:
-        return np.full(len(centres), np.inf)
-    distances, _ = cKDTree(points).query(centres, k=[min(POINTS, len(points))])
-    return np.asarray(distances[:, 0])

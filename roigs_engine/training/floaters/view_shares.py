@@ -1,0 +1,60 @@
+"""How much of a view each Gaussian fills, and how far places are from the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from ...context import QUIET, Context
+from ...cuda.device import CPU
+from ...cuda.library import has_blending_weights
+from ...model.gaussians import Gaussians
+from ...model.scene import Camera, Float64, PosedImage
+from ...rasterize.view import rasterize_view
+
+View = tuple[Camera, Float64]
+"""A camera and its world_to_camera."""
+
+SIDE = 256  # pixels; shares of a view need no more
+NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
+MORE = NEAREST**-2  # how much more of a view than of any photo is too much
+LEAST = 1e-3  # share of a view that is worth a look
+POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
+
+
+@torch.no_grad()
+def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context = QUIET) -> Tensor:
+    """(N,) the largest share of a view's light that each Gaussian has, 0 to 1.
+
+    Args:
+        gaussians: the model, N rows.
+        views: to look from.
+        context: checked for cancellation between views.
+    """
+    device = gaussians.means.device
+    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
+    largest = torch.zeros(len(model), device=model.means.device)
+    for camera, pose in views:
+        context.check_cancelled()
+        # colours do not matter
+        output = rasterize_view(model, camera, pose, sh_degree=0, with_weight_sum=True)
+        assert output.weight_sum is not None
+        torch.maximum(largest, output.weight_sum / (camera.width * camera.height), out=largest)
+    return largest.to(device)
+
+
+def photo_views(images: Sequence[PosedImage]) -> list[View]:
+    """The photos' own views, small."""
+    return [(image.camera.thumbnail(SIDE), image.world_to_camera) for image in images]
+
+
+def reach(places: Float64, points: Float64) -> Float64:
+    """(N, 3) -> (N,) distances to the scene: to its tenth nearest point; infinite: no points."""
+    if len(points) == 0:
+        return np.full(len(places), np.inf)
+    distances, _ = cKDTree(points).query(places, k=[min(POINTS, len(points))])
+    return np.asarray(distances[:, 0])
