@@ -36,6 +36,7 @@ MODULES = (
     "operators.train",
     "operators.results",
     "viewport",
+    "rendering",
     "facts.caches",
     "ui.scene",
     "ui.boxes",

@@ -13,6 +13,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
     from roigs_engine.formats import (
         events,
         files,
+        frame_requests,
         lock,
         names,
         refined_model,
@@ -26,6 +27,7 @@ else:
     from ..roigs_engine.formats import (
         events,
         files,
+        frame_requests,
         lock,
         names,
         refined_model,
@@ -39,6 +41,7 @@ __all__ = [
     "EngineError",
     "events",
     "files",
+    "frame_requests",
     "lock",
     "names",
     "refined_model",

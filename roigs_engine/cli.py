@@ -14,7 +14,18 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from . import __version__
-from .commands import compose, evaluate, export, inspect, refine_cameras, render, run, select, train
+from .commands import (
+    compose,
+    evaluate,
+    export,
+    inspect,
+    refine_cameras,
+    render,
+    render_frames,
+    run,
+    select,
+    train,
+)
 from .commands.console import Console
 from .commands.options_file import with_options_file
 from .commands.out_folder import refuse_run_files
@@ -33,9 +44,10 @@ COMMANDS: dict[str, ModuleType] = {
     "compose": compose,
     "evaluate": evaluate,
     "render": render,
+    "render-frames": render_frames,
     "run": run,
 }
-WITH_TORCH = ("train", "run", "evaluate", "render", "compose")
+WITH_TORCH = ("train", "run", "evaluate", "render", "render-frames", "compose")
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
 MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20
 STOPPED = 3

@@ -100,11 +100,7 @@ def scene_camera(scene: bpy.types.Scene, root: bpy.types.Object | None) -> Photo
     item = scene.camera
     if item is None or camera_of(item).type != "PERSP":
         return None
-    render, data = scene.render, camera_of(item)
-    # Rounded down, as Blender does.
-    width = max(1, render.resolution_x * render.resolution_percentage // 100)
-    height = max(1, render.resolution_y * render.resolution_percentage // 100)
-    intrinsics = intrinsics_of(data, render, width, height)
+    intrinsics = intrinsics_of(camera_of(item), scene.render, *render_size(scene.render))
     photo = photo_of(item, root)
     if photo is None:
         pose = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
@@ -116,6 +112,12 @@ def scene_camera(scene: bpy.types.Scene, root: bpy.types.Object | None) -> Photo
     return Photo(
         name=f"{scene.frame_current:04d}", path="", intrinsics=intrinsics, world_to_camera=rows
     )
+
+
+def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
+    """Width and height of a render in pixels; rounded down, as Blender does."""
+    share = render.resolution_percentage
+    return max(1, render.resolution_x * share // 100), max(1, render.resolution_y * share // 100)
 
 
 def _same_lens(a: Intrinsics, b: Intrinsics) -> bool:

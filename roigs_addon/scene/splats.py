@@ -1,8 +1,8 @@
 """Trained Gaussians as Blender objects: for every render engine, and for the viewport.
 
-Each object is a mesh of points with the attributes of docs/conventions.md. In the viewport, the
-add-on draws the Gaussians themselves (viewport/) and hides the points with a modifier that is off
-in renders.
+Each object is a mesh of points with the attributes of docs/conventions.md. A modifier hides the
+points: the add-on draws the Gaussians themselves in the viewport (viewport/), and the engine draws
+them in renders (compositor.py). Where the user wants points, it is off.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blender import delete, mesh_of
+from ..engine import own_files
 from ..errors import AddonError
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..properties import object_props, scene_props
 from ..shared import run_files
-from . import clouds, lookup, native_splats
+from . import clouds, compositor, lookup, native_splats
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import AttributeTypeItems
@@ -56,6 +57,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
         props = object_props(item)
         if props.level in ("ROI", "SCENE") and not os.path.isfile(props.ply):
             delete(item)
+    compositor.link(scene, own_files.frames(folder))
     return shown
 
 
@@ -91,7 +93,7 @@ def set_points(scene: bpy.types.Scene, points: bool) -> None:
         modifier = item.modifiers.get(HIDE)
         if modifier is not None:  # Blender's own splats are drawn by Blender
             object_props(item).as_points = points
-            modifier.show_viewport = not points
+            modifier.show_viewport = modifier.show_render = not points
 
 
 def shown_levels(scene: bpy.types.Scene) -> dict[str, bool]:
@@ -120,6 +122,7 @@ def _hide_sparse(scene: bpy.types.Scene) -> None:
     sparse = lookup.points(scene)
     if sparse is not None:
         _hide(scene, sparse, True)
+        sparse.hide_render = True
 
 
 def _hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
@@ -185,7 +188,6 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
     clouds.show_as_points(item, material, "radius")
     clouds.add_nodes_modifier(item, HIDE, _nothing_group())
-    item.modifiers[HIDE].show_render = False
     return item
 
 

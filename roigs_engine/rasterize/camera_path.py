@@ -43,7 +43,7 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     cameras = []
     for index, record in enumerate(records):
         try:
-            cameras.append(_camera_from_record(record))
+            cameras.append(camera_from_record(record))
         except KeyError as error:
             raise ConfigError(f"{path}: camera {index} has no {error}.", hint) from error
         except (TypeError, ValueError, OverflowError) as error:
@@ -54,8 +54,8 @@ def load_camera_path(path: Path) -> list[tuple[str, Camera, Float64]]:
     return cameras
 
 
-def _camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
-    """One entry of a path file; KeyError, TypeError or ValueError when it is malformed."""
+def camera_from_record(record: Any) -> tuple[str, Camera, Float64]:
+    """One entry of a path file; KeyError, TypeError, ValueError or OverflowError if malformed."""
     if not isinstance(record, dict):
         raise TypeError("not an object")
     name = record["name"]

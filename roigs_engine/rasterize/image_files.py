@@ -11,6 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from ..formats.files import atomic_write
+from .placed import Layer
 
 
 def to_uint8(image: Tensor) -> NDArray[np.uint8]:
@@ -22,3 +23,12 @@ def save_png(path: Path, image: NDArray[np.uint8]) -> None:
     """Write (H, W, 3) uint8 as a PNG to `path`, atomically."""
     with atomic_write(path) as file:
         Image.fromarray(image).save(file, format="PNG")
+
+
+def save_layer(colour: Path, depth: Path, layer: Layer) -> None:
+    """Write a layer: an sRGB PNG with transparency, last, and before it a TIFF of 32-bit depths."""
+    with atomic_write(depth) as file:
+        Image.fromarray(layer.depth.numpy().astype(np.float32)).save(file, format="TIFF")
+    rgba = torch.cat([layer.image, layer.alpha[..., None]], dim=-1)
+    with atomic_write(colour) as file:
+        Image.fromarray(to_uint8(rgba)).save(file, format="PNG", compress_level=1)

@@ -9,6 +9,17 @@ import numpy as np
 
 def load_png(path: Path) -> np.ndarray:
     """(H, W, 3) sRGB values in 0..1 of a picture, first row on top."""
+    return load_rgba(path)[..., :3]
+
+
+def load_on_black(path: Path) -> np.ndarray:
+    """Likewise, a picture with transparency on black, as the engine blends: in sRGB values."""
+    picture = load_rgba(path)
+    return picture[..., :3] * picture[..., 3:]
+
+
+def load_rgba(path: Path) -> np.ndarray:
+    """(H, W, 4) sRGB values and alpha in 0..1 of a picture, first row on top."""
     import bpy
 
     image = bpy.data.images.load(str(path))
@@ -17,7 +28,7 @@ def load_png(path: Path) -> np.ndarray:
     pixels = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(pixels)
     bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[::-1, :, :3]
+    return pixels.reshape(height, width, 4)[::-1]
 
 
 def read_png(path: Path) -> np.ndarray:

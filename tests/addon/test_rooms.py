@@ -17,7 +17,7 @@ ROOMS = (
     {"settings", "windows"},
     {"scene"},
     {"jobs"},
-    {"facts", "viewport"},
+    {"facts", "rendering", "viewport"},
     {"operators"},
     {"ui"},
 )

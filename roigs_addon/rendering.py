@@ -1,0 +1,130 @@
+"""Gaussians in Blender's own renders (F12): asks the engine for each frame's layer beforehand.
+
+The compositor merges the layer with Blender's picture (scene/compositor.py).
+
+A render calls `render_pre`, then puts the frame's objects in their places and calls
+`frame_change_post`, then renders. In a window this happens in the render's own thread, so waiting
+here does not freeze it.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import settings
+from .blender import persistent
+from .engine import own_files
+from .engine.frame_engine import FrameEngine
+from .engine.python import FOR_TRAINING
+from .engine.writing import made_folder
+from .errors import AddonError
+from .jobs import options_files, run_folders
+from .scene import compositor
+from .scene.frame_request import frame_request
+from .shared import EngineError, frame_requests
+
+problem = ""
+"""Why the last render lacks Gaussians, in one line; empty if it does not."""
+
+_waiting = False
+"""Whether a frame is about to be rendered and its layer is not drawn yet."""
+
+_engine: FrameEngine | None = None
+_requests: Path | None = None
+
+
+@persistent
+def before_frame(scene: bpy.types.Scene, *_: object) -> None:
+    """A frame will be rendered; its objects are not in their places yet."""
+    global _waiting
+    _waiting = compositor.find(scene) is not None
+
+
+@persistent
+def frame_is_set(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Have the frame's layer drawn, if this is a frame of a render."""
+    global problem, _waiting
+    if not _waiting or depsgraph is None:
+        return
+    _waiting = False
+    try:
+        problem = _draw(scene, depsgraph)
+    except (AddonError, EngineError, OSError) as error:
+        problem = str(error)
+    if problem:
+        print(f"ROI-GS: {problem}")
+
+
+def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
+    global _engine
+    out = own_files.frames(made_folder(run_folders.run_folder(scene)))
+    made_folder(out.parent)
+    for old in out.parent.glob(f"{out.name}*"):  # only one frame's files are kept
+        old.unlink()
+    frame = out.with_name(f"{out.name}{scene.frame_current:04d}")
+    frame_requests.write_nothing(frame)
+    compositor.point_to(scene, out)
+    try:
+        request = frame_request(scene, depsgraph, str(frame))
+        if request is None:
+            return ""
+        if _engine is None or not _engine.alive():
+            after_render()
+            _engine = _started(scene)
+        return _engine.draw(request)
+    finally:
+        compositor.reload(scene)
+
+
+def _started(scene: bpy.types.Scene) -> FrameEngine:
+    global _requests
+    _requests = Path(tempfile.mkdtemp(prefix="roigs-frames-"))
+    return FrameEngine(
+        settings.engine(FOR_TRAINING),
+        _requests,
+        own_files.log_file(run_folders.run_folder(scene)),
+        options_files.machine_options(),
+    )
+
+
+@persistent
+def after_render(*_: object) -> None:
+    """End the engine; the last frame's files stay for the compositor."""
+    global _engine, _requests
+    if _engine is not None:
+        _engine.close()
+        _engine = None
+    if _requests is not None:
+        with suppress(OSError):
+            shutil.rmtree(_requests)
+        _requests = None
+
+
+def _handlers() -> list[tuple[list[Any], Any]]:
+    known: Any = bpy.app.handlers
+    return [
+        (known.render_pre, before_frame),
+        (known.frame_change_post, frame_is_set),
+        (known.render_complete, after_render),
+        (known.render_cancel, after_render),
+    ]
+
+
+def register() -> None:
+    """Follow renders."""
+    for place, handler in _handlers():
+        place.append(handler)
+
+
+def unregister() -> None:
+    """Follow none, and end an engine that draws."""
+    for place, handler in _handlers():
+        if handler in place:
+            place.remove(handler)
+    after_render()

@@ -1,0 +1,199 @@
+"""The node group that merges the engine's layer with Blender's picture, by depth.
+
+The scene's compositor gets the group behind its first render layer; other nodes stay as they are.
+Where Gaussians are nearer than Blender's surface they lie over it, elsewhere below it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..shared import frame_requests
+
+NAME = "ROI-GS Gaussians"
+MARK = "roigs_layer"
+"""Custom property of the group."""
+LAST_FRAME = 1048574
+
+
+def link(scene: bpy.types.Scene, out: Path) -> None:
+    """Merge Gaussians into the scene's renders; does nothing twice.
+
+    Args:
+        scene: gets the group.
+        out: of the frames' files, without number and suffix.
+    """
+    for layer in scene.view_layers:
+        layer.use_pass_z = True
+    group = find(scene)
+    if group is None:
+        _insert(scene, _group(out))
+    else:
+        point_to(scene, out)
+
+
+def find(scene: bpy.types.Scene) -> Any | None:
+    """The group in the scene's compositor, if it is there."""
+    tree = _tree(scene)
+    for node in tree.nodes if tree else ():
+        group = getattr(node, "node_tree", None)
+        if group is not None and group.get(MARK):
+            return group
+    return None
+
+
+def point_to(scene: bpy.types.Scene, out: Path) -> None:
+    """Have the group read the files of `out`."""
+    for image in _images(scene):
+        path = str(_file(out, image[MARK]))
+        if bpy.path.abspath(image.filepath) != path:
+            image.filepath = path
+
+
+def reload(scene: bpy.types.Scene) -> None:
+    """Have the group read its files again: Blender keeps those of the last frame in memory."""
+    for image in _images(scene):
+        image.reload()
+
+
+def _images(scene: bpy.types.Scene) -> list[Any]:
+    """The images of the group."""
+    group = find(scene)
+    nodes = group.nodes if group else ()
+    return [node.image for node in nodes if node.type == "IMAGE" and node.image is not None]
+
+
+def _file(out: Path, kind: str) -> Path:
+    """The file of the sequence's first frame."""
+    first = out.with_name(f"{out.name}{1:04d}")
+    of = frame_requests.colour_file if kind == "colour" else frame_requests.depth_file
+    return of(first)
+
+
+def _tree(scene: Any) -> Any:
+    """The scene's compositor; None if it has none."""
+    if hasattr(scene, "compositing_node_group"):  # from Blender 5.0
+        return scene.compositing_node_group
+    return scene.node_tree if scene.use_nodes else None
+
+
+def _made_tree(scene: Any) -> Any:
+    """The scene's compositor; if it has none, a new one that shows the render layer."""
+    found = _tree(scene)
+    if found is not None:
+        return found
+    tree: Any
+    if hasattr(scene, "compositing_node_group"):
+        tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        scene.compositing_node_group = tree
+        end = tree.nodes.new("NodeGroupOutput")
+    else:
+        fresh = scene.node_tree is None
+        scene.use_nodes = True
+        tree = scene.node_tree
+        if not fresh:  # the user's nodes, which were switched off
+            return tree
+        tree.nodes.clear()
+        end = tree.nodes.new("CompositorNodeComposite")
+    layers = tree.nodes.new("CompositorNodeRLayers")
+    layers.scene = scene
+    end.location.x = 700
+    tree.links.new(layers.outputs["Image"], end.inputs[0])
+    return tree
+
+
+def _insert(scene: bpy.types.Scene, group: Any) -> None:
+    """Put the group between the first render layer of the scene and all that follows it."""
+    tree = _made_tree(scene)
+    of_scene = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
+    layers: Any = of_scene[0] if of_scene else tree.nodes.new("CompositorNodeRLayers")
+    layers.scene = scene
+    node = tree.nodes.new("CompositorNodeGroup")
+    node.node_tree = group
+    node.location = layers.location.x + 350, layers.location.y
+    node.width = 200
+    followers = [link.to_socket for link in layers.outputs["Image"].links]
+    tree.links.new(layers.outputs["Image"], node.inputs[0])
+    tree.links.new(layers.outputs["Depth"], node.inputs[1])
+    for socket in followers:
+        tree.links.new(node.outputs[0], socket)
+
+
+def _group(out: Path) -> Any:
+    """A new group: picture and depth in, merged picture out."""
+    group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
+    group[MARK] = True
+    sockets = ("Image", "INPUT", "Color"), ("Depth", "INPUT", "Float"), ("Image", "OUTPUT", "Color")
+    for name, way, kind in sockets:
+        group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
+    start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    colour, depth = (_image_node(group, kind, out) for kind in ("colour", "depth"))
+    nearer = _nearer_node(group)
+    below, above = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
+    chosen, (factor, if_not, if_so), merged = _choice_node(group)
+    for source, target in (
+        (depth.outputs["Image"], nearer.inputs[0]),
+        (start.outputs[1], nearer.inputs[1]),
+        *zip((colour.outputs["Image"], start.outputs[0]), _colours(below), strict=True),
+        *zip((start.outputs[0], colour.outputs["Image"]), _colours(above), strict=True),
+        (nearer.outputs[0], factor),
+        (below.outputs[0], if_not),
+        (above.outputs[0], if_so),
+        (merged, end.inputs[0]),
+    ):
+        group.links.new(source, target)
+    columns = (start, colour, depth), (nearer, below, above), (chosen,), (end,)
+    for x, column in enumerate(columns):
+        for y, node in enumerate(column):
+            node.location = 300 * x, -350 * y
+    return group
+
+
+# Blender 5 has the shader nodes in the compositor, in the place of its own.
+
+
+def _nearer_node(group: Any) -> Any:
+    """1 where the first input is less than the second."""
+    node = _either(group, "ShaderNodeMath", "CompositorNodeMath")
+    node.operation = "LESS_THAN"
+    return node
+
+
+def _choice_node(group: Any) -> tuple[Any, tuple[Any, Any, Any], Any]:
+    """A node that takes one of two colours; its factor, the colours for 0 and 1, its output."""
+    node = _either(group, "ShaderNodeMix", "CompositorNodeMixRGB")
+    if node.bl_idname == "ShaderNodeMix":
+        node.data_type = "RGBA"
+    factor, if_not, if_so = [socket for socket in node.inputs if socket.enabled][:3]
+    return node, (factor, if_not, if_so), next(o for o in node.outputs if o.enabled)
+
+
+def _colours(over: Any) -> tuple[Any, Any]:
+    """Background and foreground of an Alpha Over node."""
+    below, above = [socket for socket in over.inputs if socket.type == "RGBA"]
+    return below, above
+
+
+def _either(group: Any, new: str, old: str) -> Any:
+    return group.nodes.new(old if hasattr(bpy.types, old) else new)
+
+
+def _image_node(group: Any, kind: str, out: Path) -> Any:
+    """A node with the files of a kind, one for each frame."""
+    image: Any = bpy.data.images.new(f"{NAME} {kind}", 1, 1)
+    image.source = "SEQUENCE"
+    image[MARK] = kind
+    image.filepath = str(_file(out, kind))
+    image.colorspace_settings.name = "sRGB" if kind == "colour" else "Non-Color"
+    if kind == "colour":
+        image.alpha_mode = "STRAIGHT"
+    node = group.nodes.new("CompositorNodeImage")
+    node.image = image
+    node.frame_duration = LAST_FRAME
+    node.frame_start, node.frame_offset = 1, 0
+    node.use_auto_refresh = True
+    return node

@@ -1,0 +1,69 @@
+"""What a frame shows of the Gaussians: which objects, where they stand, and the camera."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..blender import camera_of
+from ..errors import AddonError
+from ..geometry import frames
+from ..properties import object_props
+from . import cameras, lookup
+
+
+def frame_request(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, out: str
+) -> dict[str, Any] | None:
+    """The engine's request for a frame (docs/files.md); None: it shows no Gaussians.
+
+    Args:
+        scene: that is rendered.
+        depsgraph: of the frame. Only there, not in the scene, animated objects are where the frame
+            has them.
+        out: where the engine's files go.
+
+    Raises:
+        AddonError: the camera is of a kind that the engine cannot render.
+    """
+    models = [
+        {"ply": object_props(item).ply, "matrix": lookup.matrix_world(moved).tolist()}
+        for item in shown(scene)
+        if not (moved := item.evaluated_get(depsgraph)).hide_render
+    ]
+    if not models or scene.camera is None:
+        return None
+    camera = scene.camera.evaluated_get(depsgraph)
+    if camera_of(camera).type != "PERSP":
+        raise AddonError("The render lacks the Gaussians: the camera is not a perspective camera.")
+    lens = cameras.intrinsics_of(
+        camera_of(camera), scene.render, *cameras.render_size(scene.render)
+    )
+    pose = frames.world_to_camera(lookup.matrix_world(camera), np.eye(4))
+    record = {"name": str(scene.frame_current), **asdict(lens), "world_to_camera": pose.tolist()}
+    return {"camera": record, "models": models, "out": out}
+
+
+def shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The objects that a render shows as Gaussians, unless an object itself is hidden."""
+    layers = [layer for layer in scene.view_layers if layer.use]
+    seen = {item for layer in layers for item in _of(layer.layer_collection)}
+    return [
+        item
+        for item in lookup.splats(scene)
+        if item in seen
+        and object_props(item).ply
+        and not object_props(item).as_points
+        and object_props(item).level != "PREVIEW"
+    ]
+
+
+def _of(layer: bpy.types.LayerCollection) -> set[bpy.types.Object]:
+    """Objects of the collections that a view layer renders."""
+    if layer.exclude or layer.collection.hide_render:
+        return set()
+    found = set(layer.collection.objects)
+    return found.union(*map(_of, layer.children))

@@ -1,0 +1,150 @@
+"""`render-frames`: pictures of placed models for compositing, as another program asks for them.
+
+Blender's render waits for each picture, so starting Python and reading models once per frame would
+be slow: this command stays, and keeps the models that it has read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import ConfigError, EngineError
+from ..formats.events import Preview
+from ..formats.files import read_json
+from ..formats.frame_requests import REQUEST, colour_file, depth_file
+from .console import Console
+from .options import add_device_option, context_on_device
+from .values import PATH
+
+if TYPE_CHECKING:
+    import torch
+
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..model.scene import Float64
+
+HELP = "render pictures for compositing, as another program asks for them in a folder"
+EXAMPLES = """\
+  python -m roigs_engine render-frames requests --once"""
+HINT = "docs/files.md describes requests."
+PAUSE = 0.005  # seconds between two looks into the folder
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument(
+        "folder", type=PATH, help="folder of the requests, JSON files (docs/files.md)"
+    )
+    parser.add_argument("--once", action="store_true", help="end when no request is left")
+    parser.add_argument("--threads", type=int, help="number of CPU threads (default: all cores)")
+    add_device_option(parser)
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Answer requests, oldest name first, until asked to stop."""
+    import torch
+
+    from ..kernels.library import set_threads
+
+    if not args.folder.is_dir():
+        raise ConfigError(f"{args.folder} is not a folder.", "Give the folder of the requests.")
+    if args.threads is not None:
+        set_threads(args.threads)
+    context = context_on_device(args, console)
+    models = Models()
+    while not console.should_stop():
+        waiting = sorted(args.folder.glob(f"*{REQUEST}"))
+        if not waiting:
+            if args.once:
+                break
+            time.sleep(PAUSE)
+            continue
+        try:
+            out = answer(waiting[0], models, torch.device(context.device))
+            console.emit(Preview(path=str(out)))
+        except EngineError as error:
+            if args.once:
+                raise
+            context.warn(str(error))
+        finally:
+            with suppress(OSError):
+                waiting[0].unlink()
+    return {}
+
+
+class Models:
+    """PLYs by path; one that has changed is read again, one that is not asked for is dropped."""
+
+    def __init__(self) -> None:
+        self._read: dict[str, tuple[tuple[int, int], Gaussians, LocalFrame]] = {}
+
+    def get(self, paths: list[str]) -> list[tuple[Gaussians, LocalFrame]]:
+        """The models, and the frames that they are in.
+
+        Raises:
+            EngineError: a file is missing or damaged.
+        """
+        from ..model.gaussians import Gaussians
+
+        known, self._read = self._read, {}
+        for path in paths:
+            try:
+                state = Path(path).stat()
+            except OSError as error:
+                reason = error.strerror or error
+                raise ConfigError(f"Cannot read {path} ({reason}).", "Load results again.") from (
+                    error
+                )
+            key = state.st_mtime_ns, state.st_size
+            entry = known.get(path)
+            if path not in self._read:
+                fresh = entry is not None and entry[0] == key
+                self._read[path] = (
+                    entry if entry and fresh else (key, *Gaussians.load_framed(Path(path)))
+                )
+        return [self._read[path][1:] for path in paths]
+
+
+def answer(request: Path, models: Models, device: torch.device) -> Path:
+    """Render what a request asks for; returns the picture, which is written last.
+
+    Raises:
+        EngineError: the request is malformed, or a model cannot be read.
+    """
+    from ..rasterize.camera_path import camera_from_record
+    from ..rasterize.image_files import save_layer
+    from ..rasterize.placed import PlacedModel, render_placed
+
+    record = read_json(request, ConfigError, HINT)
+    try:
+        _, camera, pose = camera_from_record(record["camera"])
+        out = Path(record["out"])
+        wanted = [(str(item["ply"]), _affine(item["matrix"])) for item in record["models"]]
+        if not wanted:
+            raise ValueError("it has no model")
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
+    read = models.get([ply for ply, _ in wanted])
+    placed = [
+        PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)
+        for (gaussians, frame), (_, matrix) in zip(read, wanted, strict=True)
+    ]
+    layer = render_placed(placed, camera, pose, device)
+    save_layer(colour_file(out), depth_file(out), layer)
+    return colour_file(out)
+
+
+def _affine(rows: Any) -> Float64:
+    """A matrix of a request; ValueError unless it can be inverted."""
+    matrix = np.array(rows, dtype=float)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError("matrix must be 4 x 4 finite numbers")
+    if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise ValueError("matrix must be affine, and no scale may be zero")
+    return matrix

@@ -1,0 +1,149 @@
+"""Renders models that were moved, turned, scaled or sheared, together, as a layer for compositing.
+
+Everything is computed in the camera's own frame, so places far from the origin cost no precision.
+View dependence turns with a model: its colours are evaluated in its own frame, once per picture,
+and drawn as plain colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from ..cuda.device import CPU
+from ..model.gaussians import Gaussians
+from ..model.local_frame import LocalFrame
+from ..model.rotations import rotation_matrices
+from ..model.scene import Camera, Float64
+from .inputs import MAX_SLOPE
+from .reference import sh_basis
+from .view import rasterize_view
+
+NOTHING = 1e10  # depth where nothing is, as in Blender's depth pass
+SH_C0 = 0.28209479177387814
+SIMILAR = 1e-5  # how unequal the scales of a similarity may be
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedModel:
+    """A model and where it stands.
+
+    Attributes:
+        gaussians: in `frame`, on the CPU.
+        frame: of the model's own world.
+        matrix: (4, 4) from the model's own world to the world; any affine one.
+    """
+
+    gaussians: Gaussians
+    frame: LocalFrame
+    matrix: Float64
+
+    @cached_property
+    def from_frame(self) -> Float64:
+        """(4, 4) from the frame that the Gaussians are in to the world."""
+        to_world = np.diag([*[1 / self.frame.scale] * 3, 1.0])
+        to_world[:3, 3] = self.frame.origin
+        matrix: Float64 = self.matrix @ to_world
+        return matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layer:
+    """A picture for compositing.
+
+    Attributes:
+        image: (H, W, 3) sRGB values from 0 to 1, not multiplied by alpha.
+        alpha: (H, W) from 0 to 1.
+        depth: (H, W) mean depth along the camera's axis, world units; NOTHING where nothing is.
+    """
+
+    image: Tensor
+    alpha: Tensor
+    depth: Tensor
+
+
+@torch.no_grad()
+def render_placed(
+    models: Sequence[PlacedModel],
+    camera: Camera,
+    world_to_camera: Float64,
+    device: torch.device = CPU,
+) -> Layer:
+    """Render models together.
+
+    Args:
+        models: at least one Gaussian in all.
+        camera: the camera.
+        world_to_camera: (4, 4).
+        device: where to render.
+    """
+    parts = [_seen(model, world_to_camera) for model in models]
+    centres = np.concatenate([centres for centres, _ in parts])
+    scale = LocalFrame.of_centres(centres).scale
+    drawn = Gaussians.concatenate([part for _, part in parts]).tensors()
+    drawn["means"] = torch.from_numpy((centres * scale).astype(np.float32))
+    drawn["log_scales"] = drawn["log_scales"] + float(np.log(scale))
+    output = rasterize_view(
+        Gaussians(**drawn).to(device), camera, np.eye(4), max_slope=MAX_SLOPE, with_depth=True
+    )
+    assert output.depth is not None
+    alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()
+    image = output.image[0].cpu() / alpha.clamp(min=1e-6)[..., None]
+    return Layer(
+        image=image.clamp(0, 1),
+        alpha=alpha.clamp(0, 1),
+        depth=torch.where(alpha > 0, depth / scale, NOTHING),
+    )
+
+
+def _seen(model: PlacedModel, world_to_camera: Float64) -> tuple[Float64, Gaussians]:
+    """(N, 3) centres in the camera's frame, and the model there, with plain colours."""
+    to_camera = world_to_camera @ model.from_frame
+    linear, offset = to_camera[:3, :3], to_camera[:3, 3]
+    gaussians = model.gaussians
+    local = gaussians.means.numpy().astype(np.float64)
+    eye = -np.linalg.solve(linear, offset)
+    quats, log_scales = _transformed(gaussians, linear)
+    return local @ linear.T + offset, Gaussians(
+        means=gaussians.means,  # replaced when the scale of all is known
+        quats=quats,
+        log_scales=log_scales,
+        logit_opacities=gaussians.logit_opacities,
+        sh=_plain(gaussians, eye),
+    )
+
+
+def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:
+    """(N, 1, 3) SH of degree 0 with the colours that `eye` sees."""
+    direction = gaussians.means - torch.from_numpy(eye).to(gaussians.means)
+    basis = sh_basis(torch.nn.functional.normalize(direction, dim=-1))
+    colour = torch.einsum("vk,vkc->vc", basis[:, : gaussians.sh.shape[1]], gaussians.sh)
+    return ((colour.clamp(min=-0.5)) / SH_C0)[:, None]
+
+
+def _transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
+    """Rotations (N, 4) and logarithms of scales (N, 3) after a linear map (3, 3)."""
+    scales = np.linalg.svd(linear, compute_uv=False)
+    if scales[0] <= (1 + SIMILAR) * scales[2]:
+        # A reflection has the same ellipsoids as the rotation that reverses all axes with it.
+        rotation = linear / np.cbrt(np.linalg.det(linear))
+        old = Rotation.from_quat(np.roll(gaussians.quats.numpy(), -1, axis=1))  # scipy has xyzw
+        quats = _quats(Rotation.from_matrix(rotation) * old)
+        return quats, gaussians.log_scales + float(np.log(scales.mean()))
+    axes = rotation_matrices(torch.nn.functional.normalize(gaussians.quats, dim=1))
+    axes = axes * gaussians.log_scales.exp()[:, None, :]
+    u, stretched, _ = torch.linalg.svd(torch.from_numpy(linear).to(axes) @ axes)
+    u = u * torch.linalg.det(u)[:, None, None]  # a rotation; the sign of an axis does not matter
+    quats = _quats(Rotation.from_matrix(u.numpy()))
+    return quats, stretched.clamp(min=torch.finfo(torch.float32).tiny).log()
+
+
+def _quats(rotations: Rotation) -> Tensor:
+    """(N, 4) wxyz."""
+    return torch.from_numpy(np.roll(rotations.as_quat(), 1, axis=1).astype(np.float32))

@@ -1,0 +1,205 @@
+"""Gaussians in Blender's own renders: F12 and animations, with Cycles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.pictures import load_png, load_rgba
+from tests.addon.scenes import command_line
+
+SIDE = 96
+
+
+@pytest.fixture
+def shot(blender: ModuleType, run, engine, tmp_path: Path):
+    """A scene with results, seen through a photo's camera, and a function that renders it."""
+    bpy, (scene, _) = blender, run
+    bpy.ops.roigs.load_results()
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    render = scene.render
+    try:
+        render.engine = "CYCLES"
+    except TypeError:
+        pytest.skip("this Blender has no Cycles")
+    scene.cycles.samples, scene.cycles.device = 1, "CPU"
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Standard"
+    render.film_transparent = True
+    render.image_settings.file_format = "PNG"
+    render.dither_intensity = 0.0
+
+    def f12(name: str = "f12") -> np.ndarray:
+        render.filepath = str(tmp_path / f"{name}.png")
+        bpy.ops.render.render(write_still=True)
+        return load_rgba(Path(render.filepath))
+
+    return scene, f12
+
+
+def only(scene, name: str) -> None:
+    """Have renders show one of the Gaussian objects."""
+    for item in scene.objects:
+        if item.roigs.kind == "SPLATS":
+            item.hide_render = item.name != name
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(a - b).mean() + 1e-12))
+
+
+def engines(engine, scene, ply: Path, out: Path) -> np.ndarray:
+    """The engine's picture of a PLY through photo 3."""
+    arguments = ["--scene", scene.roigs.colmap, "--name", "photo 3.png", "--out", out]
+    command_line(engine, "render", ply, *arguments)
+    (picture,) = out.rglob("*.png")
+    return load_png(picture)
+
+
+def test_f12_is_the_engines_picture(blender: ModuleType, run, shot, engine, tmp_path: Path) -> None:
+    scene, f12 = shot
+    only(scene, "Background")
+    mine = f12()
+    own = engines(engine, scene, run[1] / "background.ply", tmp_path / "own")
+    assert own.std() > 0.01
+    assert psnr(mine[..., :3] * mine[..., 3:], own) > 40
+
+
+def test_a_moved_world_gives_the_same_picture(blender: ModuleType, shot) -> None:
+    """Camera and Gaussians are below the root."""
+    scene, f12 = shot
+    before = f12()
+    root = scene.roigs.root
+    root.scale, root.location = (2, 2, 2), (1, 2, 3)
+    root.rotation_quaternion = (0.5, 0.5, 0.5, 0.5)
+    assert psnr(f12("moved"), before) > 40
+
+
+def test_what_is_hidden_moved_or_coarse_is_seen(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    whole = f12()
+    blender.ops.roigs.set_detail(roi="thing", fine=False)
+    coarse = f12("coarse")
+    assert psnr(coarse, whole) < 40
+    only(scene, "nothing")
+    assert f12("nothing")[..., 3].max() == 0
+    only(scene, "Background")
+    alone = f12("alone")
+    scene.objects["Background"].location.x += 0.3
+    assert psnr(f12("shifted"), alone) < 35
+
+
+def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:
+    bpy, (scene, f12) = blender, shot
+    whole = f12()
+    camera = scene.camera.matrix_world
+    bpy.ops.mesh.primitive_plane_add(size=1000)
+    plane = bpy.context.object
+    plane.rotation_euler = camera.to_euler()
+    black = bpy.data.materials.new("black")
+    if black.node_tree is None:
+        black.use_nodes = True
+    black.node_tree.nodes.clear()
+    made = black.node_tree.nodes.new
+    emission, output = made("ShaderNodeEmission"), made("ShaderNodeOutputMaterial")
+    emission.inputs["Color"].default_value = 0, 0, 0, 1
+    black.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    plane.data.materials.append(black)
+    plane.location = camera @ bpy_vector(0, 0, -0.01 - scene.camera.data.clip_start)
+    assert f12("in front")[..., :3].max() == 0
+    plane.location = camera @ bpy_vector(0, 0, -90)
+    behind = f12("behind")
+    assert behind[..., 3].min() == 1
+    straight, alpha = whole[..., :3], whole[..., 3:]
+    assert psnr(behind[..., :3], srgb(linear(straight) * alpha)) > 40
+
+
+def linear(values: np.ndarray) -> np.ndarray:
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def srgb(values: np.ndarray) -> np.ndarray:
+    return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055)
+
+
+def bpy_vector(*values: float):
+    from mathutils import Vector
+
+    return Vector(values)
+
+
+def test_an_animation_moves(blender: ModuleType, shot, tmp_path: Path) -> None:
+    bpy, (scene, f12) = blender, shot
+    item = scene.objects["Background"]
+    for frame, x in ((1, 0.0), (3, 1.0)):
+        item.location.x = x
+        item.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 3, 2
+    scene.render.filepath = str(tmp_path / "frames" / "a_")
+    bpy.ops.render.render(animation=True)
+    first, last = (load_rgba(tmp_path / "frames" / f"a_000{n}.png") for n in (1, 3))
+    for frame, picture in ((1, first), (3, last)):
+        scene.frame_set(frame)
+        assert psnr(f12(f"still{frame}"), picture) > 50
+    assert psnr(first, last) < 40
+
+
+def test_it_survives_saving(blender: ModuleType, shot, tmp_path: Path) -> None:
+    bpy, (scene, f12) = blender, shot
+    before = f12()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    scene = bpy.context.scene
+    scene.render.filepath = str(tmp_path / "again.png")
+    bpy.ops.render.render(write_still=True)
+    assert psnr(load_rgba(tmp_path / "again.png"), before) > 50
+
+
+def test_the_compositor_of_the_user_stays(blender: ModuleType, run, addon) -> None:
+    bpy, (scene, _) = blender, run
+    from roigs_addon.scene import compositor
+
+    if hasattr(scene, "compositing_node_group"):
+        pytest.skip("written for Blender 4")
+    scene.use_nodes = True
+    tree = scene.node_tree
+    tree.nodes.clear()
+    layers, blur, end = (
+        tree.nodes.new(f"CompositorNode{kind}") for kind in ("RLayers", "Blur", "Composite")
+    )
+    tree.links.new(layers.outputs["Image"], blur.inputs["Image"])
+    tree.links.new(blur.outputs["Image"], end.inputs["Image"])
+    bpy.ops.roigs.load_results()
+    bpy.ops.roigs.load_results()  # does nothing twice
+    groups = [node for node in tree.nodes if node.type == "GROUP"]
+    assert len(groups) == 1 and groups[0].node_tree == compositor.find(scene)
+    assert blur.inputs["Image"].links[0].from_node == groups[0]
+    assert groups[0].inputs[0].links[0].from_node == layers
+    assert end.inputs["Image"].links[0].from_node == blur
+
+
+def test_without_an_engine_the_render_goes_on(
+    blender: ModuleType, shot, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    from roigs_addon import rendering, settings
+    from roigs_addon.errors import AddonError
+
+    def none(packages: object) -> None:
+        raise AddonError("There is no engine.")
+
+    _, f12 = shot
+    monkeypatch.setattr(settings, "engine", none)
+    assert f12()[..., 3].max() == 0
+    assert rendering.problem == "There is no engine." in capsys.readouterr().out
+
+
+def test_another_kind_of_camera_is_said(blender: ModuleType, shot) -> None:
+    from roigs_addon import rendering
+
+    scene, f12 = shot
+    scene.camera.data.type = "ORTHO"
+    assert f12()[..., 3].max() == 0
+    assert "not a perspective camera" in rendering.problem
