@@ -111,7 +111,8 @@ class LookThrough(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     photo: StringProperty(
-        description="Name of the photo; empty: the active object's, else the active camera's",
+        description="Name of the photo; empty: the active object's, else the active camera's,"
+        " else the first one",
         options=FRESH,
     )
     step: IntProperty(description="Go this many photos further", default=0, options=FRESH)
@@ -131,11 +132,9 @@ class LookThrough(bpy.types.Operator):
         return {"FINISHED"}
 
     def _missing(self, context: bpy.types.Context) -> str:
-        if not lookup.cameras(scene_of(context)):
-            return "There are no photos. Import a COLMAP model first."
-        if self.photo:
+        if self.photo and lookup.cameras(scene_of(context)):
             return "There is no such photo. Use its name in the COLMAP model."
-        return "Select the camera of a photo first."
+        return "There are no photos. Import a COLMAP model first."
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object | None:
         found = lookup.cameras(scene_of(context))
@@ -147,7 +146,8 @@ class LookThrough(bpy.types.Operator):
             photo = lookup.photo_record(active) if active else None
             at = names.index(photo.name) + self.step if photo and photo.name in names else 0
             return found[names[at % len(names)]]
-        return lookup.camera_at_hand(context)
+        at_hand = lookup.camera_at_hand(context)
+        return at_hand or next((found[name] for name in sorted(found)), None)
 
 
 def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

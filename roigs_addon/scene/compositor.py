@@ -14,6 +14,7 @@ import bpy
 from ..shared import frame_requests
 
 NAME = "ROI-GS Gaussians"
+ENDS = ("COMPOSITE", "GROUP_OUTPUT")
 MARK = "roigs_layer"
 """Custom property of the group."""
 LAST_FRAME = 1048574
@@ -116,7 +117,10 @@ def _insert(scene: bpy.types.Scene, group: Any) -> None:
     node.node_tree = group
     node.location = layers.location.x + 350, layers.location.y
     node.width = 200
+    for dead in [n for n in tree.nodes if n.type == "GROUP" and n.node_tree is None]:
+        tree.nodes.remove(dead)  # such as ours, after the user deleted its group
     followers = [link.to_socket for link in layers.outputs["Image"].links]
+    followers += [n.inputs[0] for n in tree.nodes if n.type in ENDS and not n.inputs[0].is_linked]
     tree.links.new(layers.outputs["Image"], node.inputs[0])
     tree.links.new(layers.outputs["Depth"], node.inputs[1])
     for socket in followers:

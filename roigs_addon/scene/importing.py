@@ -8,12 +8,13 @@ from typing import Any
 
 import bpy
 import numpy as np
-from mathutils import Quaternion, Vector
+from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..blender import camera_of, mesh_of
 from ..errors import AddonError
 from ..geometry.photo import Photo
+from ..geometry.upright import levelled
 from ..properties import object_props, scene_props
 from . import cameras, clouds, lookup
 
@@ -76,7 +77,8 @@ def _root(
     if root is None or fresh:
         root = _new_root(scene, name)
     if fresh or not same_frame:
-        root.matrix_world = upright(photos).to_matrix().to_4x4()
+        poses = np.array([photo.pose for photo in photos]).reshape(-1, 4, 4)
+        root.matrix_world = Matrix(levelled(poses).tolist()).to_4x4()
     return root
 
 
@@ -150,14 +152,6 @@ def _new_root(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     object_props(root).kind = "ROOT"
     collection.objects.link(root)
     return root
-
-
-def upright(photos: list[Photo]) -> Quaternion:
-    """The rotation that makes the photos stand upright; COLMAP's own axes are arbitrary."""
-    up = -np.sum([photo.pose[1, :3] for photo in photos], axis=0) if photos else np.zeros(3)
-    if np.linalg.norm(up) < 1e-6 * max(len(photos), 1):
-        return Quaternion()
-    return Vector(up.tolist()).rotation_difference(Vector((0, 0, 1)))
 
 
 def _new_cloud(

@@ -26,22 +26,27 @@ Place = tuple[Vector, Vector]
 """Centre and half sides of a box."""
 
 COLOUR = (1.0, 0.55, 0.1, 1.0)
+EVEN = 1e-4  # relative difference of scales that counts as none
 
 
 def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.types.Object:
-    """A new box around a world-aligned one.
+    """A new box, upright in the world: its rotation is zero there.
 
-    Its axes are the root's, so that it stays a box when the root is scaled unevenly.
+    Below a root that is scaled unevenly, it has the root's axes and goes around the upright one:
+    otherwise it would be slanted in the COLMAP frame.
     """
     _remove_deleted()
     root = scene_props(scene).root
     item = _new_empty(scene, _free_name(scene))
     matrix = Matrix.LocRotScale(centre, None, half_sides)
-    if root is not None:
+    if root is None:
+        item.matrix_world = matrix
+    elif _even(root.matrix_world):
+        item.matrix_parent_inverse = root.matrix_world.inverted_safe()
+        item.matrix_basis = matrix
+    else:
         matrix = _along(root.matrix_world, centre, half_sides)
         item.matrix_local = root.matrix_world.inverted_safe() @ matrix
-    else:
-        item.matrix_world = matrix
     return item
 
 
@@ -103,6 +108,12 @@ def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
     if root is not None and layer.objects.get(root.name) == root:
         return root.users_collection[0]
     return scene.collection
+
+
+def _even(matrix: Matrix) -> bool:
+    """Whether a matrix scales all directions alike."""
+    sides = np.linalg.norm(np.array(matrix.to_3x3()), axis=0)
+    return bool(np.ptp(sides) <= EVEN * sides.max() and matrix.determinant() > 0)
 
 
 def _along(root: Matrix, centre: Vector, half_sides: Vector) -> Matrix:

@@ -6,19 +6,22 @@ from pathlib import Path
 
 import bpy
 
-from .. import viewport
+from .. import rendering, viewport
 from ..blender import layout_of, registration, scene_of
 from ..facts import run_facts
 from ..jobs import current
 from ..jobs.spec import RENDERING
-from ..operators.results import LoadResults, RenderSplats, SetDetail, ShowPoints
+from ..operators.results import LoadResults, SetDetail, ShowPoints
 from ..properties import object_props
-from ..scene import lookup
+from ..scene import compositor, lookup
 from ..scene.splats import shown_levels
 from . import layout as show
 from .layout import SidebarPanel
 
 Objects = list[bpy.types.Object]
+
+TRUE_COLOURS = ("Standard", "Raw")
+"""View transforms that show the photos' colours."""
 
 
 class ResultPanel(SidebarPanel):
@@ -44,8 +47,9 @@ class ResultPanel(SidebarPanel):
             names = ", ".join(missing)
             text = f"Missing splat files: {names}. Train, or set the Run Folder and load results"
             show.wrong(layout, text)
-        if not show.job(layout, RENDERING):
-            _draw_render(layout)
+        show.job(layout, RENDERING)
+        if splats:
+            _draw_render(layout, scene)
 
 
 def _draw_objects(layout: bpy.types.UILayout, splats: Objects, levels: dict[str, bool]) -> None:
@@ -82,11 +86,20 @@ def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
         button.points = points
 
 
-def _draw_render(layout: bpy.types.UILayout) -> None:
+def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Blender's own render, and what keeps the Gaussians out of it or changes their colours."""
+    if compositor.find(scene) is None:
+        show.wrong(layout, "Renders lack the Gaussians. Load results again")
+    elif rendering.problem:
+        show.wrong(layout, rendering.problem)
+    view = scene.view_settings
+    if view is not None and view.view_transform not in TRUE_COLOURS:
+        show.todo(layout, "Colours differ from the photos'")
+        layout.prop(view, "view_transform")
     row = layout.row(align=True)
-    row.operator(RenderSplats.bl_idname, text="Render", icon="RENDER_STILL").animation = False
-    button = row.operator(RenderSplats.bl_idname, text="Animation", icon="RENDER_ANIMATION")
-    button.animation = True
+    row.operator("render.render", text="Render", icon="RENDER_STILL").use_viewport = True
+    button = row.operator("render.render", text="Animation", icon="RENDER_ANIMATION")
+    button.animation = button.use_viewport = True
 
 
 register, unregister = registration(ResultPanel)

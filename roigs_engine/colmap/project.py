@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from ..formats.rois import FAR
 from ..formats.text import counted
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
-from ..photos.files import PhotoFolder, find_photos
+from ..photos.files import PHOTO_FOLDERS, PhotoFolder, find_photos
 from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
 from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
@@ -129,7 +130,7 @@ def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
 def find_model(path: Path, context: Context = QUIET) -> Path:
     """The model folder of a project: `path`, `path/sparse` or one of their numbered subfolders.
 
-    If there are several models, the one with the most photos is used, with a warning.
+    A project's folder of photos stands for the project. If there are several models, the one with the most photos is used, with a warning.
 
     Raises:
         SceneError: there is none.
@@ -138,6 +139,9 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
         return path
     if not path.is_dir():
         raise SceneError(f"{path} is not a folder.", "Give the project's folder.")
+    if path.name in PHOTO_FOLDERS and not (path / "sparse").is_dir():
+        with suppress(SceneError):
+            return find_model(path.parent, context)
     found: list[Path] = []
     for parent in (path / "sparse", path):
         numbered = [child for child in _children(parent) if child.name.isdecimal()]

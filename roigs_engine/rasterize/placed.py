@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from ..cuda.device import CPU
-from ..model.gaussians import Gaussians
+from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
@@ -26,7 +26,6 @@ from .reference import sh_basis
 from .view import rasterize_view
 
 NOTHING = 1e10  # depth where nothing is, as in Blender's depth pass
-SH_C0 = 0.28209479177387814
 SIMILAR = 1e-5  # how unequal the scales of a similarity may be
 
 

@@ -80,6 +80,33 @@ def test_around_selected_objects(blender: ModuleType, addon: ModuleType, kind: s
         np.testing.assert_allclose(box.half_extents, np.array([0.5, 1, 2]) * 1.05, rtol=1e-5)
 
 
+def test_new_boxes_are_upright_and_tight(blender: ModuleType, addon: ModuleType) -> None:
+    """Also below a root that is turned, as most models need."""
+    from mathutils import Matrix, Quaternion
+
+    from roigs_addon.scene import lookup
+
+    bpy, scene = blender, blender.context.scene
+    root = new_root(bpy, "plain")
+    turn = Quaternion((0.5, 0.5, -0.5, 0.5)) @ Quaternion((1, 1, 0), 0.5)
+    root.matrix_world = Matrix.LocRotScale((5, -2, 1), turn, (2, 2, 2))
+    bpy.context.view_layer.update()
+    cube(bpy).select_set(True)
+    roi = add_roi(bpy)
+    sides = np.array([0.5, 1, 2]) * 1.05
+    upright = np.diag([*sides, 1.0])
+    upright[:3, 3] = 1, 2, 3
+    np.testing.assert_allclose(lookup.matrix_world(roi), upright, atol=1e-5)
+    np.testing.assert_allclose(roi.rotation_euler, 0, atol=1e-6)
+    np.testing.assert_allclose(lookup.box(roi, scene).half_extents, sides / 2, rtol=1e-5)
+    before = lookup.box(roi, scene).world_to_box
+    bpy.ops.object.rotation_clear()  # Alt-R
+    root.location.x += 1
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(lookup.matrix_world(roi)[:3, 3], (2, 2, 3), atol=1e-5)
+    np.testing.assert_array_equal(lookup.box(roi, scene).world_to_box, before)
+
+
 def test_around_vertices_selected_in_edit_mode(blender: ModuleType, addon: ModuleType) -> None:
     scene = blender.context.scene
     item = cube(blender)

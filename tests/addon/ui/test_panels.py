@@ -61,6 +61,26 @@ def test_missing_files_are_named(blender: ModuleType, run) -> None:
     assert run_facts.missing_splats(scene) == []
 
 
+def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
+    from roigs_addon.scene import compositor
+    from roigs_addon.ui.result import ResultPanel
+
+    scene, _ = run
+    blender.ops.roigs.load_results()
+    scene.view_settings.view_transform = "AgX"
+    assert any("Colours differ" in text for text in said(blender, ResultPanel))
+    scene.view_settings.view_transform = "Standard"
+    texts = said(blender, ResultPanel)
+    assert not any("Colours differ" in text or "Renders lack" in text for text in texts)
+    blender.data.node_groups.remove(compositor.find(scene))
+    assert any("Renders lack" in text for text in said(blender, ResultPanel))
+    blender.ops.roigs.load_results()
+    assert compositor.find(scene)
+    tree = getattr(scene, "compositing_node_group", None) or scene.node_tree
+    (end,) = (node for node in tree.nodes if node.type in compositor.ENDS)
+    assert end.inputs[0].links[0].from_node.node_tree == compositor.find(scene)
+
+
 def test_panels_draw(blender: ModuleType, run) -> None:
     """Every panel's `draw`, on a layout that accepts everything."""
     from roigs_addon.jobs import current

@@ -61,6 +61,14 @@ def test_pinhole_keeps_focals_and_principal_point_exactly(tmp_path: Path) -> Non
     assert first.path == tmp_path / "images" / "a.png"  # not a copy
 
 
+def test_the_folder_of_photos_stands_for_the_project(tmp_path: Path) -> None:
+    project = write_project(tmp_path)
+    assert_same(load_colmap(tmp_path / "images"), project)
+    (tmp_path / "other" / "images").mkdir(parents=True)
+    with pytest.raises(SceneError, match="images has no COLMAP model"):
+        load_colmap(tmp_path / "other" / "images")
+
+
 def test_zero_distortion_is_a_pinhole(tmp_path: Path) -> None:
     flat = camera("OPENCV", params=[100.0, 90.0, 40.0, 30.0, 0, 0, 0, 0])
     write_project(tmp_path, cameras=[flat])

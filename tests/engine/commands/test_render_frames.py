@@ -1,0 +1,93 @@
+"""`render-frames`: requests in a folder, and their answers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_engine.cli import main
+from roigs_engine.formats.frame_requests import colour_file, depth_file, write_nothing
+from roigs_engine.formats.splat_ply import write_ply
+
+CAMERA = {"name": "1", "width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
+POSE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "requests"
+    made.mkdir()
+    write_ply(
+        tmp_path / "ball.ply",
+        {
+            "means": np.zeros((1, 3), np.float32),
+            "quats": np.array([[1, 0, 0, 0]], np.float32),
+            "log_scales": np.full((1, 3), np.log(0.5), np.float32),
+            "logit_opacities": np.array([8], np.float32),
+            "sh": np.ones((1, 1, 3), np.float32),
+        },
+    )
+    return made
+
+
+def fails(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """What is printed on standard error when it ends with 2."""
+    assert main(arguments) == 2
+    return capsys.readouterr().err
+
+
+def ask(folder: Path, name: str = "a", **changes: Any) -> Path:
+    """Write a request; returns where its answer goes."""
+    out = folder.parent / f"{name}0001"
+    record: dict[str, Any] = {
+        "camera": {**CAMERA, "world_to_camera": POSE},
+        "models": [{"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}],
+        "out": str(out),
+    }
+    (folder / f"{name}.json").write_text(json.dumps(record | changes))
+    return out
+
+
+def test_requests_are_answered_and_deleted(folder: Path) -> None:
+    first, second = ask(folder), ask(folder, "b")
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    assert not list(folder.iterdir())
+    for out in (first, second):
+        colour = np.asarray(Image.open(colour_file(out)))
+        depth = np.asarray(Image.open(depth_file(out)))
+        assert colour.shape == (24, 32, 4) and depth.dtype == np.float32
+        assert colour[12, 16, 3] > 250 and colour[0, 0, 3] < 50
+        assert depth[12, 16] == pytest.approx(4, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"camera": {}}, "'name'"),
+        ({"models": []}, "no model"),
+        ({"models": [{"ply": "none.ply", "matrix": np.eye(4).tolist()}]}, "Cannot read none.ply"),
+        ({"models": [{"ply": "a", "matrix": np.zeros((4, 4)).tolist()}]}, "affine"),
+        ({"models": [{"ply": "a", "matrix": [1, 2]}]}, "4 x 4"),
+    ],
+)
+def test_what_is_wrong_is_said(
+    folder: Path, changes: dict[str, Any], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask(folder, **changes)
+    assert text in fails(["render-frames", str(folder), "--once"], capsys)
+    assert not list(folder.iterdir())
+
+
+def test_a_folder_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "is not a folder" in fails(["render-frames", str(tmp_path / "none")], capsys)
+
+
+def test_nothing_is_a_transparent_pixel(tmp_path: Path) -> None:
+    write_nothing(tmp_path / "a0001")
+    for file in (colour_file(tmp_path / "a0001"), depth_file(tmp_path / "a0001")):
+        assert Image.open(file).convert("RGBA").getpixel((0, 0)) == (0, 0, 0, 0)

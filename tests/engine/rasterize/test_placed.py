@@ -1,0 +1,116 @@
+"""Models that were moved, turned, scaled, sheared and mirrored, drawn together as a layer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.local_frame import LocalFrame
+from roigs_engine.model.scene import Camera
+from roigs_engine.rasterize.placed import NOTHING, Layer, PlacedModel, render_placed
+from roigs_engine.rasterize.view import render_view
+
+CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+POSE = np.eye(4)
+POSE[2, 3] = 4.0  # looks at the origin
+
+
+def cloud(count: int = 60, seed: int = 0, **changed: np.ndarray) -> Gaussians:
+    random = np.random.default_rng(seed)
+    arrays = {
+        "means": random.normal(scale=0.6, size=(count, 3)),
+        "quats": random.normal(size=(count, 4)),
+        "log_scales": random.uniform(np.log(0.02), np.log(0.3), (count, 3)),
+        "logit_opacities": random.uniform(-2, 4, count),
+        "sh": random.normal(scale=0.12, size=(count, 16, 3)),
+    } | changed
+    return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
+
+
+def placed(gaussians: Gaussians, matrix: np.ndarray | None = None) -> PlacedModel:
+    place = np.eye(4) if matrix is None else matrix
+    return PlacedModel(gaussians=gaussians, frame=LocalFrame.world(), matrix=place)
+
+
+def on_black(layer: Layer) -> torch.Tensor:
+    return layer.image * layer.alpha[..., None]
+
+
+def affine(linear: np.ndarray, offset: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = linear, offset
+    return matrix
+
+
+TURN = Rotation.from_euler("xyz", [40, 130, -70], degrees=True).as_matrix()
+
+
+def test_where_it_was_trained_it_is_the_usual_picture() -> None:
+    layer = render_placed([placed(cloud())], CAMERA, POSE)
+    usual = render_view(cloud(), CAMERA, POSE, with_depth=True)
+    assert usual.image.std() > 0.05
+    torch.testing.assert_close(on_black(layer), usual.image, atol=2e-3, rtol=0)
+    covered = layer.alpha > 0
+    assert usual.depth is not None
+    torch.testing.assert_close(layer.depth[covered], usual.depth[covered], atol=1e-3, rtol=0)
+    assert (layer.depth[~covered] == NOTHING).all()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 7.0, 1e4])
+def test_a_world_that_moves_with_its_camera_looks_the_same(scale: float) -> None:
+    matrix = affine(scale * TURN, (1e3 * scale, -50 * scale, 3 * scale))
+    pose = affine(POSE[:3, :3] @ TURN.T)
+    pose[:3, 3] = scale * POSE[:3, 3] - pose[:3, :3] @ matrix[:3, 3]
+    still, moved = (
+        render_placed([placed(cloud(), m)], CAMERA, p)
+        for m, p in ((np.eye(4), POSE), (matrix, pose))
+    )
+    torch.testing.assert_close(on_black(moved), on_black(still), atol=2e-3, rtol=0)
+    covered = still.alpha > 0.01
+    torch.testing.assert_close(
+        moved.depth[covered], still.depth[covered] * scale, atol=0, rtol=1e-3
+    )
+
+
+def test_stretching_a_ball_makes_an_ellipsoid() -> None:
+    ball = {"means": np.zeros((1, 3)), "quats": np.array([[1.0, 0, 0, 0]])}
+    stretch = np.diag([2.0, 1.0, 0.5])
+    sheared = render_placed(
+        [placed(cloud(1, log_scales=np.log(np.full((1, 3), 0.2)), **ball), affine(TURN @ stretch))],
+        CAMERA,
+        POSE,
+    )
+    direct = render_placed(
+        [placed(cloud(1, log_scales=np.log([[0.4, 0.2, 0.1]]), **ball), affine(TURN))], CAMERA, POSE
+    )
+    torch.testing.assert_close(sheared.alpha, direct.alpha, atol=1e-3, rtol=0)
+
+
+def test_a_mirror_image_is_mirrored() -> None:
+    plain = render_placed([placed(cloud())], CAMERA, POSE)
+    mirrored = render_placed([placed(cloud(), np.diag([-1.0, 1, 1, 1]))], CAMERA, POSE)
+    torch.testing.assert_close(on_black(mirrored), on_black(plain).flip(1), atol=2e-3, rtol=0)
+
+
+def test_the_nearer_model_covers_the_other() -> None:
+    wall = {
+        "means": np.zeros((1, 3)),
+        "log_scales": np.log([[50.0, 50.0, 0.01]]),
+        "quats": np.array([[1.0, 0, 0, 0]]),
+        "logit_opacities": np.array([12.0]),
+    }
+    back, front = (
+        placed(cloud(1, seed=s, **wall), affine(np.eye(3), (0, 0, z))) for s, z in ((1, 1), (2, -1))
+    )
+    both = render_placed([back, front], CAMERA, POSE)
+    alone = render_placed([front], CAMERA, POSE)
+    torch.testing.assert_close(both.image, alone.image, atol=1e-2, rtol=0)
+    assert float(both.depth[24, 32]) == pytest.approx(3.0, abs=0.05)
+
+
+def test_models_with_other_numbers_of_sh_bands_go_together() -> None:
+    few = cloud(5, sh=np.zeros((5, 4, 3)))
+    assert render_placed([placed(cloud()), placed(few)], CAMERA, POSE).alpha.max() > 0.5
