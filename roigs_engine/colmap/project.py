@@ -130,7 +130,8 @@ def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
 def find_model(path: Path, context: Context = QUIET) -> Path:
     """The model folder of a project: `path`, `path/sparse` or one of their numbered subfolders.
 
-    A project's folder of photos stands for the project. If there are several models, the one with the most photos is used, with a warning.
+    A project's folder of photos stands for the project. If there are several models, the one with
+    the most photos is used, with a warning.
 
     Raises:
         SceneError: there is none.

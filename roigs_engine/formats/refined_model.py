@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-SPARSE, FIRST, NAME = "sparse", "0", "refined"
+PHOTOS, SPARSE, FIRST, NAME = "images", "sparse", "0", "refined"
 CAMERAS = "cameras.bin"
 PARTS = (CAMERAS, "images.bin", "points3D.bin")
 """Of a refined model, which is always binary."""
@@ -19,6 +19,8 @@ def refined_folder(colmap: Path) -> Path:
     In a project with `sparse` it is `sparse/refined`; for a model `sparse/1`, `sparse/refined-1`.
     No two models share one, and the engine finds the project's photos from there.
     """
+    if colmap.name.startswith(PHOTOS) and (colmap.parent / SPARSE).is_dir():
+        colmap = colmap.parent  # the folder of photos stands for the project
     inside = colmap / SPARSE
     if inside.is_dir():
         return inside / NAME

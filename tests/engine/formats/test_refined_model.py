@@ -29,6 +29,7 @@ def model(folder: Path, seconds: float) -> Path:
         ("garden/sparse/refined", "garden/sparse/refined"),
         ("garden/sparse/1", "garden/sparse/refined-1"),
         ("garden/sparse/refined-1", "garden/sparse/refined-1"),
+        ("garden/images", "garden/sparse/refined"),
         ("flat", "flat/refined"),
     ],
 )
