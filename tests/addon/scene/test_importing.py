@@ -65,6 +65,7 @@ def test_the_points_are_drawn_as_points(
 
     scene = imported(blender, project)
     cloud = lookup.points(scene)
+    assert not cloud.modifiers["Points"].show_in_editmode  # there, the selection is to be seen
     drawn = drawn_points(blender)[cloud.name]
     assert drawn["points"] == POINTS and drawn["radius"] > 0 and "Color" in drawn["attributes"]
 
