@@ -46,6 +46,15 @@ def find(scene: bpy.types.Scene) -> Any | None:
     return None
 
 
+def lacking(scene: bpy.types.Scene) -> str:
+    """Why renders lack the Gaussians, in one line; empty if they do not."""
+    if find(scene) is None:
+        return "Renders lack the Gaussians. Load results again"
+    if not scene.render.use_compositing:
+        return "Renders lack the Gaussians. Switch on Output ▸ Post Processing ▸ Compositing"
+    return ""
+
+
 def point_to(scene: bpy.types.Scene, out: Path) -> None:
     """Have the group read the files of `out`."""
     for image in _images(scene):

@@ -88,10 +88,9 @@ def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Blender's own render, and what keeps the Gaussians out of it or changes their colours."""
-    if compositor.find(scene) is None:
-        show.wrong(layout, "Renders lack the Gaussians. Load results again")
-    elif rendering.problem:
-        show.wrong(layout, rendering.problem)
+    problem = compositor.lacking(scene) or rendering.problem
+    if problem:
+        show.wrong(layout, problem)
     view = scene.view_settings
     if view is not None and view.view_transform not in TRUE_COLOURS:
         show.todo(layout, "Colours differ from the photos'")

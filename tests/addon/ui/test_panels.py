@@ -72,6 +72,9 @@ def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
     scene.view_settings.view_transform = "Standard"
     texts = said(blender, ResultPanel)
     assert not any("Colours differ" in text or "Renders lack" in text for text in texts)
+    scene.render.use_compositing = False
+    assert any("Switch on" in text for text in said(blender, ResultPanel))
+    scene.render.use_compositing = True
     blender.data.node_groups.remove(compositor.find(scene))
     assert any("Renders lack" in text for text in said(blender, ResultPanel))
     blender.ops.roigs.load_results()
