@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ..engine import run_status
+from ..engine.earlier_results import EarlierResult, earlier_results
 from ..engine.run_status import RunStatus
 from ..errors import AddonError
 from ..jobs import run_folders
@@ -21,6 +22,7 @@ SECONDS = 1.0
 """How long what was found is used again."""
 
 _runs: dict[Path, tuple[float, RunStatus]] = {}
+_earlier: dict[Path, tuple[float, list[EarlierResult]]] = {}
 _files: dict[Path, tuple[float, bool]] = {}
 _missing: dict[str, tuple[float, list[str]]] = {}
 
@@ -32,6 +34,15 @@ def run(scene: bpy.types.Scene) -> RunStatus:
         _runs.clear()
         _runs[folder] = time.monotonic(), run_status.read(folder)
     return _runs[folder][1]
+
+
+def earlier(scene: bpy.types.Scene) -> list[EarlierResult]:
+    """Earlier results in the scene's run folder, newest first."""
+    folder = run_folders.run_folder(scene)
+    if _is_old(_earlier.get(folder)):
+        _earlier.clear()
+        _earlier[folder] = time.monotonic(), earlier_results(folder)
+    return _earlier[folder][1]
 
 
 def is_file(path: Path) -> bool:
@@ -86,5 +97,6 @@ def _is_old(fact: tuple[float, object] | None) -> bool:
 def forget() -> None:
     """Look again at the next question."""
     _runs.clear()
+    _earlier.clear()
     _files.clear()
     _missing.clear()

@@ -27,6 +27,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 
     def preview(path: Path) -> None:
         if now := find():
+            splats.follow(now, folder)
             splats.show_preview(now, path)
         redraw()
 

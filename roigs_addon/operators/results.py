@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender import registration, scene_of
+from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, render_job, run_folders
@@ -29,17 +31,56 @@ class LoadResults(bpy.types.Operator):
     bl_label = "Load Results"
     bl_options = {"REGISTER", "UNDO"}
 
+    earlier: StringProperty(
+        description="Name of an earlier result's folder; empty: the last one that is finished",
+        options=FRESH,
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a finished training."""
-        found = run_facts.run(scene_of(context)).result
+        scene = scene_of(context)
+        found = run_facts.run(scene).result or run_facts.earlier(scene)
         return available(cls, "" if found else NO_RESULT)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make an object for the background, and two for each box."""
         scene = scene_of(context)
         try:
-            splats.show_results(scene, run_folders.run_folder(scene))
+            splats.show_results(scene, self._folder(scene))
+        except AddonError as error:
+            return failed(self, error)
+        caches.forget()
+        return {"FINISHED"}
+
+    def _folder(self, scene: bpy.types.Scene) -> Path:
+        kept = {result.folder.name: result.folder for result in run_facts.earlier(scene)}
+        if self.earlier:
+            if self.earlier not in kept:
+                raise AddonError("This result is gone.")
+            return kept[self.earlier]
+        if run_facts.run(scene).result or not kept:
+            return run_folders.run_folder(scene)
+        return next(iter(kept.values()))
+
+
+class DeleteResult(bpy.types.Operator):
+    """Delete this earlier result's files"""
+
+    bl_idname = "roigs.delete_result"
+    bl_label = "Delete Result"
+
+    earlier: StringProperty(description="Name of its folder", options=FRESH)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask first."""
+        assert context.window_manager is not None
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Delete the files."""
+        try:
+            earlier_results.delete(run_folders.run_folder(scene_of(context)), self.earlier)
         except AddonError as error:
             return failed(self, error)
         caches.forget()
@@ -110,4 +151,24 @@ class RenderSplats(EngineOperator):
         return render_job.spec(scene_of(context), self.directory, animation=self.animation)
 
 
-register, unregister = registration(LoadResults, SetDetail, ShowPoints, RenderSplats)
+def _follow() -> None:
+    """A training that was stopped may have archived what the scenes show."""
+    for scene in bpy.data.scenes:
+        splats.follow(scene, run_folders.run_folder(scene))
+
+
+_register, _unregister = registration(
+    LoadResults, DeleteResult, SetDetail, ShowPoints, RenderSplats
+)
+
+
+def register() -> None:
+    """Register the operators, and follow trainings."""
+    _register()
+    current.on_end.append(_follow)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    current.on_end.remove(_follow)
+    _unregister()

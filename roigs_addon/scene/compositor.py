@@ -27,8 +27,6 @@ def link(scene: bpy.types.Scene, out: Path) -> None:
         scene: gets the group.
         out: of the frames' files, without number and suffix.
     """
-    for layer in scene.view_layers:
-        layer.use_pass_z = True
     group = find(scene)
     if group is None:
         _insert(scene, _group(out))
@@ -122,6 +120,7 @@ def _insert(scene: bpy.types.Scene, group: Any) -> None:
     of_scene = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
     layers: Any = of_scene[0] if of_scene else tree.nodes.new("CompositorNodeRLayers")
     layers.scene = scene
+    (scene.view_layers.get(layers.layer) or scene.view_layers[0]).use_pass_z = True
     node = tree.nodes.new("CompositorNodeGroup")
     node.node_tree = group
     node.location = layers.location.x + 350, layers.location.y

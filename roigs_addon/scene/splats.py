@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..blender import delete, mesh_of
 from ..engine import own_files
+from ..engine.earlier_results import where_it_is_now
 from ..errors import AddonError
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..properties import object_props, scene_props
@@ -36,8 +37,8 @@ MATERIAL = "ROI-GS Gaussians"
 def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
     """Import a run's Gaussians: the background, and each box refined and coarse.
 
-    Objects of an earlier result are replaced. Those whose file is gone because the engine archived
-    it are removed: the background now contains what they showed.
+    Objects of an earlier result are replaced, and copies of them follow. Those of a box that this
+    result does not have are removed: its background contains what they showed.
 
     Raises:
         AddonError: a file is missing or damaged.
@@ -53,9 +54,13 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
             _hide(scene, item, True)
             item.hide_render = True
             shown.append(item)
+    files = {(object_props(i).level, object_props(i).roi): object_props(i).ply for i in shown}
     for item in lookup.splats(scene):
         props = object_props(item)
-        if props.level in ("ROI", "SCENE") and not os.path.isfile(props.ply):
+        file = files.get((props.level, props.roi))
+        if file is not None:
+            props.ply = file
+        elif props.level in ("ROI", "SCENE"):
             delete(item)
     compositor.link(scene, own_files.frames(folder))
     return shown
@@ -75,6 +80,17 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         _hide_sparse(scene)
     object_props(item).ply = str(path)
     return item
+
+
+def follow(scene: bpy.types.Scene, folder: Path) -> None:
+    """Keep showing a run's result when a new training has archived its files."""
+    for item in lookup.splats(scene):
+        props = object_props(item)
+        if props.level == "PREVIEW" or not props.ply or os.path.isfile(props.ply):
+            continue
+        now = where_it_is_now(folder, Path(props.ply))
+        if now is not None:
+            props.ply = str(now)
 
 
 def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import bpy
 
 from .. import rendering, viewport
 from ..blender import layout_of, registration, scene_of
+from ..engine.earlier_results import EarlierResult
 from ..facts import run_facts
 from ..jobs import current
 from ..jobs.spec import RENDERING
-from ..operators.results import LoadResults, SetDetail, ShowPoints
+from ..operators.results import DeleteResult, LoadResults, SetDetail, ShowPoints
 from ..properties import object_props
 from ..scene import compositor, lookup
 from ..scene.splats import shown_levels
@@ -47,6 +49,7 @@ class ResultPanel(SidebarPanel):
             names = ", ".join(missing)
             text = f"Missing splat files: {names}. Train, or set the Run Folder and load results"
             show.wrong(layout, text)
+        _draw_earlier(layout, splats, run_facts.earlier(scene))
         show.job(layout, RENDERING)
         if splats:
             _draw_render(layout, scene)
@@ -84,6 +87,24 @@ def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
     for text, points in (("Gaussians", False), ("Points", True)):
         button = row.operator(ShowPoints.bl_idname, text=text, depress=as_points == points)
         button.points = points
+
+
+def _draw_earlier(
+    layout: bpy.types.UILayout, splats: Objects, results: list[EarlierResult]
+) -> None:
+    """Results that a later training has replaced: when they were made, and how large they are."""
+    if not results:
+        return
+    shown = [Path(object_props(item).ply).parents for item in splats]
+    column = layout.column(align=True)
+    column.label(text="Earlier results")
+    for result in results:
+        row = column.row(align=True)
+        made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
+        seen = any(result.folder in parents for parents in shown)
+        text = f"{made}, {result.size / 1e6:,.0f} MB"
+        row.operator(LoadResults.bl_idname, text=text, depress=seen).earlier = result.folder.name
+        row.operator(DeleteResult.bl_idname, text="", icon="TRASH").earlier = result.folder.name
 
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

@@ -58,7 +58,12 @@ def add_size_options(group: argparse._ArgumentGroup) -> None:
         metavar="PX",
         help="limit the photos' longest side to PX pixels",
     )
-    group.add_argument(
+    add_threads_option(group)
+
+
+def add_threads_option(parser: argparse._ActionsContainer) -> None:
+    """The threads of the CPU kernels."""
+    parser.add_argument(
         "--threads",
         type=integer(1, MAX_THREADS),
         metavar="N",

@@ -19,7 +19,7 @@ from ..formats.events import Preview
 from ..formats.files import read_json
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
 from .console import Console
-from .options import add_device_option, context_on_device
+from .options import add_device_option, add_threads_option, context_on_device
 from .values import PATH
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "folder", type=PATH, help="folder of the requests, JSON files (docs/files.md)"
     )
     parser.add_argument("--once", action="store_true", help="end when no request is left")
-    parser.add_argument("--threads", type=int, help="number of CPU threads (default: all cores)")
+    add_threads_option(parser)
     add_device_option(parser)
 
 

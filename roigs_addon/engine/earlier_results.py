@@ -1,0 +1,67 @@
+"""Results of earlier trainings in a run folder, which the engine keeps in its archive. No bpy."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import AddonError
+from ..shared import run_files
+
+FOLDERS = "results-*"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EarlierResult:
+    """A result that another training has replaced.
+
+    Attributes:
+        folder: laid out like a run folder.
+        made: when, in seconds since the epoch.
+        size: bytes on disk.
+    """
+
+    folder: Path
+    made: float
+    size: int
+
+
+def earlier_results(run: Path) -> list[EarlierResult]:
+    """The earlier results of a run folder, newest first."""
+    found = []
+    for folder in (run / run_files.ARCHIVE).glob(FOLDERS):
+        try:
+            made = (folder / run_files.RESULT).stat().st_mtime
+            if not (folder / run_files.BACKGROUND).is_file():
+                continue
+            size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        except OSError:
+            continue  # not complete, or being moved right now
+        found.append(EarlierResult(folder=folder, made=made, size=size))
+    return sorted(found, key=lambda result: result.made, reverse=True)
+
+
+def where_it_is_now(run: Path, file: Path) -> Path | None:
+    """A file of a run's results that a new training has archived; None if it is not there."""
+    try:
+        part = file.relative_to(run)
+    except ValueError:
+        return None
+    places = (result.folder / part for result in earlier_results(run))
+    return next((place for place in places if place.is_file()), None)
+
+
+def delete(run: Path, name: str) -> None:
+    """Delete an earlier result; the stages that it was made of stay in the archive.
+
+    Raises:
+        AddonError: there is none of that name, or it cannot be deleted.
+    """
+    known = {result.folder.name: result.folder for result in earlier_results(run)}
+    if name not in known:
+        raise AddonError("This result is gone already.")
+    try:
+        shutil.rmtree(known[name])
+    except OSError as error:
+        raise AddonError(f"Cannot delete {known[name]} ({error.strerror or error}).") from error

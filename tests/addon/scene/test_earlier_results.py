@@ -1,0 +1,105 @@
+"""Results that a later training has replaced: they stay in sight, come back, and can be deleted."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+pytestmark = pytest.mark.blender
+PARTS = ("result.ply", "background.ply", "rois", "coarse")
+
+
+def archive(folder: Path, name: str = "results-abcdef12") -> Path:
+    """Archive the results of a run folder, as a training with other settings does."""
+    place = folder / "archive" / name
+    place.mkdir(parents=True)
+    for part in PARTS:
+        (folder / part).rename(place / part)
+    return place
+
+
+def files(scene) -> set[Path]:
+    return {Path(o.roigs.ply) for o in scene.objects if o.roigs.kind == "SPLATS"}
+
+
+def test_what_is_shown_stays_when_a_new_training_starts(blender: ModuleType, run) -> None:
+    from roigs_addon.facts import run_facts
+    from roigs_addon.jobs import current
+
+    scene, folder = run
+    blender.ops.roigs.load_results()
+    place = archive(folder)
+    assert run_facts.missing_splats(scene)
+    for listener in current.on_end:  # the training was stopped
+        listener()
+    assert not run_facts.missing_splats(scene)
+    assert all(place in file.parents for file in files(scene))
+
+
+def test_without_a_result_the_last_one_is_loaded(blender: ModuleType, run) -> None:
+    """As after the next day's start: nothing but the archive is there."""
+    scene, folder = run
+    place = archive(folder)
+    blender.ops.roigs.load_results()
+    assert files(scene) == {
+        place / part for part in ("background.ply", "rois/thing.ply", "coarse/thing.ply")
+    }
+
+
+def test_results_are_switched(blender: ModuleType, run) -> None:
+    bpy, (scene, folder) = blender, run
+    older = archive(folder)
+    for part in PARTS:  # the new result has another box
+        source = older / part
+        if source.is_dir():
+            shutil.copytree(source, folder / part)
+            (folder / part / "thing.ply").rename(folder / part / "other.ply")
+        else:
+            shutil.copy(source, folder / part)
+    bpy.ops.roigs.load_results()
+    assert {f.name for f in files(scene)} == {"background.ply", "other.ply"}
+    bpy.ops.roigs.load_results(earlier=older.name)
+    assert {f.name for f in files(scene)} == {"background.ply", "thing.ply"}
+    assert all(older in file.parents for file in files(scene))
+    bpy.ops.roigs.load_results()
+    assert not any(older in file.parents for file in files(scene))
+    with pytest.raises(RuntimeError, match="is gone"):
+        bpy.ops.roigs.load_results(earlier="results-none")
+
+
+def test_copies_follow(blender: ModuleType, run) -> None:
+    bpy, (scene, folder) = blender, run
+    bpy.ops.roigs.load_results()
+    copy = scene.objects["thing Gaussians"].copy()
+    scene.collection.objects.link(copy)
+    place = archive(folder)
+    bpy.ops.roigs.load_results()
+    assert Path(copy.roigs.ply) == place / "rois" / "thing.ply"
+
+
+def test_an_earlier_result_is_deleted(blender: ModuleType, run) -> None:
+    bpy, (_, folder) = blender, run
+    place = archive(folder)
+    (folder / "archive" / "scene-abcdef12").mkdir()
+    bpy.ops.roigs.delete_result(earlier=place.name)
+    assert not place.exists() and (folder / "archive" / "scene-abcdef12").is_dir()
+    with pytest.raises(RuntimeError, match="gone already"):
+        bpy.ops.roigs.delete_result(earlier="../archive")
+    assert not bpy.ops.roigs.load_results.poll()
+
+
+def test_the_panel_lists_them(blender: ModuleType, run) -> None:
+    from roigs_addon.facts import run_facts
+    from roigs_addon.ui.result import ResultPanel
+    from tests.addon.ui.test_panels import said
+
+    scene, folder = run
+    assert "Earlier results" not in said(blender, ResultPanel)
+    place = archive(folder)
+    assert "Earlier results" in said(blender, ResultPanel)
+    (found,) = run_facts.earlier(scene)
+    assert found.folder == place
+    assert found.size == sum(f.stat().st_size for f in place.rglob("*.ply"))
