@@ -19,15 +19,16 @@ import bpy
 
 from . import settings
 from .blender import persistent
-from .engine import own_files
 from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
-from .engine.writing import made_folder
 from .errors import AddonError
-from .jobs import options_files, run_folders
+from .jobs import options_files
 from .scene import compositor
-from .scene.frame_request import frame_request
+from .scene.frame_request import frame_request, picture
 from .shared import EngineError, frame_requests
+
+NAME = "roigs-splats"
+"""Of the frame's files, before its number."""
 
 problem = ""
 """Why the last render lacks Gaussians, in one line; empty if it does not."""
@@ -52,7 +53,7 @@ def frame_is_set(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None =
     global problem, _waiting
     if not _waiting or depsgraph is None:
         return
-    _waiting = False
+    _waiting, problem = False, ""
     try:
         problem = _draw(scene, depsgraph)
     except (AddonError, EngineError, OSError) as error:
@@ -63,39 +64,42 @@ def frame_is_set(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None =
 
 def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
     global _engine
-    out = own_files.frames(made_folder(run_folders.run_folder(scene)))
-    made_folder(out.parent)
+    # Blender's own temporary folder: no other Blender writes there, and it can be written to.
+    out = Path(bpy.app.tempdir) / NAME
     for old in out.parent.glob(f"{out.name}*"):  # only one frame's files are kept
         old.unlink()
-    frame = out.with_name(f"{out.name}{scene.frame_current:04d}")
-    frame_requests.write_nothing(frame)
+    frame = out.with_name(f"{out.name}{max(scene.frame_current, 0):04d}")
+    _, _, width, height = picture(scene.render)
+    frame_requests.write_nothing(frame, width, height)
     compositor.point_to(scene, out)
     try:
         request = frame_request(scene, depsgraph, str(frame))
         if request is None:
             return ""
         if _engine is None or not _engine.alive():
-            after_render()
-            _engine = _started(scene)
+            _end_engine()
+            _engine = _started()
         return _engine.draw(request)
     finally:
         compositor.reload(scene)
 
 
-def _started(scene: bpy.types.Scene) -> FrameEngine:
+def _started() -> FrameEngine:
     global _requests
     _requests = Path(tempfile.mkdtemp(prefix="roigs-frames-"))
-    return FrameEngine(
-        settings.engine(FOR_TRAINING),
-        _requests,
-        own_files.log_file(run_folders.run_folder(scene)),
-        options_files.machine_options(),
-    )
+    engine, options = settings.engine(FOR_TRAINING), options_files.machine_options()
+    return FrameEngine(engine, _requests, options)
 
 
 @persistent
 def after_render(*_: object) -> None:
     """End the engine; the last frame's files stay for the compositor."""
+    global _waiting
+    _waiting = False
+    _end_engine()
+
+
+def _end_engine() -> None:
     global _engine, _requests
     if _engine is not None:
         _engine.close()

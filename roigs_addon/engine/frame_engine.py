@@ -22,19 +22,17 @@ class FrameEngine:
     Args:
         engine: to run.
         requests: an empty folder of its own.
-        log: where the engine's words go.
         options: of the command.
     """
 
-    def __init__(
-        self, engine: Engine, requests: Path, log: Path | None, options: list[str]
-    ) -> None:
+    def __init__(self, engine: Engine, requests: Path, options: list[str]) -> None:
         """Start it; raises OSError if the Python cannot be started."""
         self._requests = requests
-        self._process = EngineProcess(engine, ["render-frames", str(requests), *options], log=log)
+        self._process = EngineProcess(engine, ["render-frames", str(requests), *options])
 
     def draw(self, request: dict[str, Any]) -> str:
         """Draw a frame and wait for it; returns what is wrong, or nothing."""
+        self._process.events()  # of the frame before
         path = self._requests / f"frame{frame_requests.REQUEST}"
         files.write_json(path, request, durable=False)
         while path.exists():

@@ -18,8 +18,6 @@ OWN = "blender"
 LOG = f"{OWN}/engine.log"
 TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
 CAMERA_PATH = "path.json"
-FRAMES, FRAME = "frames", "splats"
-"""Folder of the layers that renders merge, and the name of its files before the number."""
 MANUAL_SELECTION, SELECTED = "selection", "selected"
 """Folders with a list of photos for each box: given to the engine, and chosen by it."""
 
@@ -37,11 +35,6 @@ def stage_in_words(stage: str) -> str:
     if stage.startswith(run_files.OBJECT_STAGE):
         return f"box '{stage.removeprefix(run_files.OBJECT_STAGE)}'"
     return words.get(stage, stage)
-
-
-def frames(folder: Path) -> Path:
-    """Layers of a render, in a run folder; without the frame's number and the suffix."""
-    return folder / OWN / FRAMES / FRAME
 
 
 def log_file(folder: Path) -> Path:

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import bpy
 
+from ..errors import AddonError
 from ..properties import scene_props
-from ..scene import lookup
+from ..scene import importing, lookup
 
+_imported: dict[str, int] = {}
 _names: dict[tuple[str, str, int], dict[str, str]] = {}
 
 
 def count(scene: bpy.types.Scene) -> int:
     """How many photos the scene has."""
     return len(_short_names(scene))
+
+
+def deleted(scene: bpy.types.Scene) -> int:
+    """How many of the imported photos' cameras the user has deleted."""
+    props = scene_props(scene)
+    if props.model_cache not in _imported:
+        _imported.clear()
+        try:
+            _imported[props.model_cache] = len(importing.photo_names(Path(props.model_cache)))
+        except AddonError:
+            _imported[props.model_cache] = 0
+    return max(0, _imported[props.model_cache] - count(scene))
 
 
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
@@ -42,3 +56,4 @@ def shortened(photos: list[str]) -> dict[str, str]:
 def forget() -> None:
     """Look again at the next question."""
     _names.clear()
+    _imported.clear()

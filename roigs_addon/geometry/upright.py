@@ -16,7 +16,12 @@ from .frames import Matrix
 Vector = NDArray[np.float64]
 
 SPREAD = 0.05  # least eigenvalue, of 1 in sum, of directions that span a plane
-ERRORS = 3.0  # a model is level if its axis is this many standard errors from up, or nearer
+ROUND = 0.25  # the same of directions all around
+LEVEL = 0.04  # largest one of directions in a plane: more is no plane
+CLEAR = 0.5  # length of the mean of unit vectors that mostly agree
+WEAK = 0.1  # of a mean that tells no direction
+ERRORS = 3.0  # a model is level if its axis is this many standard errors from up, or nearer,
+NEAREST = np.radians(3)  # and no farther than this: with few photos the errors are large
 FEWEST = 3  # photos for an estimate with an error
 
 
@@ -35,31 +40,48 @@ def levelled(poses: NDArray[np.float64]) -> Matrix:
     axis = np.zeros(3)
     longest = int(np.abs(up).argmax())
     axis[longest] = np.sign(up[longest])
-    if np.arccos(min(1.0, float(up @ axis))) <= ERRORS * error:
+    if np.arccos(min(1.0, float(up @ axis))) <= min(ERRORS * error, NEAREST):
         up = axis
     return _turning(up, np.array([0.0, 0.0, 1.0]))
 
 
 def up_and_error(poses: NDArray[np.float64]) -> tuple[Vector, float]:
-    """Up as a unit vector, zero if nothing tells, and its standard error in radians."""
-    right, down, forward = (poses[:, row, :3].reshape(-1, 3) for row in range(3))
-    mean = -down.sum(axis=0)
-    best: tuple[Vector, float] | None = None
-    for sides, hint in ((right, mean), (down, -forward.sum(axis=0))):  # landscape, portrait
-        values, vectors = np.linalg.eigh(sides.T @ sides / max(len(sides), 1))
-        if len(sides) < FEWEST or values[1] < SPREAD:
-            continue
-        up = vectors[:, 0] * (1.0 if vectors[:, 0] @ hint >= 0 else -1.0)
-        residual = np.sqrt(max(values[0], 0.0) / len(sides))
-        error = float(residual * np.sqrt(1 / values[1] + 1 / values[2]))
-        if best is None or error < best[1]:
-            best = up, error
-    if best is not None:
-        return best
-    length = float(np.linalg.norm(mean))
-    if length < 1e-6 * max(len(down), 1):
+    """Up as a unit vector, zero if nothing tells, and its standard error in radians.
+
+    Portraits are taken for such only where they look all around: a pan of portraits and a tilt of
+    landscapes are the same. They are taken to be stored as phones do, with their top at the left.
+    """
+    if len(poses) == 0:
         return np.zeros(3), 0.0
-    return mean / length, 0.0
+    right, down, forward = (poses[:, row, :3] for row in range(3))
+    mean = -down.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    landscape = _normal(right, SPREAD)
+    if landscape is not None:
+        up, error = landscape
+        hint = mean if abs(up @ mean) >= WEAK else -forward.mean(axis=0)  # straight from above
+        return _along(up, hint), error
+    portrait = _normal(down, ROUND)
+    if portrait is not None and length < CLEAR:
+        return _along(portrait[0], -right.mean(axis=0)), portrait[1]
+    return (mean / length if length > 1e-6 else np.zeros(3)), 0.0
+
+
+def _normal(sides: Vector, spread: float) -> tuple[Vector, float] | None:
+    """The direction to which unit vectors (N, 3) are at right angles, and its standard error.
+
+    None if they are too few, in no plane, or span it too little.
+    """
+    values, vectors = np.linalg.eigh(sides.T @ sides / len(sides))
+    if len(sides) < FEWEST or values[0] > LEVEL or values[1] < spread:
+        return None
+    residual = np.sqrt(max(values[0], 0.0) / len(sides))
+    return vectors[:, 0], float(residual * np.sqrt(1 / values[1] + 1 / values[2]))
+
+
+def _along(direction: Vector, hint: Vector) -> Vector:
+    """The direction or its opposite, whichever is nearer to a hint."""
+    return direction if direction @ hint >= 0 else -direction
 
 
 def _turning(start: Vector, end: Vector) -> Matrix:

@@ -12,7 +12,7 @@ from ..engine import own_files
 from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
-from ..scene import rois
+from ..scene import importing, lookup, rois
 from ..shared import files
 from . import run_folders
 
@@ -35,8 +35,25 @@ def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dic
         "seed": props.seed,
         "threads": settings.get().threads or None,
         "test_every": props.test_every,
+        "exclude": excluded(scene) or None,
     }
     return {key: value for key, value in values.items() if value is not None}
+
+
+def excluded(scene: bpy.types.Scene) -> list[str]:
+    """Names of the photos whose cameras the user has deleted: they are not used.
+
+    Raises:
+        AddonError: no camera is left.
+    """
+    try:
+        names = importing.photo_names(Path(scene_props(scene).model_cache))
+    except AddonError:  # the cache was emptied: what was imported is not known any more
+        return []
+    there = lookup.cameras(scene)
+    if names and not there:
+        raise AddonError("All photos' cameras are deleted. Import the COLMAP model again.")
+    return [name for name in names if name not in there]
 
 
 def colmap_folder(scene: bpy.types.Scene) -> Path:

@@ -20,18 +20,11 @@ MARK = "roigs_layer"
 LAST_FRAME = 1048574
 
 
-def link(scene: bpy.types.Scene, out: Path) -> None:
-    """Merge Gaussians into the scene's renders; does nothing twice.
-
-    Args:
-        scene: gets the group.
-        out: of the frames' files, without number and suffix.
-    """
-    group = find(scene)
-    if group is None:
-        _insert(scene, _group(out))
-    else:
-        point_to(scene, out)
+def link(scene: bpy.types.Scene) -> None:
+    """Merge Gaussians into the scene's renders; does nothing twice."""
+    tree = _made_tree(scene)
+    if find(scene) is None:
+        _insert(scene, tree, _group())
 
 
 def find(scene: bpy.types.Scene) -> Any | None:
@@ -114,9 +107,8 @@ def _made_tree(scene: Any) -> Any:
     return tree
 
 
-def _insert(scene: bpy.types.Scene, group: Any) -> None:
+def _insert(scene: bpy.types.Scene, tree: Any, group: Any) -> None:
     """Put the group between the first render layer of the scene and all that follows it."""
-    tree = _made_tree(scene)
     of_scene = [n for n in tree.nodes if n.type == "R_LAYERS" and n.scene in (scene, None)]
     layers: Any = of_scene[0] if of_scene else tree.nodes.new("CompositorNodeRLayers")
     layers.scene = scene
@@ -135,7 +127,7 @@ def _insert(scene: bpy.types.Scene, group: Any) -> None:
         tree.links.new(node.outputs[0], socket)
 
 
-def _group(out: Path) -> Any:
+def _group() -> Any:
     """A new group: picture and depth in, merged picture out."""
     group: Any = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
     group[MARK] = True
@@ -143,7 +135,7 @@ def _group(out: Path) -> Any:
     for name, way, kind in sockets:
         group.interface.new_socket(name, in_out=way, socket_type=f"NodeSocket{kind}")
     start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    colour, depth = (_image_node(group, kind, out) for kind in ("colour", "depth"))
+    colour, depth = (_image_node(group, kind) for kind in ("colour", "depth"))
     nearer = _nearer_node(group)
     below, above = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
     chosen, (factor, if_not, if_so), merged = _choice_node(group)
@@ -194,12 +186,11 @@ def _either(group: Any, new: str, old: str) -> Any:
     return group.nodes.new(old if hasattr(bpy.types, old) else new)
 
 
-def _image_node(group: Any, kind: str, out: Path) -> Any:
+def _image_node(group: Any, kind: str) -> Any:
     """A node with the files of a kind, one for each frame."""
     image: Any = bpy.data.images.new(f"{NAME} {kind}", 1, 1)
     image.source = "SEQUENCE"
     image[MARK] = kind
-    image.filepath = str(_file(out, kind))
     image.colorspace_settings.name = "sRGB" if kind == "colour" else "Non-Color"
     if kind == "colour":
         image.alpha_mode = "STRAIGHT"

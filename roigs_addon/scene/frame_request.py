@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import bpy
@@ -29,22 +29,38 @@ def frame_request(
     Raises:
         AddonError: the camera is of a kind that the engine cannot render.
     """
-    models = [
-        {"ply": object_props(item).ply, "matrix": lookup.matrix_world(moved).tolist()}
-        for item in shown(scene)
-        if not (moved := item.evaluated_get(depsgraph)).hide_render
-    ]
+    models = []
+    for item in shown(scene):
+        moved = item.evaluated_get(depsgraph)
+        matrix = lookup.matrix_world(moved)
+        if not moved.hide_render and np.linalg.matrix_rank(matrix[:3, :3]) == 3:  # not scaled to 0
+            models.append({"ply": object_props(item).ply, "matrix": matrix.tolist()})
     if not models or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)
     if camera_of(camera).type != "PERSP":
         raise AddonError("The render lacks the Gaussians: the camera is not a perspective camera.")
-    lens = cameras.intrinsics_of(
+    matrix = lookup.matrix_world(camera)
+    if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise AddonError("The render lacks the Gaussians: a scale of the camera is zero.")
+    whole = cameras.intrinsics_of(
         camera_of(camera), scene.render, *cameras.render_size(scene.render)
     )
-    pose = frames.world_to_camera(lookup.matrix_world(camera), np.eye(4))
+    left, top, width, height = picture(scene.render)
+    lens = replace(whole, width=width, height=height, cx=whole.cx - left, cy=whole.cy - top)
+    pose = frames.world_to_camera(matrix, np.eye(4))
     record = {"name": str(scene.frame_current), **asdict(lens), "world_to_camera": pose.tolist()}
     return {"camera": record, "models": models, "out": out}
+
+
+def picture(render: bpy.types.RenderSettings) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the picture in the frame, pixels: a region, if cropped."""
+    width, height = cameras.render_size(render)
+    if not (render.use_border and render.use_crop_to_border):
+        return 0, 0, width, height
+    left, right = int(render.border_min_x * width), int(render.border_max_x * width)
+    bottom, top = int(render.border_min_y * height), int(render.border_max_y * height)
+    return left, height - top, max(1, right - left), max(1, top - bottom)
 
 
 def shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -68,6 +68,16 @@ def import_folder(
     props.skipped = skipped_in_words(record.get("skipped") or {})
 
 
+def photo_names(folder: Path) -> list[str]:
+    """Names of the photos of an exported model.
+
+    Raises:
+        AddonError: the folder does not contain one.
+    """
+    record, _, _ = _read(folder)
+    return [str(image["name"]) for image in record["images"]]
+
+
 def _root(
     scene: bpy.types.Scene, name: str, photos: list[Photo], *, same_frame: bool
 ) -> bpy.types.Object:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blender import delete, mesh_of
-from ..engine import own_files
 from ..engine.earlier_results import where_it_is_now
 from ..errors import AddonError
 from ..geometry.splat_cloud import SplatCloud, read_splats
@@ -62,7 +61,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
             props.ply = file
         elif props.level in ("ROI", "SCENE"):
             delete(item)
-    compositor.link(scene, own_files.frames(folder))
+    compositor.link(scene)
     return shown
 
 

@@ -40,6 +40,10 @@ class ScenePanel(SidebarPanel):
         project = project_name(Path(props.colmap))
         photos = text.counted(photo_names.count(scene), "photo")
         show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
+        deleted = photo_names.deleted(scene)
+        if deleted:
+            counted = text.counted(deleted, "photo")
+            show.todo(layout, f"{counted} not used: deleted here. Import again to have them back")
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")
         row = layout.row(align=True)

@@ -10,8 +10,9 @@ from typing import Any
 
 from ..colmap.records import MAX_DOWNSCALE, MAX_SIDE
 from ..context import Context
-from ..errors import RoiError
+from ..errors import ConfigError, RoiError
 from ..formats.names import first_taken
+from ..formats.text import counted
 from ..machine import return_large_blocks
 from ..model.roi import OrientedBox, load_rois, parse_roi
 from ..model.scene import SfmScene
@@ -33,6 +34,14 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         type=PATH,
         help="folder with a COLMAP model (sparse/0, sparse, or the model itself), or an options"
         " file (JSON) whose keys are the long names of these options",
+    )
+    parser.add_argument(
+        "--exclude",
+        type=NAME,
+        action="append",
+        default=[],
+        metavar="PHOTO",
+        help="leave a photo out, by its name in the model; repeatable",
     )
     add_size_options(parser.add_argument_group("scene"))
 
@@ -201,7 +210,7 @@ def load_scene(
 
     if args.threads is not None:  # else do not load the kernels: they may not run here
         set_threads(args.threads)
-    return load_colmap(
+    scene = load_colmap(
         args.scene,
         images=args.images,
         cache=cache,
@@ -211,6 +220,25 @@ def load_scene(
         check=check,
         context=console.context,
     )
+    return _without(scene, getattr(args, "exclude", []), console.context)
+
+
+def _without(scene: SfmScene, photos: list[str], context: Context) -> SfmScene:
+    """The scene without the photos of `--exclude`."""
+    there = {image.name for image in scene.images}
+    skipped = {name for names in scene.skipped.values() for name in names}
+    unknown = [name for name in photos if name not in there | skipped]
+    if unknown:
+        raise ConfigError(
+            f"There is no photo '{unknown[0]}' to exclude.", "Use its name in the COLMAP model."
+        )
+    excluded = tuple(sorted(there & set(photos)))
+    if not excluded:
+        return scene
+    if len(excluded) == len(there):
+        raise ConfigError("--exclude leaves no photo.", "Exclude fewer.")
+    context.info(f"Excluded {counted(len(excluded), 'photo')}.")
+    return replace(scene.without(excluded), skipped={**scene.skipped, "excluded": excluded})
 
 
 def read_files(args: argparse.Namespace) -> list[Path | None]:

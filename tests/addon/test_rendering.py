@@ -181,7 +181,17 @@ def test_the_compositor_of_the_user_stays(blender: ModuleType, run, addon) -> No
     assert end.inputs["Image"].links[0].from_node == blur
 
 
-def test_without_an_engine_the_render_goes_on(
+def plain(blender: ModuleType, scene, f12) -> np.ndarray:
+    """A mesh is added to the scene; the render of it without the compositor."""
+    blender.ops.mesh.primitive_monkey_add(size=1)
+    scene.render.use_compositing = False
+    picture = f12("plain")
+    scene.render.use_compositing = True
+    assert 0.01 < picture[..., 3].mean() < 0.99
+    return picture
+
+
+def test_without_an_engine_the_render_is_blenders(
     blender: ModuleType, shot, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
     from roigs_addon import rendering, settings
@@ -190,9 +200,10 @@ def test_without_an_engine_the_render_goes_on(
     def none(packages: object) -> None:
         raise AddonError("There is no engine.")
 
-    _, f12 = shot
+    scene, f12 = shot
+    own = plain(blender, scene, f12)
     monkeypatch.setattr(settings, "engine", none)
-    assert f12()[..., 3].max() == 0
+    np.testing.assert_array_equal(f12(), own)
     assert rendering.problem == "There is no engine." in capsys.readouterr().out
 
 
@@ -201,5 +212,36 @@ def test_another_kind_of_camera_is_said(blender: ModuleType, shot) -> None:
 
     scene, f12 = shot
     scene.camera.data.type = "ORTHO"
-    assert f12()[..., 3].max() == 0
+    own = plain(blender, scene, f12)
+    np.testing.assert_array_equal(f12(), own)
     assert "not a perspective camera" in rendering.problem
+
+
+def test_what_is_scaled_to_nothing_is_not_there(blender: ModuleType, shot) -> None:
+    from roigs_addon import rendering
+
+    scene, f12 = shot
+    only(scene, "Background")
+    alone = f12("alone")
+    scene.objects["thing Gaussians"].hide_render = False
+    scene.objects["thing Gaussians"].scale = 1, 0, 1
+    assert psnr(f12("flat"), alone) > 50 and not rendering.problem
+
+
+def test_a_cropped_region_is_that_part_of_the_picture(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    whole, render = f12(), scene.render
+    render.use_border = render.use_crop_to_border = True
+    render.border_min_x, render.border_max_x = 0.25, 0.75
+    render.border_min_y, render.border_max_y = 0.5, 1.0
+    part = f12("part")
+    height, width = whole.shape[:2]
+    assert part.shape == (height // 2, width // 2, 4)
+    assert psnr(part, whole[: height // 2, width // 4 : width // 4 + width // 2]) > 40
+
+
+def test_a_frame_before_the_first(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    usual = f12()
+    scene.frame_set(-3)
+    assert psnr(f12("before"), usual) > 50

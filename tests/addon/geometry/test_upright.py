@@ -11,8 +11,11 @@ from tests.poses import look_at
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def photos(count: int = 40, *, arc: float = 1.0, roll: float = 0.0, portrait: bool = False):
-    """(N, 4, 4) poses around the origin from above, z up; most look down on one side."""
+def photos(count: int = 40, *, arc: float = 1.0, roll: float = 0.0, portraits: float = 0.0):
+    """(N, 4, 4) poses around the origin from above, z up; most look down on one side.
+
+    Portraits have their top at the left, as phones store them.
+    """
     random = np.random.default_rng(0)
     poses = []
     for k in range(count):
@@ -21,7 +24,9 @@ def photos(count: int = 40, *, arc: float = 1.0, roll: float = 0.0, portrait: bo
         pose = look_at(eye, np.zeros(3))
         if pose[1, 2] > 0:  # the helper's own up may be another
             pose[:2] *= -1
-        turn = random.normal(scale=np.radians(roll)) + (np.pi / 2 if portrait else 0)
+        turn = random.normal(scale=np.radians(roll)) + (
+            -np.pi / 2 if k % 20 < 20 * portraits else 0
+        )
         about = np.eye(4)
         about[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
         poses.append(about @ pose)
@@ -54,7 +59,7 @@ def test_the_helper_has_z_up() -> None:
 @pytest.mark.parametrize("portrait", [False, True])
 def test_up_is_found_in_any_frame(seed: int, portrait: bool) -> None:
     frame = rotation(seed)
-    level = levelled(turned(photos(roll=1.5, portrait=portrait), frame))
+    level = levelled(turned(photos(roll=1.5, portraits=float(portrait)), frame))
     assert degrees(level @ frame @ UP, UP) < 1.0
     np.testing.assert_allclose(level @ level.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(level) == pytest.approx(1)
@@ -95,3 +100,48 @@ def test_photos_that_look_one_way_take_their_own_up() -> None:
 
 def test_without_photos_nothing_is_turned() -> None:
     np.testing.assert_array_equal(levelled(np.zeros((0, 4, 4))), np.eye(3))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.4])
+def test_a_few_portraits_among_landscapes_do_not_turn_the_world_over(share: float) -> None:
+    frame = rotation(11)
+    level = levelled(turned(photos(roll=2, portraits=share), frame))
+    assert degrees(level @ frame @ UP, UP) < 15
+
+
+def test_a_tilt_over_a_facade_is_no_pan_of_portraits() -> None:
+    random = np.random.default_rng(0)
+    poses = []
+    for _ in range(20):
+        heading, pitch = np.radians(random.normal(0, 8)), np.radians(random.normal(0, 20))
+        ahead = [np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)]
+        pose = look_at(np.zeros(3), np.array(ahead))
+        if pose[1, 2] > 0:
+            pose[:2] *= -1
+        poses.append(pose)
+    frame = rotation(12)
+    level = levelled(turned(np.array(poses), frame))
+    assert degrees(level @ frame @ UP, UP) < 15
+
+
+def test_photos_from_straight_above() -> None:
+    poses = []
+    for k in range(12):
+        angle = 2 * np.pi * k / 12
+        right = np.array([np.cos(angle), np.sin(angle), 0])
+        forward = -UP
+        pose = np.eye(4)
+        pose[:3, :3] = right, np.cross(forward, right), forward
+        poses.append(pose)
+    frame = rotation(13)
+    level = levelled(turned(np.array(poses), frame))
+    assert degrees(level @ frame @ UP, UP) < 1
+
+
+def test_few_photos_are_not_snapped_far() -> None:
+    angle = np.radians(10)
+    tilt = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    level = levelled(turned(photos(4, roll=4), tilt))
+    assert not np.array_equal(level, np.eye(3))

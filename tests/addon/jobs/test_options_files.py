@@ -62,6 +62,34 @@ def test_the_papers_preset_is_the_papers_way(
     assert asked() == ("joint", "greedy")
 
 
+def test_deleted_cameras_exclude_their_photos(
+    blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.errors import AddonError
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import lookup
+    from roigs_addon.ui.scene import ScenePanel
+    from tests.addon.ui.test_panels import said
+
+    scene = ready(blender, project, tmp_path / "run")
+    rois, cameras = lookup.rois(scene), lookup.cameras(scene)
+
+    def asked() -> list[str]:
+        options_files.write_train_options(scene, rois, 0.0)
+        excluded: list[str] = options(tmp_path / "run", "train").get("exclude", [])
+        return excluded
+
+    assert asked() == [] and not any("not used" in text for text in said(blender, ScenePanel))
+    for name in ("photo 2.png", "photo 5.png"):
+        blender.data.objects.remove(cameras[name])
+    assert asked() == ["photo 2.png", "photo 5.png"]
+    assert any("2 photos not used" in text for text in said(blender, ScenePanel))
+    for camera in lookup.cameras(scene).values():
+        blender.data.objects.remove(camera)
+    with pytest.raises(AddonError, match="cameras are deleted"):
+        asked()
+
+
 def test_numbers_reach_the_engine_as_given(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

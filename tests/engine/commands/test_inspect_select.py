@@ -30,6 +30,22 @@ def test_select_end_to_end(
     assert all(name in shown for name in stored["names"])
 
 
+def test_photos_are_excluded(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    def inspect(*arguments: str) -> str:
+        status = main(["inspect", str(project.folder), "--json", *arguments])
+        said = capsys.readouterr()
+        return said.out if status == 0 else said.err
+
+    count = len(project.names)
+    first, second = project.names[:2]
+    record = json.loads(inspect("--exclude", first, "--exclude", second))
+    assert record["photos"] == count - 2
+    assert record["skipped"]["excluded"] == {"count": 2, "first": sorted([first, second])}
+    assert "no photo 'none.png'" in inspect("--exclude", "none.png")
+    every = [word for name in project.names for word in ("--exclude", name)]
+    assert "leaves no photo" in inspect(*every)
+
+
 WITHOUT = """
 import sys
 from importlib.abc import MetaPathFinder

@@ -87,7 +87,8 @@ def test_a_folder_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "is not a folder" in fails(["render-frames", str(tmp_path / "none")], capsys)
 
 
-def test_nothing_is_a_transparent_pixel(tmp_path: Path) -> None:
-    write_nothing(tmp_path / "a0001")
+def test_nothing_is_transparent_and_of_the_pictures_size(tmp_path: Path) -> None:
+    write_nothing(tmp_path / "a0001", 30, 20)
     for file in (colour_file(tmp_path / "a0001"), depth_file(tmp_path / "a0001")):
-        assert Image.open(file).convert("RGBA").getpixel((0, 0)) == (0, 0, 0, 0)
+        picture = np.asarray(Image.open(file))
+        assert picture.shape == (20, 30, 4) and not picture.any()
