@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import bpy
 
-from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import importing, lookup
 
-_imported: dict[str, int] = {}
-_names: dict[tuple[str, str, int], dict[str, str]] = {}
+Key = tuple[str, str, int]
+"""Of what the facts were found in: another model, or other objects, and they are found again."""
+
+_deleted: dict[Key, int] = {}
+_names: dict[Key, dict[str, str]] = {}
 
 
 def count(scene: bpy.types.Scene) -> int:
@@ -22,14 +24,11 @@ def count(scene: bpy.types.Scene) -> int:
 
 def deleted(scene: bpy.types.Scene) -> int:
     """How many of the imported photos' cameras the user has deleted."""
-    props = scene_props(scene)
-    if props.model_cache not in _imported:
-        _imported.clear()
-        try:
-            _imported[props.model_cache] = len(importing.photo_names(Path(props.model_cache)))
-        except AddonError:
-            _imported[props.model_cache] = 0
-    return max(0, _imported[props.model_cache] - count(scene))
+    key = _key(scene)
+    if key not in _deleted:
+        _deleted.clear()
+        _deleted[key] = len(importing.deleted_photos(scene))
+    return _deleted[key]
 
 
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
@@ -38,12 +37,16 @@ def short_name(scene: bpy.types.Scene, photo: str) -> str:
 
 
 def _short_names(scene: bpy.types.Scene) -> dict[str, str]:
-    props = scene_props(scene)
-    key = (props.colmap, props.model_cache, len(scene.objects))
+    key = _key(scene)
     if key not in _names:
         _names.clear()
         _names[key] = shortened([*lookup.cameras(scene)])
     return _names[key]
+
+
+def _key(scene: bpy.types.Scene) -> Key:
+    props = scene_props(scene)
+    return props.colmap, props.model_cache, len(scene.objects)
 
 
 def shortened(photos: list[str]) -> dict[str, str]:
@@ -56,4 +59,4 @@ def shortened(photos: list[str]) -> dict[str, str]:
 def forget() -> None:
     """Look again at the next question."""
     _names.clear()
-    _imported.clear()
+    _deleted.clear()

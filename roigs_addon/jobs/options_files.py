@@ -46,14 +46,10 @@ def excluded(scene: bpy.types.Scene) -> list[str]:
     Raises:
         AddonError: no camera is left.
     """
-    try:
-        names = importing.photo_names(Path(scene_props(scene).model_cache))
-    except AddonError:  # the cache was emptied: what was imported is not known any more
-        return []
-    there = lookup.cameras(scene)
-    if names and not there:
+    deleted = importing.deleted_photos(scene)
+    if deleted and not lookup.cameras(scene):
         raise AddonError("All photos' cameras are deleted. Import the COLMAP model again.")
-    return [name for name in names if name not in there]
+    return deleted
 
 
 def colmap_folder(scene: bpy.types.Scene) -> Path:

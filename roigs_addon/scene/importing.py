@@ -68,14 +68,18 @@ def import_folder(
     props.skipped = skipped_in_words(record.get("skipped") or {})
 
 
-def photo_names(folder: Path) -> list[str]:
-    """Names of the photos of an exported model.
+def deleted_photos(scene: bpy.types.Scene) -> list[str]:
+    """Names of the imported photos whose cameras the user has deleted.
 
-    Raises:
-        AddonError: the folder does not contain one.
+    None if the cache was emptied: what was imported is not known any more.
     """
-    record, _, _ = _read(folder)
-    return [str(image["name"]) for image in record["images"]]
+    try:
+        record = _read_record(Path(scene_props(scene).model_cache))
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    there = lookup.cameras(scene)
+    names = (str(image["name"]) for image in record["images"])
+    return [name for name in names if name not in there]
 
 
 def _root(
@@ -141,15 +145,21 @@ def _is_marked(collection: bpy.types.Collection) -> bool:
 
 def _read(folder: Path) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.uint8]]:
     try:
-        record = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
+        record = _read_record(folder)
         points = np.load(folder / "points.npy", allow_pickle=False)
         colours = np.load(folder / "colors.npy", allow_pickle=False)
-        record["images"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise AddonError(
             f"{folder} does not contain an exported model ({error}). Import again."
         ) from error
     return record, points.astype(np.float32), colours
+
+
+def _read_record(folder: Path) -> dict[str, Any]:
+    """The description of an exported model; OSError, ValueError, KeyError or TypeError if none."""
+    record: dict[str, Any] = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
+    record["images"]
+    return record
 
 
 def _new_root(scene: bpy.types.Scene, name: str) -> bpy.types.Object:

@@ -93,22 +93,22 @@ class Models:
         from ..model.gaussians import Gaussians
 
         known, self._read = self._read, {}
-        for path in paths:
-            try:
-                state = Path(path).stat()
-            except OSError as error:
-                reason = error.strerror or error
-                raise ConfigError(f"Cannot read {path} ({reason}).", "Load results again.") from (
-                    error
-                )
-            key = state.st_mtime_ns, state.st_size
-            entry = known.get(path)
-            if path not in self._read:
-                fresh = entry is not None and entry[0] == key
-                self._read[path] = (
-                    entry if entry and fresh else (key, *Gaussians.load_framed(Path(path)))
-                )
+        for path in dict.fromkeys(paths):
+            key, entry = _state(path), known.get(path)
+            if entry is None or entry[0] != key:
+                entry = key, *Gaussians.load_framed(Path(path))
+            self._read[path] = entry
         return [self._read[path][1:] for path in paths]
+
+
+def _state(path: str) -> tuple[int, int]:
+    """Time of change and size of a file; ConfigError if it cannot be read."""
+    try:
+        state = Path(path).stat()
+    except OSError as error:
+        reason = error.strerror or error
+        raise ConfigError(f"Cannot read {path} ({reason}).", "Load results again.") from error
+    return state.st_mtime_ns, state.st_size
 
 
 def answer(request: Path, models: Models, device: torch.device) -> Path:

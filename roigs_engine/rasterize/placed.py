@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -43,7 +42,7 @@ class PlacedModel:
     frame: LocalFrame
     matrix: Float64
 
-    @cached_property
+    @property
     def from_frame(self) -> Float64:
         """(4, 4) from the frame that the Gaussians are in to the world."""
         to_world = np.diag([*[1 / self.frame.scale] * 3, 1.0])

@@ -12,12 +12,6 @@ def load_png(path: Path) -> np.ndarray:
     return load_rgba(path)[..., :3]
 
 
-def load_on_black(path: Path) -> np.ndarray:
-    """Likewise, a picture with transparency on black, as the engine blends: in sRGB values."""
-    picture = load_rgba(path)
-    return picture[..., :3] * picture[..., 3:]
-
-
 def load_rgba(path: Path) -> np.ndarray:
     """(H, W, 4) sRGB values and alpha in 0..1 of a picture, first row on top."""
     import bpy

@@ -7,6 +7,8 @@ import subprocess
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -67,6 +69,21 @@ def record(roi, scene) -> dict[str, object]:
     from roigs_addon.scene import lookup
 
     return lookup.box(roi, scene).record(roi.name).to_dict()
+
+
+def with_cycles(scene, *, samples: int):
+    """Have a scene render transparent PNGs with Cycles; skips without it. Returns its settings."""
+    render = scene.render
+    try:
+        render.engine = "CYCLES"
+    except TypeError:
+        pytest.skip("this Blender has no Cycles")
+    scene.cycles.samples, scene.cycles.device = samples, "CPU"
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Standard"
+    render.film_transparent = True
+    render.image_settings.file_format = "PNG"
+    return render
 
 
 def command_line(engine, *arguments: object) -> subprocess.CompletedProcess[str]:

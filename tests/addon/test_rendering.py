@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from tests.addon.pictures import load_png, load_rgba
-from tests.addon.scenes import command_line
-
-SIDE = 96
+from tests.addon.scenes import command_line, with_cycles
 
 
 @pytest.fixture
@@ -20,16 +18,7 @@ def shot(blender: ModuleType, run, engine, tmp_path: Path):
     bpy, (scene, _) = blender, run
     bpy.ops.roigs.load_results()
     bpy.ops.roigs.look_through(photo="photo 3.png")
-    render = scene.render
-    try:
-        render.engine = "CYCLES"
-    except TypeError:
-        pytest.skip("this Blender has no Cycles")
-    scene.cycles.samples, scene.cycles.device = 1, "CPU"
-    scene.cycles.use_denoising = False
-    scene.view_settings.view_transform = "Standard"
-    render.film_transparent = True
-    render.image_settings.file_format = "PNG"
+    render = with_cycles(scene, samples=1)
     render.dither_intensity = 0.0
 
     def f12(name: str = "f12") -> np.ndarray:

@@ -11,7 +11,7 @@ import pytest
 
 from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.pictures import read_png
-from tests.addon.scenes import command_line, drawn_points, imported
+from tests.addon.scenes import command_line, drawn_points, imported, with_cycles
 from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
@@ -166,17 +166,8 @@ def test_cycles_shows_them(blender: ModuleType, run, tmp_path: Path) -> None:
     bpy, (scene, _) = blender, run
     bpy.ops.roigs.load_results()
     bpy.ops.roigs.look_through(photo="photo 0.png")
-    render = scene.render
-    try:
-        render.engine = "CYCLES"
-    except TypeError:
-        pytest.skip("this Blender has no Cycles")
-    scene.cycles.samples, scene.cycles.device = 8, "CPU"
-    scene.cycles.use_denoising = False
-    scene.view_settings.view_transform = "Standard"
+    render = with_cycles(scene, samples=8)
     render.resolution_x = render.resolution_y = 64
-    render.film_transparent = True
-    render.image_settings.file_format = "PNG"
     render.filepath = str(tmp_path / "cycles.png")
     bpy.ops.render.render(write_still=True)
     picture = read_png(tmp_path / "cycles.png").astype(float)
