@@ -7,6 +7,7 @@ import bpy
 from ..blender import region_of, region_view_of
 from ..windows import Timer, redraw
 from . import targets
+from .frame import camera_frame
 from .handler import ViewHandler
 from .objects import splat_objects, surfaces_are_visible
 from .painter import Painter
@@ -46,6 +47,7 @@ def _draw_region(context: bpy.types.Context) -> None:
         data.window_matrix,
         size,
         key=region.as_pointer(),
+        frame=camera_frame(context, data.window_matrix, size),
         depth=depth,
         linear_target=True,
     )

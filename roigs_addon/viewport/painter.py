@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..worker import Worker
 from . import shaders, targets
+from .frame import Frame, whole
 from .objects import FileKey, SplatObject
 from .packing import PackedSet, pack, pack_order
 from .sorting import Segment, SortingView, back_to_front
@@ -96,6 +97,7 @@ class Painter:
         size: tuple[int, int],
         *,
         key: Hashable,
+        frame: Frame | None = None,
         depth: gpu.types.GPUTexture | None = None,
         linear_target: bool = False,
         wait: bool = False,
@@ -108,6 +110,7 @@ class Painter:
             projection: camera -> clip space.
             size: width and height in pixels.
             key: which viewport this is.
+            frame: what the camera's picture fills; None: everything.
             depth: of what hides splats, 0 to 1 per pixel; None: nothing does.
             linear_target: whether the framebuffer converts linear light to sRGB when written.
             wait: whether to wait for files and sorting.
@@ -127,6 +130,7 @@ class Painter:
             shader = tools.splat
             shader.bind()
             shader.uniform_float("projection", projection)
+            shader.uniform_float("frame", frame or whole(size))
             shader.uniform_float("view_size", size)
             shader.uniform_int("sh_texels", order.gaussians.sh_texels)
             shader.uniform_sampler("order", order.texture)

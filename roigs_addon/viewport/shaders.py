@@ -30,6 +30,7 @@ def splat_shader() -> Shader:
     info.define("ROW", f"{ROW}u")
     info.define("INDEX_BITS", f"{int(INDEX_MARK) - 1}u")
     info.push_constant("MAT4", "projection")
+    info.push_constant("VEC4", "frame")
     info.push_constant("VEC2", "view_size")
     info.push_constant("INT", "sh_texels")
     for slot, name in enumerate(("order", "geometry", "colours", "objects", "scene_depth")):

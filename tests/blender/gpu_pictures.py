@@ -11,18 +11,24 @@ import numpy as np
 from mathutils import Matrix
 
 from roigs_addon.viewport import draw
+from roigs_addon.viewport.frame import Frame
 from roigs_addon.viewport.objects import marked
 
 
 def picture(
-    objects: list[bpy.types.Object], view: Matrix, projection: Matrix, width: int, height: int
+    objects: list[bpy.types.Object],
+    view: Matrix,
+    projection: Matrix,
+    width: int,
+    height: int,
+    frame: Frame | None = None,
 ) -> np.ndarray:
     """(H, W, 4) premultiplied sRGB values of objects, first row on top."""
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA32F")
     with offscreen.bind():
         gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
         drawn, size = marked(objects), (width, height)
-        draw.painter().draw(drawn, view, projection, size, key="", wait=True)
+        draw.painter().draw(drawn, view, projection, size, key="", frame=frame, wait=True)
         data = offscreen.texture_color.read()
     data.dimensions = width * height * 4
     offscreen.free()

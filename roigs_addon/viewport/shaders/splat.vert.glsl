@@ -4,8 +4,8 @@
 
 #define ALPHA_MIN (1.0 / 255.0)
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
-#define FRUSTUM_MARGIN 0.3   // of the half angle, around the view
-#define MAX_SLOPE 3.0        // of centres outside the view; beyond, EWA splatting fails
+#define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
+#define MAX_SLOPE 3.0        // of centres outside the frame; beyond, EWA splatting fails
 
 #define TEXEL(map, i) texelFetch(map, ivec2(int((i) % ROW), int((i) / ROW)), 0)
 #define OBJECT(i, k) texelFetch(objects, ivec2(k, i), 0)
@@ -88,15 +88,15 @@ void main()
   if (perspective) {
     principal = (1.0 - vec2(projection[2][0], projection[2][1])) * 0.5 * view_size;
     centre = focal * t.xy / depth + principal;
-    vec2 low = min(vec2(0.0), principal - MAX_SLOPE * focal);
-    vec2 high = max(view_size, principal + MAX_SLOPE * focal);
+    vec2 low = min(frame.xy, principal - MAX_SLOPE * focal);
+    vec2 high = max(frame.zw, principal + MAX_SLOPE * focal);
     if (!(all(greaterThan(centre, low)) && all(lessThan(centre, high)))) {
       return;
     }
-    vec2 margin = FRUSTUM_MARGIN * 0.5 * view_size / focal;
+    vec2 margin = FRUSTUM_MARGIN * 0.5 * (frame.zw - frame.xy) / focal;
     vec2 slope = clamp(t.xy / depth,
-                       -(principal / focal + margin),
-                       (view_size - principal) / focal + margin);
+                       (frame.xy - principal) / focal - margin,
+                       (frame.zw - principal) / focal + margin);
     u = focal.x / depth * (rows[0] + slope.x * rows[2]);
     v = focal.y / depth * (rows[1] + slope.y * rows[2]);
   }

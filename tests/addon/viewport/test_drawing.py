@@ -90,7 +90,10 @@ def test_the_viewport_draws_what_the_engine_draws(
 
 
 def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_path: Path) -> None:
-    """Needles whose centre is just before the camera plane and far beside the picture."""
+    """Needles whose centre is just before the camera plane and far beside the picture.
+
+    Large ones a little beside it must look as in the engine's picture in any window.
+    """
     pytest.importorskip("torch")
     from roigs_engine.formats.splat_ply import write_ply
     from roigs_engine.model.gaussians import Gaussians
@@ -99,10 +102,10 @@ def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_pa
 
     arrays, chosen = random_arrays(700, seed=6), cameras()[2:]
     to_world = np.linalg.inv(chosen[0]["world_to_camera"])
-    beside = np.array([[1.0, 0.2, 0.05, 1], [-1.0, 0.4, 0.03, 1], [0.1, 2.0, 0.1, 1]])
-    arrays["means"][:3] = (beside @ to_world.T)[:, :3]
-    arrays["log_scales"][:3] = np.log([0.27, 0.27, 3.5])
-    arrays["logit_opacities"][:3] = 3.0
+    beside = [[1.0, 0.2, 0.05], [-1.0, 0.4, 0.03], [0.1, 2.0, 0.1], [1.5, 0.1, 0.4], [0, -1, 0.3]]
+    arrays["means"][:5] = np.array(beside) @ to_world[:3, :3].T + to_world[:3, 3]
+    arrays["log_scales"][:5] = np.log([0.27, 0.27, 3.5])
+    arrays["logit_opacities"][:5] = 3.0
     write_ply(tmp_path / "splats.ply", arrays)
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
     path = load_camera_path(tmp_path / "cameras.json")

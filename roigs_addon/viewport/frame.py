@@ -1,0 +1,41 @@
+"""The part of a viewport that the camera's picture fills.
+
+A Gaussian's shape is projected with an approximation that is good in the picture and a little
+around it. So in a view through a camera, what limits it must be the camera's frame, not the region,
+which may be far wider: large Gaussians beside the picture would be smeared over it.
+"""
+
+from __future__ import annotations
+
+import bpy
+from mathutils import Matrix
+
+from ..blender import scene_of, view_3d_of
+
+Frame = tuple[float, float, float, float]
+"""Left, bottom, right and top in pixels of the region, from its lower left corner."""
+
+
+def whole(size: tuple[int, int]) -> Frame:
+    """All of a region."""
+    return 0.0, 0.0, float(size[0]), float(size[1])
+
+
+def camera_frame(context: bpy.types.Context, projection: Matrix, size: tuple[int, int]) -> Frame:
+    """The picture of the camera that a region looks through; all of the region in other views.
+
+    Args:
+        context: of the region that is being drawn.
+        projection: camera -> clip space.
+        size: of the region, width and height in pixels.
+    """
+    space, scene = view_3d_of(context), scene_of(context)
+    if space is None or space.region_3d is None or space.region_3d.view_perspective != "CAMERA":
+        return whole(size)
+    item = space.camera if space.use_local_camera else scene.camera
+    if item is None or not isinstance(item.data, bpy.types.Camera) or item.data.type != "PERSP":
+        return whole(size)
+    corners = [projection @ corner.to_4d() for corner in item.data.view_frame(scene=scene)]
+    across = [(corner.x / corner.w + 1) / 2 * size[0] for corner in corners]
+    up = [(corner.y / corner.w + 1) / 2 * size[1] for corner in corners]
+    return min(across), min(up), max(across), max(up)
