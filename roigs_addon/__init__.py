@@ -28,6 +28,7 @@ MODULES = (
     "properties",
     "jobs.run_folders",
     "scene.active_camera",
+    "scene.edits",
     "jobs.current",
     "operators.engine_setup",
     "operators.scene",

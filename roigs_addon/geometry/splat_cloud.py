@@ -12,6 +12,12 @@ from ..shared import EngineError, splat_ply
 
 Float32 = NDArray[np.float32]
 
+SH_C0 = 0.28209479177387814
+"""The spherical harmonic of degree 0."""
+
+LEAST = 1e-30
+"""Stands for a scale of 0, which has no logarithm."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplatCloud:
@@ -62,3 +68,17 @@ def read_splats(path: str | Path) -> SplatCloud:
     if not usable.all():
         cloud = {name: values[usable] for name, values in cloud.items()}
     return SplatCloud(**cloud)
+
+
+def write_splats(path: Path, cloud: SplatCloud) -> None:
+    """Write a PLY of Gaussians; raises EngineError or OSError if that fails."""
+    opacities = np.clip(cloud.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
+    logits = np.log(opacities / (1 - opacities))
+    arrays = {
+        "means": cloud.means,
+        "quats": cloud.quats,
+        "log_scales": np.log(np.maximum(cloud.scales, LEAST)),
+        "logit_opacities": logits.astype(np.float32),
+        "sh": cloud.sh,
+    }
+    splat_ply.write_ply(path, arrays)

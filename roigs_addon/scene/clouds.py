@@ -51,9 +51,13 @@ def set_attribute(
 
 def positions(item: bpy.types.Object) -> NDArray[np.float32]:
     """(N, 3) of the vertices, in the object's own frame."""
-    vertices = mesh_of(item).vertices
-    flat = np.empty(3 * len(vertices), np.float32)
-    vertices.foreach_get("co", flat)
+    return positions_of(mesh_of(item))
+
+
+def positions_of(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
+    """(N, 3) of a mesh's vertices."""
+    flat = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", flat)
     return flat.reshape(-1, 3)
 
 
@@ -88,10 +92,14 @@ def geometry_group(name: str) -> Any:
 
 
 def add_nodes_modifier(item: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> None:
-    """Add a modifier with a geometry-nodes group to an object."""
+    """Add a modifier with a geometry-nodes group to an object.
+
+    It is off in edit mode: with it, Blender 5.2 does not show which points are selected.
+    """
     modifier = item.modifiers.new(name, "NODES")
     assert isinstance(modifier, bpy.types.NodesModifier)
     modifier.node_group = group
+    modifier.show_in_editmode = False
 
 
 def _points_group(name: str, material: bpy.types.Material, radius: float | str) -> Any:

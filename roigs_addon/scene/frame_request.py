@@ -12,7 +12,7 @@ from ..blender import camera_of
 from ..errors import AddonError
 from ..geometry import frames
 from ..properties import object_props
-from . import cameras, lookup
+from . import cameras, edits, lookup
 
 
 def frame_request(
@@ -33,8 +33,11 @@ def frame_request(
     for item in shown(scene):
         moved = item.evaluated_get(depsgraph)
         matrix = lookup.matrix_world(moved)
-        if not moved.hide_render and np.linalg.matrix_rank(matrix[:3, :3]) == 3:  # not scaled to 0
-            models.append({"ply": object_props(item).ply, "matrix": matrix.tolist()})
+        if moved.hide_render or np.linalg.matrix_rank(matrix[:3, :3]) < 3:  # or scaled to 0
+            continue
+        edits.look_again(item)
+        if ply := edits.file_of(item):
+            models.append({"ply": ply, "matrix": matrix.tolist()})
     if not models or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)

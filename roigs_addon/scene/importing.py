@@ -183,7 +183,5 @@ def _new_cloud(
     clouds.set_attribute(mesh_of(cloud), clouds.COLOUR, "FLOAT_COLOR", rgba)
     material = clouds.colour_material("ROI-GS Points")
     clouds.show_as_points(cloud, material, extent * POINT_RADIUS)
-    # In edit mode they are vertices: Blender 5.2 does not show which points are selected.
-    cloud.modifiers[clouds.POINTS].show_in_editmode = False
     object_props(cloud).kind = "POINTS"
     return cloud

@@ -2,7 +2,8 @@
 
 Each object is a mesh of points with the attributes of docs/conventions.md. A modifier hides the
 points: the add-on draws the Gaussians themselves in the viewport (viewport/), and the engine draws
-them in renders (compositor.py). Where the user wants points, it is off.
+them in renders (compositor.py). Where the user wants points, it is off. Points can be deleted,
+hidden and moved in edit mode (edits.py).
 """
 
 from __future__ import annotations
@@ -10,26 +11,21 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from ..blender import delete, mesh_of
 from ..engine.earlier_results import where_it_is_now
 from ..errors import AddonError
-from ..geometry.splat_cloud import SplatCloud, read_splats
+from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
 from ..shared import run_files
-from . import clouds, compositor, lookup, native_splats
-
-if TYPE_CHECKING:
-    from bpy.stub_internal.rna_enums import AttributeTypeItems
+from . import clouds, compositor, edits, lookup, native_splats
+from .splat_attributes import add_attributes
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
-SH_C0 = 0.28209479177387814
 MATERIAL = "ROI-GS Gaussians"
 
 
@@ -183,6 +179,7 @@ def _points(name: str, path: Path) -> bpy.types.Object:
         raise AddonError(f"{error} Train again.") from error
     item = clouds.new_points(name, cloud.means)
     add_attributes(mesh_of(item), cloud)
+    edits.mark_imported(mesh_of(item))
     return item
 
 
@@ -215,23 +212,3 @@ def _nothing_group() -> bpy.types.NodeTree:
     group.nodes.new("NodeGroupOutput")
     made: bpy.types.NodeTree = group
     return made
-
-
-def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
-    """Add the attributes that docs/conventions.md lists, and those of the points' material."""
-    base = cloud.sh[:, 0]
-    radiance = np.column_stack((base, cloud.opacities))
-    colour = np.ones((len(base), 4), np.float32)
-    colour[:, :3] = clouds.to_linear(np.clip(0.5 + SH_C0 * base, 0, 1))
-    columns: dict[str, tuple[AttributeTypeItems, NDArray[np.float32]]] = {
-        clouds.COLOUR: ("FLOAT_COLOR", colour),
-        "opacity": ("FLOAT", cloud.opacities),
-        "radius": ("FLOAT", np.cbrt(cloud.scales.prod(axis=1))),
-        "scale": ("FLOAT_VECTOR", cloud.scales),
-        "rotation": ("QUATERNION", cloud.quats),
-        "radiance:base": ("FLOAT_COLOR", radiance),  # four numbers, in any Blender
-    }
-    for index in range(1, cloud.sh.shape[1]):
-        columns[f"radiance:sh_{index - 1}"] = ("FLOAT_VECTOR", cloud.sh[:, index])
-    for name, (kind, values) in columns.items():
-        clouds.set_attribute(mesh, name, kind, values)

@@ -31,9 +31,10 @@ def register() -> None:
 
 def problems() -> dict[str, str]:
     """Path -> why it cannot be drawn; path "" for what concerns all of them."""
+    from ..scene import edits
     from . import draw, marks, points
 
-    own = points.problem() or marks.problem()
+    own = points.problem() or marks.problem() or edits.problem
     return {**({"": own} if own else {}), **draw.problems()}
 
 

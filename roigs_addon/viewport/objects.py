@@ -11,6 +11,7 @@ from mathutils import Matrix
 
 from ..blender import view_layer_of
 from ..properties import object_props
+from ..scene import edits
 
 SURFACES = frozenset(
     {
@@ -54,8 +55,8 @@ def marked(
     found = []
     for item in objects:
         props = object_props(item)
-        path = props.ply
-        if props.kind != "SPLATS" or not path:
+        path = edits.file_of(item) if props.kind == "SPLATS" else ""
+        if not path:
             continue
         try:
             state = os.stat(path)

@@ -8,6 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, with_cycles
 
@@ -79,6 +80,38 @@ def test_what_is_hidden_moved_or_coarse_is_seen(blender: ModuleType, shot) -> No
     alone = f12("alone")
     scene.objects["Background"].location.x += 0.3
     assert psnr(f12("shifted"), alone) < 35
+
+
+def test_edits_are_rendered(blender: ModuleType, run, shot, engine, tmp_path: Path) -> None:
+    scene, f12 = shot
+    only(scene, "Background")
+    item = scene.objects["Background"]
+    arrays = read_ply(run[1] / "background.ply")
+    whole = f12()
+    edit = bmesh_of(item)
+    bmesh_delete(edit, arrays["means"][:, 0] > 0)
+    edit.to_mesh(item.data)
+    kept = {name: values[arrays["means"][:, 0] <= 0] for name, values in arrays.items()}
+    write_ply(tmp_path / "kept.ply", kept)
+    own = engines(engine, scene, tmp_path / "kept.ply", tmp_path / "own")
+    mine = f12("edited")
+    assert psnr(mine, whole) < 40
+    assert psnr(mine[..., :3] * mine[..., 3:], own) > 40
+
+
+def bmesh_of(item):
+    import bmesh
+
+    edit = bmesh.new()
+    edit.from_mesh(item.data)
+    return edit
+
+
+def bmesh_delete(edit, chosen: np.ndarray) -> None:
+    import bmesh
+
+    gone = [vertex for vertex, there in zip(edit.verts, chosen, strict=True) if there]
+    bmesh.ops.delete(edit, geom=gone, context="VERTS")
 
 
 def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:

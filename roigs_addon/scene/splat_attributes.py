@@ -1,0 +1,86 @@
+"""Gaussians as attributes of a mesh's points (docs/conventions.md), and back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.splat_cloud import SH_C0, SplatCloud
+from . import clouds
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import AttributeTypeItems
+
+Float32 = NDArray[np.float32]
+
+WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}
+SHAPE = ("scale", "rotation", "radiance:base")
+"""Attributes that every Gaussian has; opacity is the last number of the third."""
+
+
+def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
+    """Add the attributes that docs/conventions.md lists, and those of the points' material."""
+    base = cloud.sh[:, 0]
+    radiance = np.column_stack((base, cloud.opacities))
+    colour = np.ones((len(base), 4), np.float32)
+    colour[:, :3] = clouds.to_linear(np.clip(0.5 + SH_C0 * base, 0, 1))
+    columns: dict[str, tuple[AttributeTypeItems, Float32]] = {
+        clouds.COLOUR: ("FLOAT_COLOR", colour),
+        "opacity": ("FLOAT", cloud.opacities),
+        "radius": ("FLOAT", np.cbrt(cloud.scales.prod(axis=1))),
+        "scale": ("FLOAT_VECTOR", cloud.scales),
+        "rotation": ("QUATERNION", cloud.quats),
+        "radiance:base": ("FLOAT_COLOR", radiance),  # four numbers, in any Blender
+    }
+    for index in range(1, cloud.sh.shape[1]):
+        columns[_sh_name(index)] = ("FLOAT_VECTOR", cloud.sh[:, index])
+    for name, (kind, values) in columns.items():
+        clouds.set_attribute(mesh, name, kind, values)
+
+
+def cloud_of(mesh: bpy.types.Mesh) -> SplatCloud | None:
+    """The Gaussians of a mesh, without points that are hidden in edit mode.
+
+    None if an attribute is missing, as after joining with another mesh or applying a modifier.
+    """
+    shape = [values(mesh, name) for name in SHAPE]
+    scales, quats, radiance = shape
+    if scales is None or quats is None or radiance is None:
+        return None
+    sh = [radiance[:, :3]]
+    while len(sh) < 16 and (band := values(mesh, _sh_name(len(sh)))) is not None:
+        sh.append(band)
+    degree = int(np.sqrt(len(sh)))  # whole bands only
+    there = ~hidden(mesh)
+    return SplatCloud(
+        means=clouds.positions_of(mesh)[there],
+        quats=quats[there],
+        scales=scales[there],
+        opacities=radiance[there, 3],
+        sh=np.stack(sh[: degree**2], axis=1)[there],
+    )
+
+
+def values(mesh: bpy.types.Mesh, name: str) -> Float32 | None:
+    """(N, numbers) of a point attribute; None if there is none of that name."""
+    attribute: Any = mesh.attributes.get(name)
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in WIDTHS:
+        return None
+    width = WIDTHS[attribute.data_type]
+    flat = np.empty(width * len(mesh.vertices), np.float32)
+    attribute.data.foreach_get(clouds.ATTRIBUTE_KEYS[attribute.data_type], flat)
+    return flat.reshape(-1, width)
+
+
+def hidden(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
+    """(N,) whether a point was hidden in edit mode."""
+    found = np.empty(len(mesh.vertices), np.bool_)
+    mesh.vertices.foreach_get("hide", found)
+    return found
+
+
+def _sh_name(index: int) -> str:
+    return f"radiance:sh_{index - 1}"

@@ -1,0 +1,163 @@
+"""Gaussians that were deleted, hidden or moved in edit mode."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from roigs_engine.formats.splat_ply import read_ply
+from tests.addon.splat_cases import random_arrays, random_ply
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture
+def background(blender: ModuleType, run):
+    """An object with 30 Gaussians of a result."""
+    random_ply(run[1] / "background.ply", 30, seed=4)
+    blender.ops.roigs.load_results()
+    item = blender.data.objects["Background"]
+    for other in blender.context.selected_objects:
+        other.select_set(False)
+    item.select_set(True)
+    blender.context.view_layer.objects.active = item
+    return item
+
+
+def choose(bpy: ModuleType, item, chosen) -> None:
+    """Select points of an object in edit mode, where it stays."""
+    bpy.ops.object.mode_set(mode="OBJECT")
+    item.data.vertices.foreach_set("select", np.isin(np.arange(len(item.data.vertices)), chosen))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_mode(type="VERT")
+
+
+def drawn(item) -> dict[str, np.ndarray]:
+    """The Gaussians that the viewport draws for an object."""
+    from roigs_addon.viewport.objects import marked
+
+    (found,) = marked([item])
+    return read_ply(found.file.path)
+
+
+def assert_rows(got: dict[str, np.ndarray], rows: object) -> None:
+    """These rows of the file that was imported."""
+    for name, values in random_arrays(30, seed=4).items():
+        left, right = got[name], values[rows]
+        if name == "quats":
+            left, right = (
+                quats / np.linalg.norm(quats, axis=1)[:, None] for quats in (left, right)
+            )
+        np.testing.assert_allclose(left, right, atol=1e-4)
+
+
+def test_untouched_gaussians_are_drawn_from_their_file(background) -> None:
+    from roigs_addon.scene import edits
+
+    assert edits.file_of(background) == background.roigs.ply
+    background.location.x = 3.0
+    assert edits.file_of(background) == background.roigs.ply
+
+
+def test_deleted_gaussians_are_not_drawn(blender: ModuleType, background) -> None:
+    drawn(background)
+    choose(blender, background, range(10))
+    blender.ops.mesh.delete(type="VERT")
+    blender.context.view_layer.update()
+    assert_rows(drawn(background), slice(None))  # until edit mode is left
+    blender.ops.object.mode_set(mode="OBJECT")
+    assert_rows(drawn(background), slice(10, None))
+    choose(blender, background, range(20))
+    assert_rows(drawn(background), slice(10, None))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    from roigs_addon.viewport.objects import marked
+
+    assert not marked([background])
+
+
+def test_hidden_gaussians_come_back(blender: ModuleType, background) -> None:
+    drawn(background)
+    choose(blender, background, [3, 4])
+    blender.ops.mesh.hide()
+    blender.ops.object.mode_set(mode="OBJECT")
+    assert_rows(drawn(background), np.setdiff1d(np.arange(30), [3, 4]))
+    blender.ops.object.mode_set(mode="EDIT")
+    blender.ops.mesh.reveal()
+    blender.ops.object.mode_set(mode="OBJECT")
+    from roigs_addon.scene import edits
+
+    assert edits.file_of(background) == background.roigs.ply
+
+
+def test_moved_gaussians_are_drawn_where_they_are(blender: ModuleType, background) -> None:
+    before = drawn(background)["means"]
+    choose(blender, background, [7])
+    blender.ops.transform.translate(value=(1, 2, 3))
+    blender.ops.object.mode_set(mode="OBJECT")
+    after = drawn(background)["means"]
+    assert np.linalg.norm(after[7] - before[7]) == pytest.approx(np.sqrt(14), abs=1e-4)
+    np.testing.assert_array_equal(np.delete(after, 7, axis=0), np.delete(before, 7, axis=0))
+
+
+def test_edits_are_saved_with_the_file(blender: ModuleType, background, tmp_path: Path) -> None:
+    choose(blender, background, range(25))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "edited.blend"))
+    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "edited.blend"))
+    assert_rows(drawn(blender.data.objects["Background"]), slice(25, None))
+
+
+def test_copies_have_edits_of_their_own(blender: ModuleType, background) -> None:
+    blender.ops.object.duplicate()
+    copy = blender.context.active_object
+    choose(blender, copy, range(5))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    assert len(drawn(copy)["means"]) == 25 and len(drawn(background)["means"]) == 30
+
+
+def test_parts_stay_gaussians(blender: ModuleType, background) -> None:
+    """Separate, and join again."""
+    choose(blender, background, range(12))
+    blender.ops.mesh.separate(type="SELECTED")
+    blender.ops.object.mode_set(mode="OBJECT")
+    part = next(i for i in blender.context.selected_objects if i != background)
+    assert_rows(drawn(part), slice(0, 12))
+    assert_rows(drawn(background), slice(12, None))
+    blender.ops.object.join()
+    assert_rows(drawn(background), np.r_[12:30, 0:12])
+
+
+def test_new_results_are_drawn_whole(blender: ModuleType, background) -> None:
+    choose(blender, background, range(10))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    blender.ops.roigs.load_results()
+    assert_rows(drawn(background), slice(None))
+
+
+def test_points_without_shapes_are_drawn_as_they_were(blender: ModuleType, background) -> None:
+    from roigs_addon import viewport
+    from roigs_addon.scene import edits
+
+    background.data.attributes.remove(background.data.attributes["scale"])
+    background.data.vertices[0].co.x += 1
+    edits.look_again(background)
+    assert_rows(drawn(background), slice(None))
+    assert "lack attributes" in viewport.problems()[""]
+
+
+def test_only_the_last_edit_takes_space(blender: ModuleType, background) -> None:
+    from roigs_addon.scene import edits
+
+    for _ in range(3):
+        choose(blender, background, [0])
+        blender.ops.mesh.delete(type="VERT")
+        blender.ops.object.mode_set(mode="OBJECT")
+        drawn(background)
+    assert len(list(Path(blender.app.tempdir).glob(f"{edits.PREFIX}*"))) == 1
