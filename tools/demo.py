@@ -59,7 +59,7 @@ def main() -> int:
     request = str(Path(run_dir) / "blender" / "train.json")
     status = call([*engine, request, *compare, "--run-dir", run_dir])
     if status == 0:
-        for what, where in (("Blender", "scene.blend"), ("rendered", "renders")):
+        for what, where in (("Blender", "scene.blend"), ("rendered", "picture.png")):
             print(f"{what + ':':10}{options.run_dir / where}")
     return status
 

@@ -9,15 +9,12 @@ from pathlib import Path
 
 from ..shared import run_files
 
-RENDERS = "renders"
-
 CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
 
 OWN = "blender"
 """The add-on's own folder in it; all that follows is in there."""
 LOG = f"{OWN}/engine.log"
 TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
-CAMERA_PATH = "path.json"
 MANUAL_SELECTION, SELECTED = "selection", "selected"
 """Folders with a list of photos for each box: given to the engine, and chosen by it."""
 

@@ -106,10 +106,23 @@ def make(options: argparse.Namespace) -> None:
 
     boxes = sorted((o for o in scene.objects if o.roigs.kind == "ROI"), key=lambda o: o.name)
     do(ops.roigs.look_through, photo=options.photo or boxes[0].roigs.selection[0].name)
-    do(ops.roigs.render, directory=str(out / "renders"))
+    render(scene, out / "picture.png")
     do(ops.wm.save_as_mainfile, filepath=str(out / "scene.blend"))
-    for what, where in (("file", "scene.blend"), ("result", "result.ply"), ("pictures", "renders")):
+    for what, where in (
+        ("file", "scene.blend"),
+        ("result", "result.ply"),
+        ("picture", "picture.png"),
+    ):
         print(f"{what + ':':10}{options.out / where}")
+
+
+def render(scene: Any, path: Path) -> None:
+    """What F12 does. Without meshes and lights, one sample is enough."""
+    scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Standard"  # the photos' colours
+    scene.render.filepath = str(path)
+    do(ops.render.render, write_still=True)
 
 
 @contextmanager

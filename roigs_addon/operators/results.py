@@ -1,4 +1,4 @@
-"""Step 5, Result: import the Gaussians, choose what is shown, render with the engine."""
+"""Step 5, Result: import the Gaussians, choose what is shown."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from ..blender import registration, scene_of
 from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
-from ..jobs import current, render_job, run_folders
-from ..jobs.spec import JobSpec
+from ..jobs import current, run_folders
 from ..scene import splats
 from ..windows import redraw
-from .base import BUSY, FRESH, EngineOperator, available, failed
+from .base import FRESH, available, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -118,48 +117,13 @@ class ShowPoints(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class RenderSplats(EngineOperator):
-    """Render the trained scene through the active camera, with the engine's own rasterizer"""
-
-    bl_idname = "roigs.render"
-    bl_label = "Render Gaussians"
-
-    animation: BoolProperty(
-        name="Animation", description="Render all frames of the scene's range", options=FRESH
-    )
-    directory: StringProperty(
-        name="Folder",
-        subtype="DIR_PATH",
-        description="Where the pictures are saved (empty: in the run folder)",
-        options=FRESH,
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be a camera, a result, and an idle engine."""
-        reason, scene = "", scene_of(context)
-        if current.busy():
-            reason = BUSY
-        elif not run_facts.run(scene).result:
-            reason = NO_RESULT
-        elif scene.camera is None:
-            reason = "The scene has no active camera"
-        return available(cls, reason)
-
-    def spec(self, context: bpy.types.Context) -> JobSpec:
-        """Render along a camera path; the first picture comes back as an image."""
-        return render_job.spec(scene_of(context), self.directory, animation=self.animation)
-
-
 def _follow() -> None:
     """A training that was stopped may have archived what the scenes show."""
     for scene in bpy.data.scenes:
         splats.follow(scene, run_folders.run_folder(scene))
 
 
-_register, _unregister = registration(
-    LoadResults, DeleteResult, SetDetail, ShowPoints, RenderSplats
-)
+_register, _unregister = registration(LoadResults, DeleteResult, SetDetail, ShowPoints)
 
 
 def register() -> None:

@@ -91,40 +91,10 @@ def _same(a: Matrix, b: Matrix) -> bool:
     return bool(np.abs(a - b).max() < 1e-4 * scale)
 
 
-def scene_camera(scene: bpy.types.Scene, root: bpy.types.Object | None) -> Photo | None:
-    """The scene's active camera at the scene's resolution, as a camera of the COLMAP frame.
-
-    For a photo's camera that nobody changed, at the photo's size, that is COLMAP's camera to the
-    last digit. None if there is no active camera, or it is not a perspective camera.
-    """
-    item = scene.camera
-    if item is None or camera_of(item).type != "PERSP":
-        return None
-    intrinsics = intrinsics_of(camera_of(item), scene.render, *render_size(scene.render))
-    photo = photo_of(item, root)
-    if photo is None:
-        pose = frames.world_to_camera(lookup.matrix_world(item), lookup.matrix_world(root))
-        rows = tuple(tuple(float(v) for v in row) for row in pose)
-    else:
-        rows = photo.world_to_camera
-        if _same_lens(intrinsics, photo.intrinsics):
-            intrinsics = photo.intrinsics
-    return Photo(
-        name=f"{scene.frame_current:04d}", path="", intrinsics=intrinsics, world_to_camera=rows
-    )
-
-
 def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
     """Width and height of a render in pixels; rounded down, as Blender does."""
     share = render.resolution_percentage
     return max(1, render.resolution_x * share // 100), max(1, render.resolution_y * share // 100)
-
-
-def _same_lens(a: Intrinsics, b: Intrinsics) -> bool:
-    if (a.width, a.height) != (b.width, b.height):
-        return False
-    pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
-    return all(abs(one - other) < 1e-5 * max(a.width, a.height) for one, other in pairs)
 
 
 def intrinsics_of(

@@ -12,7 +12,6 @@ from ..blender import layout_of, registration, scene_of
 from ..engine.earlier_results import EarlierResult
 from ..facts import run_facts
 from ..jobs import current
-from ..jobs.spec import RENDERING
 from ..operators.results import DeleteResult, LoadResults, SetDetail, ShowPoints
 from ..properties import object_props
 from ..scene import compositor, lookup
@@ -50,7 +49,6 @@ class ResultPanel(SidebarPanel):
             text = f"Missing splat files: {names}. Train, or set the Run Folder and load results"
             show.wrong(layout, text)
         _draw_earlier(layout, splats, run_facts.earlier(scene))
-        show.job(layout, RENDERING)
         if splats:
             _draw_render(layout, scene)
 

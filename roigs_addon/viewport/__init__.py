@@ -5,7 +5,7 @@
 | `sorting` | back-to-front order |
 | `packing` | several clouds as one set of texel arrays |
 | `objects` | which objects are drawn |
-| `frame` | where the camera's picture is in the view |
+| `view` | from where; where in it the camera's picture is |
 | `shaders` | the GPU programs, from `shaders/` |
 | `targets` | images on the GPU: the splats' own, and the scene's depth |
 | `painter` | keeps the sets and orders on the GPU, and draws them |

@@ -7,10 +7,10 @@ import bpy
 from ..blender import region_of, region_view_of
 from ..windows import Timer, redraw
 from . import targets
-from .frame import camera_frame
 from .handler import ViewHandler
 from .objects import splat_objects, surfaces_are_visible
 from .painter import Painter
+from .view import View, camera_frame
 
 POLL = 0.02
 """Seconds between two looks at the threads."""
@@ -40,14 +40,12 @@ def _draw_region(context: bpy.types.Context) -> None:
             _painter.forget()
         return
     size = (region.width, region.height)
+    frame = camera_frame(context, data.window_matrix, size)
     depth = targets.bound_depth(*size) if surfaces_are_visible(context) else None
     painter().draw(
         objects,
-        data.view_matrix,
-        data.window_matrix,
-        size,
+        View(data.view_matrix, data.window_matrix, size, frame),
         key=region.as_pointer(),
-        frame=camera_frame(context, data.window_matrix, size),
         depth=depth,
         linear_target=True,
     )

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..worker import Worker
 from . import shaders, targets
-from .frame import Frame, whole
 from .objects import FileKey, SplatObject
 from .packing import PackedSet, pack, pack_order
 from .sorting import Segment, SortingView, back_to_front
+from .view import View, whole
 
 Files = tuple[FileKey, ...]
 Float32 = NDArray[np.float32]
@@ -92,12 +92,9 @@ class Painter:
     def draw(
         self,
         objects: Sequence[SplatObject],
-        view: Matrix,
-        projection: Matrix,
-        size: tuple[int, int],
+        view: View,
         *,
         key: Hashable,
-        frame: Frame | None = None,
         depth: gpu.types.GPUTexture | None = None,
         linear_target: bool = False,
         wait: bool = False,
@@ -106,32 +103,29 @@ class Painter:
 
         Args:
             objects: all there are, hidden or not.
-            view: world -> camera, OpenGL's axes.
-            projection: camera -> clip space.
-            size: width and height in pixels.
+            view: from where, and how large.
             key: which viewport this is.
-            frame: what the camera's picture fills; None: everything.
             depth: of what hides splats, 0 to 1 per pixel; None: nothing does.
             linear_target: whether the framebuffer converts linear light to sRGB when written.
             wait: whether to wait for files and sorting.
         """
         self._update_set(objects, wait)
-        order = self._update_order(objects, view, key, wait)
+        order = self._update_order(objects, view.matrix, key, wait)
         if order is None or not order.count:
             return
         tools = self._tools = self._tools or Tools()
         depth = depth or tools.no_depth
         files = order.gaussians.files
-        matrices = targets.texture(object_texels(files, objects, view, projection), "RGBA32F")
-        with self._picture.cleared(*size).bind():
+        matrices = targets.texture(object_texels(files, objects, view), "RGBA32F")
+        with self._picture.cleared(*view.size).bind():
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
             gpu.state.blend_set("ALPHA_PREMULT")
             shader = tools.splat
             shader.bind()
-            shader.uniform_float("projection", projection)
-            shader.uniform_float("frame", frame or whole(size))
-            shader.uniform_float("view_size", size)
+            shader.uniform_float("projection", view.projection)
+            shader.uniform_float("frame", view.frame or whole(view.size))
+            shader.uniform_float("view_size", view.size)
             shader.uniform_int("sh_texels", order.gaussians.sh_texels)
             shader.uniform_sampler("order", order.texture)
             shader.uniform_sampler("geometry", order.gaussians.geometry)
@@ -296,17 +290,15 @@ def sorting_view(gaussians: GpuSet, objects: Sequence[SplatObject], view: Matrix
     return SortingView(tuple(segments), gaussians.extent)
 
 
-def object_texels(
-    files: Files, objects: Sequence[SplatObject], view: Matrix, projection: Matrix
-) -> Float32:
+def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> Float32:
     """(objects, 4, 4): object -> camera as three rows; eye or direction of sight, least depth."""
     texels = np.zeros((max(1, len(files)), 4, 4), np.float32)
     texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
-    perspective = projection[3][3] == 0.0
+    perspective = view.projection[3][3] == 0.0
     for texel, item in zip(texels, objects_of(files, objects), strict=False):
         if item is None or not item.visible:
             continue
-        matrix = view @ item.matrix
+        matrix = view.matrix @ item.matrix
         scale = abs(matrix.to_3x3().determinant()) ** (1 / 3)
         if not scale:
             continue

@@ -11,8 +11,8 @@ import numpy as np
 from mathutils import Matrix
 
 from roigs_addon.viewport import draw
-from roigs_addon.viewport.frame import Frame
 from roigs_addon.viewport.objects import marked
+from roigs_addon.viewport.view import Frame, View
 
 
 def picture(
@@ -27,8 +27,8 @@ def picture(
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA32F")
     with offscreen.bind():
         gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
-        drawn, size = marked(objects), (width, height)
-        draw.painter().draw(drawn, view, projection, size, key="", frame=frame, wait=True)
+        place = View(view, projection, (width, height), frame)
+        draw.painter().draw(marked(objects), place, key="", wait=True)
         data = offscreen.texture_color.read()
     data.dimensions = width * height * 4
     offscreen.free()

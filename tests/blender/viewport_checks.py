@@ -24,6 +24,7 @@ from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_addon.scene import clouds
 from roigs_addon.viewport import draw, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects
+from roigs_addon.viewport.view import View
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
 SIDE = 96
@@ -145,7 +146,7 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
             gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
             held = None if depth is None else targets.texture(depth, "R32F")
             size = (SIDE, SIDE)
-            draw.painter().draw(marked([a]), view, clip, size, key=0, depth=held, wait=True)
+            draw.painter().draw(marked([a]), View(view, clip, size), key=0, depth=held, wait=True)
             data = offscreen.texture_color.read()
         data.dimensions = SIDE * SIDE * 4
         pictures[name] = np.array(data).reshape(SIDE, SIDE, 4)

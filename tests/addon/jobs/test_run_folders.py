@@ -183,13 +183,13 @@ def test_an_unusable_folder_gives_one_line(
 ) -> None:
     from roigs_addon.errors import AddonError
     from roigs_addon.facts import run_facts
-    from roigs_addon.jobs import options_files, render_job
+    from roigs_addon.jobs import options_files
     from roigs_addon.scene import lookup
 
     scene = boxed(blender, project)
     scene.roigs.run_dir = str(tmp_path / "run")
     (tmp_path / "run" / "blender").mkdir(parents=True)
-    for name in ("rois.json", "train.json", "path.json"):
+    for name in ("rois.json", "train.json"):
         (tmp_path / "run" / "blender" / name).mkdir()
     for name in ("rois.json", "train.json"):
         with pytest.raises(AddonError, match=UNWRITABLE):
@@ -199,10 +199,6 @@ def test_an_unusable_folder_gives_one_line(
     lookup.rois(scene)[0].roigs.selection.add().name = "photo 0.png"
     with pytest.raises(AddonError, match=UNWRITABLE):
         options_files.write_train_options(scene, lookup.rois(scene), 0.0)
-    (tmp_path / "run" / "result.ply").touch()
-    scene.camera = next(iter(lookup.cameras(scene).values()))
-    with pytest.raises(AddonError, match=UNWRITABLE):
-        render_job.spec(scene, "", animation=False)
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file" / "run", tmp_path / ("x" * 300)):
         scene.roigs.run_dir = str(folder)
@@ -233,21 +229,19 @@ def test_links_are_not_written_through(
     from roigs_addon.engine.own_files import log_file
     from roigs_addon.engine.process import _Log
     from roigs_addon.errors import AddonError
-    from roigs_addon.jobs import options_files, render_job
+    from roigs_addon.jobs import options_files
     from roigs_addon.scene import lookup
 
     scene, run = boxed(blender, project), tmp_path / "run"
     scene.roigs.run_dir = str(run)
-    scene.camera = next(iter(lookup.cameras(scene).values()))
     lookup.rois(scene)[0].roigs.selection.add().name = "photo 0.png"
     mine = tmp_path / "mine"
     mine.write_text("mine")
-    own = ("rois.json", "train.json", "path.json", "selection/thing.json", "engine.log")
+    own = ("rois.json", "train.json", "selection/thing.json", "engine.log")
     for name in own:
         (run / "blender" / name).parent.mkdir(parents=True, exist_ok=True)
         (run / "blender" / name).symlink_to(mine)
     options_files.write_train_options(scene, lookup.rois(scene), 0.0)
-    render_job.spec(scene, "", animation=False)
     log = _Log(log_file(run))
     log.write("a line")
     log.close()
@@ -259,7 +253,6 @@ def test_links_are_not_written_through(
     for write in (
         lambda: options_files.write_train_options(scene, lookup.rois(scene), 0.0),
         lambda: options_files.write_select_options(scene, lookup.rois(scene)),
-        lambda: render_job.spec(scene, "", animation=False),
     ):
         with pytest.raises(AddonError, match="is a link"):
             write()

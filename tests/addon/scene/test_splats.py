@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from types import ModuleType
 
@@ -11,7 +10,7 @@ import pytest
 
 from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.pictures import read_png
-from tests.addon.scenes import command_line, drawn_points, imported, with_cycles
+from tests.addon.scenes import drawn_points, imported, with_cycles
 from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
@@ -175,47 +174,6 @@ def test_cycles_shows_them(blender: ModuleType, run, tmp_path: Path) -> None:
     assert picture.std(axis=2).max() > 10  # colours
 
 
-def test_render_is_the_engines_own(blender: ModuleType, run, engine, tmp_path: Path) -> None:
-    bpy, (scene, folder) = blender, run
-    bpy.ops.roigs.look_through(photo="photo 3.png")
-    scene.roigs.root.scale = 2, 2, 2
-    scene.roigs.root.location = 1, 2, 3
-    scene.frame_set(7)
-    assert bpy.ops.roigs.render() == {"FINISHED"}
-    mine = folder / "renders" / "0007.png"
-    arguments = ["--scene", scene.roigs.colmap, "--name", "photo 3.png", "--out", tmp_path / "own"]
-    command_line(engine, "render", folder / "result.ply", *arguments)
-    (own,) = (tmp_path / "own").rglob("*.png")
-    np.testing.assert_array_equal(read_png(mine), read_png(own))
-    assert read_png(mine).std() > 1
-    assert any(image.filepath.endswith("0007.png") for image in bpy.data.images)
-
-
-def test_an_animation_is_rendered_frame_by_frame(
-    blender: ModuleType, run, engine, tmp_path: Path
-) -> None:
-    bpy, (scene, folder) = blender, run
-    bpy.ops.roigs.look_through(photo="photo 3.png")
-    camera = scene.camera
-    for frame, x in ((1, 0.0), (5, 0.5)):
-        camera.location.x = x
-        camera.keyframe_insert("location", frame=frame)
-    scene.frame_start, scene.frame_end, scene.frame_step = 1, 5, 2
-    scene.frame_set(4)
-    bpy.ops.roigs.render(animation=True, directory=str(tmp_path / "out"))
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        f"000{n}.png" for n in (1, 3, 5)
-    ]
-    assert scene.frame_current == 4
-    path = json.loads((folder / "blender" / "path.json").read_text("utf-8"))
-    x = [-np.linalg.inv(c["world_to_camera"])[0, 3] for c in path["cameras"]]
-    np.testing.assert_allclose(np.diff(x), np.diff(x)[0], atol=0.3)
-    camera.data.type = "ORTHO"
-    with pytest.raises(RuntimeError, match="not a perspective camera"):
-        bpy.ops.roigs.render()
-
-
 def test_nothing_to_load(blender: ModuleType, addon: ModuleType, project: Path) -> None:
     imported(blender, project)
     assert not blender.ops.roigs.load_results.poll()
-    assert not blender.ops.roigs.render.poll()

@@ -1,4 +1,4 @@
-"""The part of a viewport that the camera's picture fills.
+"""From where a viewport shows Gaussians, and which part of it the camera's picture fills.
 
 A Gaussian's shape is projected with an approximation that is good in the picture and a little
 around it. So in a view through a camera, what limits it must be the camera's frame, not the region,
@@ -7,6 +7,8 @@ which may be far wider: large Gaussians beside the picture would be smeared over
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 from mathutils import Matrix
 
@@ -14,6 +16,23 @@ from ..blender import scene_of, view_3d_of
 
 Frame = tuple[float, float, float, float]
 """Left, bottom, right and top in pixels of the region, from its lower left corner."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What Gaussians are drawn for.
+
+    Attributes:
+        matrix: world -> camera, OpenGL's axes.
+        projection: camera -> clip space.
+        size: width and height in pixels.
+        frame: what the camera's picture fills; None: everything.
+    """
+
+    matrix: Matrix
+    projection: Matrix
+    size: tuple[int, int]
+    frame: Frame | None = None
 
 
 def whole(size: tuple[int, int]) -> Frame:

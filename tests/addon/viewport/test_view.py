@@ -45,7 +45,7 @@ def window_matrix(blender: ModuleType, camera: object, place: tuple[float, ...])
 def test_the_frame_is_where_the_window_shows_the_picture(
     blender: ModuleType, view: SimpleNamespace
 ) -> None:
-    from roigs_addon.viewport.frame import camera_frame
+    from roigs_addon.viewport.view import camera_frame
 
     camera = view.scene.camera
     camera.data.lens, camera.data.shift_x, camera.data.shift_y = 35.0, 0.11, -0.07
@@ -56,7 +56,7 @@ def test_the_frame_is_where_the_window_shows_the_picture(
 
 
 def test_the_local_camera_of_a_view(blender: ModuleType, view: SimpleNamespace) -> None:
-    from roigs_addon.viewport.frame import camera_frame
+    from roigs_addon.viewport.view import camera_frame
 
     other = blender.data.objects["B"]
     other.data.lens = 80.0
@@ -69,7 +69,7 @@ def test_the_local_camera_of_a_view(blender: ModuleType, view: SimpleNamespace) 
 def test_other_views_are_frames_as_a_whole(
     blender: ModuleType, view: SimpleNamespace, kind: str
 ) -> None:
-    from roigs_addon.viewport.frame import camera_frame
+    from roigs_addon.viewport.view import camera_frame
 
     projection = window_matrix(blender, view.scene.camera, (0.25, -0.5, 0.5, 0.2))
     if kind == "free":
