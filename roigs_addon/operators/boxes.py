@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,11 +10,11 @@ import mathutils
 from bpy.props import FloatVectorProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender import registration, scene_of, view_layer_of
+from ..blender import registration, scene_of
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import lookup, rois, selections
-from .base import FRESH, NO_BOX, available, box_problem, failed
+from .base import FRESH, NO_BOX, available, box_problem, failed, select_only
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -140,13 +139,9 @@ class SelectRoi(bpy.types.Operator):
 
 
 def _select(context: bpy.types.Context, roi: bpy.types.Object) -> None:
-    """Select it in the panel and, unless its collection is excluded, in the view layer."""
+    """Select it in the panel and in the view layer."""
     scene_props(scene_of(context)).active_roi = roi
-    for item in context.selected_objects:
-        item.select_set(False)
-    with suppress(RuntimeError):
-        roi.select_set(True)
-        view_layer_of(context).objects.active = roi
+    select_only(context, roi)
 
 
 register, unregister = registration(AddRoi, AddBox, LoadRois, RemoveRoi, SelectRoi)

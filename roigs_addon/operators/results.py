@@ -13,9 +13,9 @@ from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
-from ..scene import splats
+from ..scene import lookup, splats
 from ..windows import redraw
-from .base import FRESH, available, failed
+from .base import FRESH, available, failed, select_only
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -117,13 +117,36 @@ class ShowPoints(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class SelectGaussians(bpy.types.Operator):
+    """Select these Gaussians, to move or edit them: a click in the view does not reach them"""
+
+    bl_idname = "roigs.select_gaussians"
+    bl_label = "Select Gaussians"
+    bl_options = {"REGISTER", "UNDO"}
+
+    name: StringProperty(description="Name of the object", options=FRESH)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Select the object, and nothing else."""
+        found = (item for item in lookup.splats(scene_of(context)) if item.name == self.name)
+        item = next(found, None)
+        if item is None:
+            return failed(self, f"There are no Gaussians '{self.name}'.")
+        if context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        select_only(context, item)
+        return {"FINISHED"}
+
+
 def _follow() -> None:
     """A training that was stopped may have archived what the scenes show."""
     for scene in bpy.data.scenes:
         splats.follow(scene, run_folders.run_folder(scene))
 
 
-_register, _unregister = registration(LoadResults, DeleteResult, SetDetail, ShowPoints)
+_register, _unregister = registration(
+    LoadResults, DeleteResult, SetDetail, ShowPoints, SelectGaussians
+)
 
 
 def register() -> None:

@@ -12,7 +12,7 @@ from ..blender import layout_of, registration, scene_of
 from ..engine.earlier_results import EarlierResult
 from ..facts import run_facts
 from ..jobs import current
-from ..operators.results import DeleteResult, LoadResults, SetDetail, ShowPoints
+from ..operators.results import DeleteResult, LoadResults, SelectGaussians, SetDetail, ShowPoints
 from ..properties import object_props
 from ..scene import compositor, lookup
 from ..scene.splats import shown_levels
@@ -59,21 +59,28 @@ def _draw_objects(layout: bpy.types.UILayout, splats: Objects, levels: dict[str,
         props = object_props(item)
         row = layout.row(align=True)
         if props.level == "RESULT":
-            row.label(text=item.name)
+            _draw_name(row, item, item.name)
             row.prop(item, "hide_viewport", text="", emboss=False)
         elif props.level == "ROI":
             _draw_box(row, splats, props.roi, levels[props.roi])
 
 
 def _draw_box(row: bpy.types.UILayout, splats: Objects, roi: str, refined: bool) -> None:
-    row.label(text=roi)
+    shown = "ROI" if refined else "SCENE"
+    items = [i for i in splats if object_props(i).roi == roi and object_props(i).level == shown]
+    if items:
+        _draw_name(row, items[0], roi)
     for text, fine in (("Coarse", False), ("Fine", True)):
         button = row.operator(SetDetail.bl_idname, text=text, depress=refined == fine)
         button.roi, button.fine = roi, fine
-    shown = "ROI" if refined else "SCENE"
-    for item in splats:
-        if object_props(item).roi == roi and object_props(item).level == shown:
-            row.prop(item, "hide_viewport", text="", emboss=False)
+    for item in items:
+        row.prop(item, "hide_viewport", text="", emboss=False)
+
+
+def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> None:
+    """The name as a button that selects the object."""
+    button = row.operator(SelectGaussians.bl_idname, text=name, depress=item.select_get())
+    button.name = item.name
 
 
 def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:

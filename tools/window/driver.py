@@ -204,6 +204,28 @@ class Blender:
         time.sleep(0.03)
         return str(self.ask("under_mouse()"))
 
+    def type(self, text: str) -> None:
+        """Type letters and numbers."""
+        self.screen.do("type", "--delay", "30", text)
+
+    def choose(self, path: Path) -> None:
+        """Choose a folder or a file in the file browser that is open, and confirm with Enter.
+
+        The path is set as if it had been typed; the file browser must be in the main window.
+        """
+        self.until("file_browser() is not None and file_browser().spaces.active.params")
+        folder, name = (path, "") if path.is_dir() else (path.parent, path.name)
+        self.ask(
+            "p = file_browser().spaces.active.params;"
+            f" p.directory = {os.fsencode(folder)!r}; p.filename = {name!r}"
+        )
+        x, y = self.ask("[(a.x + a.width // 2, a.y + a.height // 2) for a in [file_browser()]][0]")
+        height = self.ask("manager().windows[0].height")
+        self.screen.do("mousemove", str(x), str(height - y))
+        self.pause(0.5)
+        self.press("Return")
+        self.until("file_browser() is None")
+
     def scroll(self, steps: int) -> None:
         """Turn the wheel over the sidebar; up when negative."""
         left, top, _, height = self.ask("sidebar()")

@@ -61,16 +61,22 @@ def sidebar() -> tuple[int, int, int, int]:
 
 
 def under_mouse() -> str:
-    """The Python command of the button under the mouse, as Ctrl-C there copies it; or nothing."""
+    """The Python command of the button under the mouse, or a field's data path; or nothing."""
     found = view()
     manager().clipboard = ""
-    button: Any = bpy.ops.ui.copy_python_command_button
+    names = ("copy_python_command_button", "copy_data_path_button")
     with bpy.context.temp_override(**{**found, "region": part(found["area"], "UI")}):
-        if not button.poll():
-            return ""
-        with contextlib.suppress(RuntimeError):
-            button()
+        for button in (getattr(bpy.ops.ui, name) for name in names):
+            if not manager().clipboard and button.poll():
+                with contextlib.suppress(RuntimeError):
+                    button()
     return str(manager().clipboard)
+
+
+def file_browser() -> bpy.types.Area | None:
+    """The area in which a file browser is open, in any window."""
+    areas = (a for w in manager().windows for a in w.screen.areas if a.type == "FILE_BROWSER")
+    return next(areas, None)
 
 
 def answer() -> float:

@@ -107,6 +107,17 @@ def test_coarse_and_fine(blender: ModuleType, run) -> None:
     assert found["SCENE"].hide_get() and found["SCENE"].hide_render
 
 
+def test_gaussians_are_selected_by_name(blender: ModuleType, run) -> None:
+    bpy, (scene, _) = blender, run
+    bpy.ops.roigs.load_results()
+    bpy.ops.roigs.select_roi(name="thing")
+    item = levels(scene)["ROI"]
+    bpy.ops.roigs.select_gaussians(name=item.name)
+    assert bpy.context.active_object == item and bpy.context.selected_objects == [item]
+    with pytest.raises(RuntimeError, match="no Gaussians 'thing'"):
+        bpy.ops.roigs.select_gaussians(name="thing")
+
+
 def test_new_results_replace_old_ones(blender: ModuleType, run) -> None:
     bpy, (scene, folder) = blender, run
     bpy.ops.roigs.load_results()
