@@ -8,12 +8,12 @@ from pathlib import PurePosixPath
 import bpy
 
 from ..properties import scene_props
-from ..scene import importing, lookup
+from ..scene import exclusions, lookup
 
-Key = tuple[str, str, int]
+Key = tuple[str, str, int, int]
 """Of what the facts were found in: another model, or other objects, and they are found again."""
 
-_deleted: dict[Key, int] = {}
+_excluded: dict[Key, int] = {}
 _names: dict[Key, dict[str, str]] = {}
 
 
@@ -22,13 +22,13 @@ def count(scene: bpy.types.Scene) -> int:
     return len(_short_names(scene))
 
 
-def deleted(scene: bpy.types.Scene) -> int:
-    """How many of the imported photos' cameras the user has deleted."""
+def excluded(scene: bpy.types.Scene) -> int:
+    """How many of the imported photos the user has excluded."""
     key = _key(scene)
-    if key not in _deleted:
-        _deleted.clear()
-        _deleted[key] = len(importing.deleted_photos(scene))
-    return _deleted[key]
+    if key not in _excluded:
+        _excluded.clear()
+        _excluded[key] = len(exclusions.excluded(scene))
+    return _excluded[key]
 
 
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
@@ -46,7 +46,7 @@ def _short_names(scene: bpy.types.Scene) -> dict[str, str]:
 
 def _key(scene: bpy.types.Scene) -> Key:
     props = scene_props(scene)
-    return props.colmap, props.model_cache, len(scene.objects)
+    return props.colmap, props.model_cache, len(scene.objects), len(props.excluded)
 
 
 def shortened(photos: list[str]) -> dict[str, str]:
@@ -59,4 +59,4 @@ def shortened(photos: list[str]) -> dict[str, str]:
 def forget() -> None:
     """Look again at the next question."""
     _names.clear()
-    _deleted.clear()
+    _excluded.clear()
