@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ..blender import layout_of, registration, scene_of
-from ..facts import photo_names
+from ..facts import photo_names, photo_pictures
 from ..jobs.spec import SELECTING
 from ..operators.photos import EditSelection, SelectCameras
 from ..operators.scene import LookThrough
@@ -28,6 +28,8 @@ EDIT_ICONS: dict[str, IconItems] = {
     "DOWN": "TRIA_DOWN",
     "CLEAR": "X",
 }
+PICTURE_SCALE = 8.0
+"""Size of the active photo's picture, in buttons."""
 
 
 class PhotoList(bpy.types.UIList):
@@ -103,7 +105,10 @@ def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.typ
     for action, icon in EDIT_ICONS.items():
         column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
     if props.selection_index < len(props.selection):
-        exclusions.toggle(column, scene, props.selection[props.selection_index].name)
+        photo = props.selection[props.selection_index].name
+        exclusions.toggle(column, scene, photo)
+        if picture := photo_pictures.icon(scene, photo):
+            layout.template_icon(icon_value=picture, scale=PICTURE_SCALE)
 
 
 register, unregister = registration(PhotoList, CamerasPanel)

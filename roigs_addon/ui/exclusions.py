@@ -15,7 +15,7 @@ def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     count = photo_names.excluded(scene)
     if not count:
         return
-    row = layout.row(align=True)
+    row = layout.split(factor=0.62, align=True)
     row.label(text=f"{text.counted(count, 'photo')} excluded", icon="CANCEL")
     row.operator(IncludePhotos.bl_idname, text="Include All").every = True
 
@@ -32,6 +32,6 @@ def selected(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The buttons for the cameras that are selected in the 3D view; nothing if none is."""
     if not any(lookup.is_photo_camera(item) for item in context.selected_objects):
         return
-    row = layout.row(align=True)
-    row.operator(ExcludePhotos.bl_idname, text="Exclude Selected", icon="CANCEL")
-    row.operator(IncludePhotos.bl_idname, text="Include", icon="LOOP_BACK")
+    row = layout.split(factor=0.62, align=True)
+    row.operator(ExcludePhotos.bl_idname, text="Exclude Selected")
+    row.operator(IncludePhotos.bl_idname, text="Include")
