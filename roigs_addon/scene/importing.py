@@ -16,7 +16,7 @@ from ..errors import AddonError
 from ..geometry.photo import Photo
 from ..geometry.upright import levelled
 from ..properties import object_props, scene_props
-from . import cameras, clouds, lookup
+from . import cameras, clouds, lookup, start_cube
 
 ROOT_NAME = "COLMAP"
 # In units of the cameras' extent.
@@ -48,6 +48,8 @@ def import_folder(
     before = [lookup.photo_record(item) for item in lookup.cameras(scene).values()]
     active = lookup.photo_record(scene.camera) if scene.camera else None
     _remove_earlier(scene)
+    if scene_props(scene).root is None:
+        start_cube.hide(scene)
     same_frame = same_frame or _same_frame(before, photos)
     if not same_frame:
         scene_props(scene).excluded.clear()  # another model's photos may have the same names
