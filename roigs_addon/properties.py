@@ -72,6 +72,10 @@ class RoigsPhotoItem(bpy.types.PropertyGroup):
     score: FloatProperty(description="How well the photos up to this one cover the box")
 
 
+class RoigsExcludedPhoto(bpy.types.PropertyGroup):
+    """A photo that is not used; `name` is the photo's."""
+
+
 class RoigsObject(bpy.types.PropertyGroup):
     """What an object is to the add-on. Only the fields of its kind are used."""
 
@@ -153,6 +157,9 @@ class RoigsScene(bpy.types.PropertyGroup):
         min=0,
         description="Keep every n-th photo of a box out of training, to measure with; 0: none",
     )
+    excluded: CollectionProperty(
+        type=RoigsExcludedPhoto, description="Photos that are neither selected nor trained on"
+    )
     model_cache: StringProperty(description="Folder of the model as exported by the engine")
     skipped: StringProperty(description="What the import skipped, in words")
 
@@ -174,7 +181,7 @@ def object_props(item: bpy.types.Object) -> RoigsObject:
 # Blender's stubs know neither what add-ons add to its types nor what this returns.
 OWNERS: Any = bpy.types
 DEFINE: Any = PointerProperty
-CLASSES = (RoigsPhotoItem, RoigsObject, RoigsScene)
+CLASSES = (RoigsPhotoItem, RoigsExcludedPhoto, RoigsObject, RoigsScene)
 
 
 def register() -> None:

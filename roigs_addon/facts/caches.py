@@ -6,7 +6,7 @@ import bpy
 
 from ..blender import persistent
 from ..jobs import current
-from . import engine_ability, photo_names, point_counts, run_facts
+from . import engine_ability, photo_names, photo_pictures, point_counts, run_facts
 
 
 @persistent
@@ -14,6 +14,7 @@ def forget(*_: object) -> None:
     """Look at everything again."""
     run_facts.forget()
     photo_names.forget()
+    photo_pictures.forget()
     point_counts.forget()
 
 

@@ -8,12 +8,17 @@ from pathlib import PurePosixPath
 import bpy
 
 from ..properties import scene_props
-from ..scene import importing, lookup
+from ..scene import exclusions, lookup
 
-Key = tuple[str, str, int]
+Key = tuple[str, str, int, int]
 """Of what the facts were found in: another model, or other objects, and they are found again."""
 
-_deleted: dict[Key, int] = {}
+LONG = 10
+"""Letters of a name that a sidebar of Blender's usual width has no room for."""
+SHOWN_TWICE = 2
+"""Letters before the first difference that stay if a word is cut."""
+
+_excluded: dict[Key, int] = {}
 _names: dict[Key, dict[str, str]] = {}
 
 
@@ -22,17 +27,17 @@ def count(scene: bpy.types.Scene) -> int:
     return len(_short_names(scene))
 
 
-def deleted(scene: bpy.types.Scene) -> int:
-    """How many of the imported photos' cameras the user has deleted."""
+def excluded(scene: bpy.types.Scene) -> int:
+    """How many of the imported photos the user has excluded."""
     key = _key(scene)
-    if key not in _deleted:
-        _deleted.clear()
-        _deleted[key] = len(importing.deleted_photos(scene))
-    return _deleted[key]
+    if key not in _excluded:
+        _excluded.clear()
+        _excluded[key] = len(exclusions.excluded(scene))
+    return _excluded[key]
 
 
 def short_name(scene: bpy.types.Scene, photo: str) -> str:
-    """A photo's file name without folders and suffix, if no other photo has the same."""
+    """A photo's name as far as it tells the photo from the others: a sidebar is narrow."""
     return _short_names(scene).get(photo, photo)
 
 
@@ -46,17 +51,65 @@ def _short_names(scene: bpy.types.Scene) -> dict[str, str]:
 
 def _key(scene: bpy.types.Scene) -> Key:
     props = scene_props(scene)
-    return props.colmap, props.model_cache, len(scene.objects)
+    return props.colmap, props.model_cache, len(scene.objects), len(props.excluded)
 
 
 def shortened(photos: list[str]) -> dict[str, str]:
-    """Photo -> its short name."""
-    seen = Counter(PurePosixPath(photo).stem for photo in photos)
+    """Photo -> its file name without suffix, with its folder if another photo is named alike.
+
+    Names that are too long for a narrow sidebar lose what they have in common.
+    """
     paths = {photo: PurePosixPath(photo) for photo in photos}
-    return {photo: p.stem if seen[p.stem] == 1 else photo for photo, p in paths.items()}
+    seen = Counter(path.stem for path in paths.values())
+    alike = [path for path in paths.values() if seen[path.stem] > 1]
+    stems = _distinct_parts({stem for stem in seen if len(stem) > LONG or seen[stem] > 1})
+    folders = _distinct_parts({str(path.parent) for path in alike})
+    short = {
+        photo: f"{folders[str(path.parent)]}/{stems[path.stem]}"
+        if seen[path.stem] > 1
+        else stems.get(path.stem, path.stem)
+        for photo, path in paths.items()
+    }
+    return short if len(set(short.values())) == len(short) else {photo: photo for photo in photos}
+
+
+def _distinct_parts(names: set[str]) -> dict[str, str]:
+    """Name -> what is left without the words that all start with, then those that all end with.
+
+    If that is too long, names are cut within a word: what they start with, or all but their end.
+    """
+    if len(names) < 2:
+        return {name: name for name in names}
+    ordered = sorted(names)
+    start = _words(_common_start(ordered))
+    parts = {name: name[len(start) :] for name in ordered}
+    if _longest(parts) > LONG:
+        end = len(_words(_common_start([part[::-1] for part in parts.values()])))
+        parts = {name: part[: len(part) - end] for name, part in parts.items()}
+    if _longest(parts) > LONG:
+        same = len(_common_start(ordered)) - SHOWN_TWICE
+        parts = {name: f"…{name[max(same, 0) :]}" for name in ordered}
+    if _longest(parts) > LONG:
+        parts = {name: f"…{name[-LONG:]}" for name in ordered}
+    return parts if len(set(parts.values())) == len(parts) else {name: name for name in names}
+
+
+def _common_start(names: list[str]) -> str:
+    first, last = min(names), max(names)
+    same = (at for at, (a, b) in enumerate(zip(first, last, strict=False)) if a != b)
+    return first[: next(same, min(len(first), len(last)))]
+
+
+def _words(text: str) -> str:
+    """A text up to its last separator: without the word or number that may go on."""
+    return text.rstrip("".join(filter(str.isalnum, text)))
+
+
+def _longest(parts: dict[str, str]) -> int:
+    return max(map(len, parts.values()))
 
 
 def forget() -> None:
     """Look again at the next question."""
     _names.clear()
-    _deleted.clear()
+    _excluded.clear()

@@ -12,7 +12,7 @@ from ..engine import own_files
 from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
-from ..scene import importing, lookup, rois
+from ..scene import exclusions, lookup, rois
 from ..shared import files
 from . import run_folders
 
@@ -41,15 +41,15 @@ def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dic
 
 
 def excluded(scene: bpy.types.Scene) -> list[str]:
-    """Names of the photos whose cameras the user has deleted: they are not used.
+    """Names of the photos that the user has excluded, also by deleting their cameras.
 
     Raises:
-        AddonError: no camera is left.
+        AddonError: no photo is left.
     """
-    deleted = importing.deleted_photos(scene)
-    if deleted and not lookup.cameras(scene):
-        raise AddonError("All photos' cameras are deleted. Import the COLMAP model again.")
-    return deleted
+    names = exclusions.excluded(scene)
+    if names and not set(lookup.cameras(scene)).difference(names):
+        raise AddonError("All photos are excluded. Click Include All in step 1.")
+    return names
 
 
 def colmap_folder(scene: bpy.types.Scene) -> Path:
@@ -96,8 +96,8 @@ def write_train_options(
         "device": settings.get().device,
         "update": True,
     }
-    if any(len(object_props(box).selection) for box in boxes):
-        values["selection"] = str(_write_selections(scene, boxes))
+    if chosen := _usable_lists(scene, boxes):
+        values["selection"] = str(_write_selections(scene, chosen))
     return _write(scene, own_files.TRAIN_OPTIONS, boxes, values)
 
 
@@ -121,15 +121,23 @@ def own_folder(scene: bpy.types.Scene) -> Path:
     return made_folder(run_folders.settle(scene), own_files.OWN)
 
 
-def _write_selections(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
-    """Write the photos of each box that has a list; the engine selects for the other boxes."""
+def _usable_lists(
+    scene: bpy.types.Scene, boxes: list[bpy.types.Object]
+) -> dict[bpy.types.Object, list[str]]:
+    """The photos of each box that has some in its list, without excluded ones."""
+    unused = set(exclusions.excluded(scene))
+    lists = {box: [item.name for item in object_props(box).selection] for box in boxes}
+    usable = {box: [n for n in names if n not in unused] for box, names in lists.items()}
+    return {box: names for box, names in usable.items() if names}
+
+
+def _write_selections(scene: bpy.types.Scene, lists: dict[bpy.types.Object, list[str]]) -> Path:
+    """Write the photos of the boxes with lists; the engine selects for the other boxes."""
     folder = made_folder(own_folder(scene), own_files.MANUAL_SELECTION)
     with writing(folder, "Run Folder"):
         for old in folder.glob("*.json"):
             old.unlink()
-        for box in boxes:
-            names = [item.name for item in object_props(box).selection]
-            if names:
-                path = folder / f"{rois.file_name(box)}.json"
-                files.write_json(path, {"roi": box.name, "names": names})
+        for box, names in lists.items():
+            path = folder / f"{rois.file_name(box)}.json"
+            files.write_json(path, {"roi": box.name, "names": names})
     return folder

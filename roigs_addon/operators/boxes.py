@@ -13,7 +13,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..blender import registration, scene_of
 from ..errors import AddonError
 from ..properties import object_props, scene_props
-from ..scene import lookup, rois, selections
+from ..scene import lookup, rois, selections, start_cube
 from .base import FRESH, NO_BOX, available, box_problem, failed, select_only
 
 if TYPE_CHECKING:
@@ -24,16 +24,21 @@ OURS = {"ROI", "CAMERA", "ROOT", "POINTS"}
 
 
 class AddRoi(bpy.types.Operator):
-    """Add a box (ROI) around the selected vertices or objects, or at the 3D cursor"""
+    """Add a box (ROI) around the selection, else at the 3D cursor, else where most photos look"""
 
     bl_idname = "roigs.add_roi"
     bl_label = "Add Box"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Add a cube empty; it is moved, rotated and scaled with the usual tools."""
+        """Add a cube empty; it is moved, rotated and scaled with the usual tools.
+
+        A cursor at the origin is one that nobody has moved.
+        """
         scene = scene_of(context)
         place = self._around_selection(context)
+        if place is None and not scene.cursor.location.length:
+            place = rois.where_photos_look(scene)
         if place is None:
             half = rois.default_size(scene)
             place = scene.cursor.location.copy(), mathutils.Vector((half, half, half))
@@ -48,7 +53,9 @@ class AddRoi(bpy.types.Operator):
             active.update_from_editmode()
             return rois.around_selected_vertices(active)
         meshes = (o for o in context.selected_objects if o.type == "MESH")
-        chosen = [o for o in meshes if object_props(o).kind not in OURS]
+        scene = scene_of(context)
+        ignored = start_cube.untouched(scene) if lookup.points(scene) else None
+        chosen = [o for o in meshes if object_props(o).kind not in OURS and o != ignored]
         return rois.around_objects(chosen) if chosen else None
 
 

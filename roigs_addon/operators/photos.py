@@ -8,14 +8,17 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..blender import registration, scene_of
+from ..errors import AddonError
 from ..jobs import select_job
 from ..jobs.spec import JobSpec
 from ..properties import object_props
-from ..scene import lookup, selections
+from ..scene import exclusions, lookup, selections
 from .base import FRESH, NO_BOX, EngineOperator, available, box_problem, engine_problem, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
+
+SELECT_FIRST = "Select cameras first."
 
 
 class SelectCameras(EngineOperator):
@@ -78,8 +81,7 @@ class EditSelection(bpy.types.Operator):
         chosen, at = props.selection, props.selection_index
         match self.action:
             case "ADD":
-                selected = [photo.name for photo in selections.photos_of(context.selected_objects)]
-                selections.add_photos(roi, [self.photo] if self.photo else selected)
+                selections.add_photos(roi, [self.photo] if self.photo else _selected(context))
             case "REMOVE" if at < len(chosen):
                 chosen.remove(at)
                 props.selection_index = max(min(at, len(chosen) - 1), 0)
@@ -96,4 +98,57 @@ class EditSelection(bpy.types.Operator):
         return {"FINISHED"}
 
 
-register, unregister = registration(SelectCameras, EditSelection)
+class ExcludePhotos(bpy.types.Operator):
+    """Leave photos out of selection and training; boxes keep them in their lists"""
+
+    bl_idname = "roigs.exclude_photos"
+    bl_label = "Exclude Photos"
+    bl_options = {"REGISTER", "UNDO"}
+
+    photo: StringProperty(
+        description="Name of the photo; empty: those of the selected cameras", options=FRESH
+    )
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Remember their names in the scene; their cameras become red."""
+        scene = scene_of(context)
+        if self.photo and self.photo not in lookup.cameras(scene):
+            return failed(self, f"There is no photo '{self.photo}'.")
+        photos = [self.photo] if self.photo else _selected(context)
+        if not photos:
+            return failed(self, SELECT_FIRST)
+        exclusions.exclude(scene, photos)
+        return {"FINISHED"}
+
+
+class IncludePhotos(bpy.types.Operator):
+    """Use excluded photos again; cameras that were deleted come back"""
+
+    bl_idname = "roigs.include_photos"
+    bl_label = "Include Photos"
+    bl_options = {"REGISTER", "UNDO"}
+
+    photo: StringProperty(
+        description="Name of the photo; empty: those of the selected cameras", options=FRESH
+    )
+    every: BoolProperty(name="All", description="All excluded photos", options=FRESH)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Forget their names."""
+        scene = scene_of(context)
+        photos = [self.photo] if self.photo else _selected(context)
+        photos = exclusions.excluded(scene) if self.every else photos
+        if not photos:
+            return failed(self, SELECT_FIRST)
+        try:
+            exclusions.include(scene, photos)
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}
+
+
+def _selected(context: bpy.types.Context) -> list[str]:
+    return [photo.name for photo in selections.photos_of(context.selected_objects)]
+
+
+register, unregister = registration(SelectCameras, EditSelection, ExcludePhotos, IncludePhotos)

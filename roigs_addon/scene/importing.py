@@ -16,7 +16,7 @@ from ..errors import AddonError
 from ..geometry.photo import Photo
 from ..geometry.upright import levelled
 from ..properties import object_props, scene_props
-from . import cameras, clouds, lookup
+from . import cameras, clouds, lookup, start_cube
 
 ROOT_NAME = "COLMAP"
 # In units of the cameras' extent.
@@ -44,18 +44,21 @@ def import_folder(
     """
     record, points, colours = _read(folder)
     photos = [Photo.from_dict(image) for image in record["images"]]
-    extent = float(record.get("extent") or 1.0)
+    extent = _extent(record)
     before = [lookup.photo_record(item) for item in lookup.cameras(scene).values()]
     active = lookup.photo_record(scene.camera) if scene.camera else None
     _remove_earlier(scene)
-    root = _root(scene, name, photos, same_frame=same_frame or _same_frame(before, photos))
+    if scene_props(scene).root is None:
+        start_cube.hide(scene)
+    same_frame = same_frame or _same_frame(before, photos)
+    if not same_frame:
+        scene_props(scene).excluded.clear()  # another model's photos may have the same names
+    root = _root(scene, name, photos, same_frame=same_frame)
     root.empty_display_size = extent * 0.25
     parent = root.users_collection[0]
     collection = _photo_collection(parent, name)
     for photo in photos:
-        item = cameras.new_camera(photo, extent * CAMERA_SIZE)
-        item.parent = root
-        collection.objects.link(item)
+        item = _add_camera(collection, root, photo, extent)
         if scene.camera is None and active is not None and active.name == photo.name:
             scene.camera = item
             cameras.show_background(camera_of(item), photo)
@@ -80,6 +83,38 @@ def deleted_photos(scene: bpy.types.Scene) -> list[str]:
     there = lookup.cameras(scene)
     names = (str(image["name"]) for image in record["images"])
     return [name for name in names if name not in there]
+
+
+def restore_cameras(scene: bpy.types.Scene, names: set[str]) -> None:
+    """Make the cameras of these photos again that the user has deleted, as they were imported.
+
+    Raises:
+        AddonError: the root is deleted, too.
+    """
+    gone = names.intersection(deleted_photos(scene))
+    if not gone:
+        return
+    root: bpy.types.Object | None = scene_props(scene).root
+    if root is None or not root.users_collection:
+        raise AddonError(f"The empty '{ROOT_NAME}' is deleted. Import the COLMAP model again.")
+    record, parent = _read_record(Path(scene_props(scene).model_cache)), root.users_collection[0]
+    collection = _photo_collection(parent, parent.name)
+    for image in record["images"]:
+        if image["name"] in gone:
+            _add_camera(collection, root, Photo.from_dict(image), _extent(record))
+
+
+def _add_camera(
+    collection: bpy.types.Collection, root: bpy.types.Object, photo: Photo, extent: float
+) -> bpy.types.Object:
+    item = cameras.new_camera(photo, extent * CAMERA_SIZE)
+    item.parent = root
+    collection.objects.link(item)
+    return item
+
+
+def _extent(record: dict[str, Any]) -> float:
+    return float(record.get("extent") or 1.0)
 
 
 def _root(

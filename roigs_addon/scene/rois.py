@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,12 @@ from ..blender import mesh_of
 from ..engine.own_files import ROIS
 from ..errors import AddonError
 from ..geometry.box import Box
+from ..geometry.subject import subject
 from ..properties import object_props, scene_props
 from ..shared import EngineError, files
 from ..shared import names as name_format
 from ..shared import rois as roi_format
-from . import lookup
+from . import clouds, lookup
 
 Place = tuple[Vector, Vector]
 """Centre and half sides of a box."""
@@ -140,6 +142,23 @@ def default_size(scene: bpy.types.Scene) -> float:
     return float(spread) * 0.1 or 1.0
 
 
+def where_photos_look(scene: bpy.types.Scene) -> Place | None:
+    """The world-aligned box around what most photos show, apart from what is in a box already.
+
+    None if that cannot be told, as without sparse points.
+    """
+    cloud = lookup.points(scene)
+    if cloud is None:
+        return None
+    points, frame = clouds.positions(cloud), lookup.matrix_world(scene_props(scene).root)
+    for roi in lookup.rois(scene):
+        with suppress(AddonError):
+            points = points[~lookup.box(roi, scene).contains(points)]
+    records = map(lookup.photo_record, lookup.cameras(scene).values())
+    bounds = subject([photo for photo in records if photo], points, frame)
+    return _around(np.array(bounds), margin=0.0) if bounds else None
+
+
 def around_objects(items: list[bpy.types.Object]) -> Place | None:
     """The world-aligned box around objects; None if they are all in one point."""
     corners = [item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box]
@@ -160,13 +179,13 @@ def around_selected_vertices(item: bpy.types.Object) -> Place | None:
     return _around(points @ world[:3, :3].T + world[:3, 3])
 
 
-def _around(points: NDArray[Any]) -> Place | None:
+def _around(points: NDArray[Any], margin: float = 0.05) -> Place | None:
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2
     if not (half > 0).any():
         return None
     half = np.maximum(half, half.max() * 0.05)
-    return Vector((low + high) / 2), Vector(half * 1.05)
+    return Vector((low + high) / 2), Vector(half * (1 + margin))
 
 
 def place_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:

@@ -10,11 +10,12 @@ import bpy
 
 from ..errors import AddonError
 from ..geometry.photo import Photo
-from ..properties import object_props
+from ..properties import object_props, scene_props
 from . import lookup, rois
 
 CHOSEN_COLOUR = (0.1, 0.8, 0.3, 1.0)
 PLAIN_COLOUR = (1.0, 1.0, 1.0, 1.0)
+EXCLUDED_COLOUR = (0.85, 0.25, 0.2, 1.0)
 CHOSEN_FOR = "roigs_chosen_for"
 """Custom property that marks the collection of a box's photos; its value is the box's name."""
 
@@ -59,7 +60,7 @@ def add_photos(roi: bpy.types.Object, names: Iterable[str]) -> None:
 
 
 def mark_chosen(scene: bpy.types.Scene) -> None:
-    """Colour the selected cameras, and collect them in a collection for each box."""
+    """Colour selected and excluded cameras, and collect the selected ones of each box."""
     found = lookup.cameras(scene)
     chosen_by_any: set[str] = set()
     in_use: set[bpy.types.Collection] = set()
@@ -75,8 +76,10 @@ def mark_chosen(scene: bpy.types.Scene) -> None:
             in_use.add(collection)
     for collection in set(_collections(scene)) - in_use:  # box gone, renamed or without photos
         bpy.data.collections.remove(collection)
+    excluded = {item.name for item in scene_props(scene).excluded}
     for name, camera in found.items():
-        camera.color = CHOSEN_COLOUR if name in chosen_by_any else PLAIN_COLOUR
+        chosen = CHOSEN_COLOUR if name in chosen_by_any else PLAIN_COLOUR
+        camera.color = EXCLUDED_COLOUR if name in excluded else chosen
 
 
 def photos_of(items: Iterable[bpy.types.Object]) -> list[Photo]:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ..blender import layout_of, registration, scene_of
-from ..facts import photo_names
+from ..facts import photo_names, photo_pictures
 from ..jobs.spec import SELECTING
 from ..operators.photos import EditSelection, SelectCameras
 from ..operators.scene import LookThrough
 from ..properties import RoigsPhotoItem, object_props, scene_props
+from ..scene import exclusions as used
 from ..scene import lookup, selections
+from . import exclusions
 from . import layout as show
 from .layout import SidebarPanel
 
@@ -26,6 +28,8 @@ EDIT_ICONS: dict[str, IconItems] = {
     "DOWN": "TRIA_DOWN",
     "CLEAR": "X",
 }
+PICTURE_SCALE = 8.0
+"""Size of the active photo's picture, in buttons."""
 
 
 class PhotoList(bpy.types.UIList):
@@ -45,10 +49,14 @@ class PhotoList(bpy.types.UIList):
         index: int,
     ) -> None:
         """Name, the score as a bar, and a button that looks through the camera."""
+        excluded = used.is_excluded(scene_of(context), item.name)
         split = layout.split(factor=0.55, align=True)
+        split.active = not excluded
         split.label(text=f"{index + 1}  {photo_names.short_name(scene_of(context), item.name)}")
         row = split.row(align=True)
-        if item.score:
+        if excluded:
+            row.label(text="excluded")
+        elif item.score:
             row.progress(factor=min(max(item.score, 0.0), 1.0), text=f"{item.score:.2f}")
         else:
             row.label(text="by hand")
@@ -69,6 +77,7 @@ class CamerasPanel(SidebarPanel):
         column.prop(props, "method")
         column.prop(props, "count", text="Photos" if props.count else "Photos (auto)")
         layout.operator(SelectCameras.bl_idname, icon="CAMERA_DATA")
+        exclusions.counted(layout, scene)
         roi = lookup.active_roi(context)
         if show.job(layout, SELECTING):
             return
@@ -83,18 +92,23 @@ class CamerasPanel(SidebarPanel):
         else:
             show.done(layout, f"{roi.name}: {photos} photos, best first")
         if photos:
-            _draw_list(layout, roi)
+            _draw_list(layout, roi, scene)
         else:
             text = "Add Selected Cameras"
             layout.operator(EditSelection.bl_idname, text=text, icon="ADD").action = "ADD"
 
 
-def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object) -> None:
+def _draw_list(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:
     row, props = layout.row(), object_props(roi)
     row.template_list(PhotoList.bl_idname, "", props, "selection", props, "selection_index", rows=5)
     column = row.column(align=True)
     for action, icon in EDIT_ICONS.items():
         column.operator(EditSelection.bl_idname, text="", icon=icon).action = action
+    if props.selection_index < len(props.selection):
+        photo = props.selection[props.selection_index].name
+        exclusions.toggle(column, scene, photo)
+        if picture := photo_pictures.icon(scene, photo):
+            layout.template_icon(icon_value=picture, scale=PICTURE_SCALE)
 
 
 register, unregister = registration(PhotoList, CamerasPanel)

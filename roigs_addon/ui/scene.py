@@ -8,12 +8,14 @@ import bpy
 
 from ..blender import layout_of, mesh_of, registration, scene_of
 from ..facts import photo_names
+from ..geometry.photo import Photo
 from ..jobs.import_job import project_name
 from ..jobs.spec import IMPORTING, REFINING
 from ..operators.scene import ImportColmap, LookThrough, RefineCameras
 from ..properties import scene_props
 from ..scene import lookup
 from ..shared import text
+from . import exclusions
 from . import layout as show
 from .layout import SidebarPanel
 
@@ -40,24 +42,28 @@ class ScenePanel(SidebarPanel):
         project = project_name(Path(props.colmap))
         photos = text.counted(photo_names.count(scene), "photo")
         show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
-        deleted = photo_names.deleted(scene)
-        if deleted:
-            counted = text.counted(deleted, "photo")
-            show.todo(layout, f"{counted} not used: deleted here. Import again to have them back")
+        exclusions.counted(layout, scene)
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")
         row = layout.row(align=True)
-        name = photo_at_hand(context)
+        name, photo = photo_at_hand(context), _photo(context)
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_LEFT").step = -1
         row.operator(LookThrough.bl_idname, text=name, icon="CAMERA_DATA").step = 0
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
+        if photo:
+            exclusions.toggle(row, scene, photo.name)
+        exclusions.selected(layout, context)
 
 
 def photo_at_hand(context: bpy.types.Context) -> str:
     """The text of the button between the arrows: the photo that it looks through."""
-    item = lookup.camera_at_hand(context)
-    photo = lookup.photo_record(item) if item else None
+    photo = _photo(context)
     return photo_names.short_name(scene_of(context), photo.name) if photo else "Look Through"
+
+
+def _photo(context: bpy.types.Context) -> Photo | None:
+    item = lookup.camera_at_hand(context)
+    return lookup.photo_record(item) if item else None
 
 
 register, unregister = registration(ScenePanel)

@@ -12,7 +12,7 @@
 | `handler` | what Blender calls for each viewport |
 | `draw` | the Gaussians in the viewport |
 | `points` | the sparse points in their colours |
-| `marks` | boxes and chosen cameras as coloured lines |
+| `marks` | boxes, chosen and excluded cameras as coloured lines |
 
 The first two need numpy alone. Nothing of `gpu` is built before the first image is drawn.
 """

@@ -1,4 +1,4 @@
-"""Coloured lines over the 3D view: boxes, and the photos selected for the active one.
+"""Coloured lines over the 3D view: boxes, photos selected for the active one, excluded photos.
 
 Blender itself draws empties and cameras in its theme's colours, whatever the object's colour.
 """
@@ -12,11 +12,13 @@ from mathutils import Matrix, Vector
 
 from .. import blender
 from ..blender import camera_of, region_of, scene_of
-from ..properties import object_props
+from ..properties import object_props, scene_props
 from ..scene import lookup
 from .handler import ViewHandler
 
 BOX, CHOSEN = (1.0, 0.55, 0.1, 1.0), (0.2, 0.9, 0.4, 1.0)
+EXCLUDED = (0.85, 0.25, 0.2, 1.0)
+Colour = tuple[float, ...]
 WIDTH = 1.6
 """Pixels, at an interface scale of 1."""
 
@@ -32,10 +34,17 @@ def _draw(context: bpy.types.Context) -> None:
     active = lookup.active_roi(context)
     _lines(context, [p for roi in boxes for p in box_lines(roi)], BOX)
     if active is not None and len(object_props(active).selection):
-        names = {item.name for item in object_props(active).selection}
-        cameras = lookup.named_cameras(scene, names)
-        seen = [c for c in cameras if c != scene.camera and c.visible_get(viewport=space)]
-        _lines(context, [p for c in seen for p in camera_lines(c, scene)], CHOSEN)
+        _cameras(context, space, {item.name for item in object_props(active).selection}, CHOSEN)
+    _cameras(context, space, {item.name for item in scene_props(scene).excluded}, EXCLUDED)
+
+
+def _cameras(
+    context: bpy.types.Context, space: bpy.types.SpaceView3D, photos: set[str], colour: Colour
+) -> None:
+    scene = scene_of(context)
+    cameras = lookup.named_cameras(scene, photos)
+    seen = [c for c in cameras if c != scene.camera and c.visible_get(viewport=space)]
+    _lines(context, [end for c in seen for end in camera_lines(c, scene)], colour)
 
 
 def box_lines(roi: bpy.types.Object) -> list[Vector]:
@@ -63,7 +72,7 @@ def _mean_scale(matrix: Matrix) -> float:
     return (scale.x + scale.y + scale.z) / 3
 
 
-def _lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, ...]) -> None:
+def _lines(context: bpy.types.Context, ends: list[Vector], colour: Colour) -> None:
     if not ends:
         return
     region = region_of(context)

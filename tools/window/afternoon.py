@@ -86,3 +86,24 @@ class Afternoon:
         error = self.blender.ask(f"{STATE}.error")
         if error:
             raise WindowError(str(error))
+
+
+def boxed(story: Afternoon) -> None:
+    """Add a box and fit it to the vase with typed moves and scales, as one does by eye."""
+    blender = story.blender
+    story.button("roigs.add_roi")
+    blender.until(f"len({MINE.format(kind='ROI')}) == 1")
+    target = blender.ask(
+        "[[float(x) for x in v] for v in __import__('sys').modules['__main__'].target()]"
+    )
+    box = f"{MINE.format(kind='ROI')}[0]"
+    for axis, at, wanted in zip("xyz", blender.ask(f"list({box}.matrix_world.translation)"), target[0]):
+        story.keys("g", axis)
+        blender.type(f"{wanted - at:.4f}")
+        blender.press("Return")
+        blender.pause(0.3)
+    for axis, now, wanted in zip("xyz", blender.ask(f"list({box}.matrix_world.to_scale())"), target[1]):
+        story.keys("s", axis)
+        blender.type(f"{wanted / now:.4f}")
+        blender.press("Return")
+        blender.pause(0.3)

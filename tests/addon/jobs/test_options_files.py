@@ -79,15 +79,17 @@ def test_deleted_cameras_exclude_their_photos(
         excluded: list[str] = options(tmp_path / "run", "train").get("exclude", [])
         return excluded
 
-    assert asked() == [] and not any("not used" in text for text in said(blender, ScenePanel))
+    assert asked() == [] and not any("excluded" in text for text in said(blender, ScenePanel))
     for name in ("photo 2.png", "photo 5.png"):
         blender.data.objects.remove(cameras[name])
     assert asked() == ["photo 2.png", "photo 5.png"]
-    assert any("2 photos not used" in text for text in said(blender, ScenePanel))
+    assert "2 photos excluded" in said(blender, ScenePanel)
     for camera in lookup.cameras(scene).values():
         blender.data.objects.remove(camera)
-    with pytest.raises(AddonError, match="cameras are deleted"):
+    with pytest.raises(AddonError, match="All photos are excluded"):
         asked()
+    blender.ops.roigs.include_photos(every=True)
+    assert asked() == [] and len(lookup.cameras(scene)) == 8
 
 
 def test_numbers_reach_the_engine_as_given(

@@ -1,0 +1,43 @@
+"""Small pictures of photos for the panels, as Blender's file browser has them.
+
+Blender reads a photo in a thread, when its picture is first drawn, and keeps the picture in the
+thumbnail cache of the system: a panel shows one photo at a time and waits for none.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import bpy.utils.previews
+
+from ..scene import lookup
+
+MOST = 100
+"""Pictures that are kept: more than one looks at in a while."""
+
+_pictures: Any = None
+
+
+def icon(scene: bpy.types.Scene, photo: str) -> int:
+    """Blender's number of a photo's picture; 0 if the photo's file is not known."""
+    global _pictures
+    camera = next(iter(lookup.named_cameras(scene, {photo})), None)
+    record = lookup.photo_record(camera) if camera else None
+    if record is None or not record.path:
+        return 0
+    if _pictures is None:
+        _pictures = bpy.utils.previews.new()
+    if record.path not in _pictures:
+        if len(_pictures) >= MOST:
+            _pictures.clear()
+        _pictures.load(record.path, record.path, "IMAGE")
+    return int(_pictures[record.path].icon_id)
+
+
+def forget() -> None:
+    """Free the pictures."""
+    global _pictures
+    if _pictures is not None:
+        bpy.utils.previews.remove(_pictures)
+    _pictures = None

@@ -1,0 +1,37 @@
+"""Excluded photos in the panels: how many, and the buttons that change it."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..facts import photo_names
+from ..operators.photos import ExcludePhotos, IncludePhotos
+from ..scene import exclusions, lookup
+from ..shared import text
+
+
+def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """'3 photos excluded', with the button that undoes it; nothing if there are none."""
+    count = photo_names.excluded(scene)
+    if not count:
+        return
+    row = layout.split(factor=0.62, align=True)
+    row.label(text=f"{text.counted(count, 'photo')} excluded", icon="CANCEL")
+    row.operator(IncludePhotos.bl_idname, text="Include All").every = True
+
+
+def toggle(layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str) -> None:
+    """The button that excludes a photo, or includes it again."""
+    if exclusions.is_excluded(scene, photo):
+        layout.operator(IncludePhotos.bl_idname, text="", icon="LOOP_BACK").photo = photo
+    else:
+        layout.operator(ExcludePhotos.bl_idname, text="", icon="CANCEL").photo = photo
+
+
+def selected(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The buttons for the cameras that are selected in the 3D view; nothing if none is."""
+    if not any(lookup.is_photo_camera(item) for item in context.selected_objects):
+        return
+    row = layout.split(factor=0.62, align=True)
+    row.operator(ExcludePhotos.bl_idname, text="Exclude Selected")
+    row.operator(IncludePhotos.bl_idname, text="Include")

@@ -1,0 +1,65 @@
+"""Where the first box goes: around what the photos show."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from roigs_addon.geometry.frames import Intrinsics
+from roigs_addon.geometry.photo import Photo
+from roigs_addon.geometry.subject import subject
+from tests.addon.colmap_project import ring
+
+LENS = Intrinsics(width=64, height=48, fx=60.0, fy=54.0, cx=30.0, cy=26.0)
+
+
+def photos(count: int = 24) -> list[Photo]:
+    """Of the origin, from all around."""
+    return [
+        Photo(
+            name=f"{number}.png",
+            path="",
+            intrinsics=LENS,
+            world_to_camera=tuple(tuple(float(v) for v in row) for row in pose),
+        )
+        for number, pose in enumerate(ring(count))
+    ]
+
+
+def room(seed: int = 0, offset: tuple[float, ...] = (0, 0, 0)) -> np.ndarray:
+    """An object of side 0.4 at the origin, in a room of side 20 with as many points."""
+    random = np.random.default_rng(seed)
+    wall = random.uniform(-10, 10, (2000, 3))
+    wall[np.arange(2000), random.integers(0, 3, 2000)] = 10
+    return np.concatenate([random.uniform(-0.2, 0.2, (2000, 3)), wall]) + offset
+
+
+def test_the_box_is_around_what_the_photos_show() -> None:
+    low, high = subject(photos(), room(), np.eye(4))
+    np.testing.assert_allclose(low, -0.2, atol=0.06)
+    np.testing.assert_allclose(high, 0.2, atol=0.06)
+
+
+def test_it_is_along_the_axes_of_the_frame_asked_for() -> None:
+    matrix = np.eye(4)
+    matrix[:3, :3] = 2 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    matrix[:3, 3] = 1, 2, 3
+    low, high = subject(photos(), room(), matrix)
+    np.testing.assert_allclose((low + high) / 2, (1, 2, 3), atol=0.05)
+    np.testing.assert_allclose((high - low) / 2, 0.4, atol=0.1)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_too_little_to_tell(count: int) -> None:
+    assert subject(photos(), room()[:count], np.eye(4)) is None
+    assert subject([], room(), np.eye(4)) is None
+    behind = -photos(1)[0].pose[2, :3] * 100 + room()[:50]
+    assert subject(photos(1), behind, np.eye(4)) is None
+
+
+def test_many_photos_take_no_longer_than_few() -> None:
+    started = time.perf_counter()
+    assert subject(photos(2000), np.tile(room(), (100, 1)), np.eye(4))
+    assert time.perf_counter() - started < 2
