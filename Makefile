@@ -4,7 +4,8 @@
 # make test-blender  the add-on's tests inside a real Blender, put together from Debian's packages
 # make format      bring the code into the project's form
 # make kernels     compile the kernels for every platform
-# make extension   build the Blender extension into dist/, with the kernels of every platform
+# make extension   build the Blender extension and its repository into dist/, with the kernels of
+#                  every platform
 # make clean       remove the environment and everything that was built (runs stay)
 #
 # PYTHON       the Python (3.11 or later) that makes the environment

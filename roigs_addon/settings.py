@@ -6,6 +6,7 @@ without being an add-on, as in tests, the defaults hold.
 
 from __future__ import annotations
 
+import re
 import tempfile
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -69,9 +70,15 @@ def unsaved_folder() -> Path:
     return (_chosen_cache() or data_folder()) / "unsaved"
 
 
-def environments() -> Path:
-    """Folder of the virtual environments that 'Set Up the Engine' makes."""
-    return extension_folder() / "engine"
+def environments() -> tuple[Path, ...]:
+    """Folders of the virtual environments that 'Set Up the Engine' makes, the first one now.
+
+    It is beside the folders of Blender's versions, which share it, and outlives the extension. In
+    the second one, earlier versions of the add-on made them.
+    """
+    user = Path(bpy.utils.resource_path("USER") or data_folder())
+    beside = user.parent if re.fullmatch(r"\d+\.\d+", user.name) else user
+    return beside / "roigs" / "engine", extension_folder() / "engine"
 
 
 def chosen_python() -> str:

@@ -1,9 +1,11 @@
-"""Builds the Blender extension, a zip, into dist/.
+"""Builds the Blender extension and a static repository that offers it, into dist/.
 
     python tools/build_extension.py [BLENDER]
 
-With the program that is named, or else with Blender's own builder from the bpy module, which needs
-no Blender to run.
+The repository is the whole folder: the zip, `index.json`, which Blender reads, and `index.html`, a
+page with a link to drag into Blender. Zips of earlier versions are removed, because a repository
+offers one. All this is done by the program that is named, or else by Blender's own builder from the
+bpy module, which needs no Blender to run.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ BUILDER = "bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py"
 
 
 def builder(blender: str | None) -> list[str]:
-    """The command line that takes `validate` and `build`."""
+    """The command line that takes `validate`, `build` and `server-generate`."""
     if blender:
         return [blender, "--command", "extension"]
     python = blender_module.python()
@@ -29,24 +31,31 @@ def builder(blender: str | None) -> list[str]:
     return [str(python), str(script)]
 
 
-def main() -> int:
-    """Validate and build; the exit status."""
+def build(command: list[str], out: Path) -> int:
+    """Validate, build, and list what was built; the first exit status that is not 0."""
     root = blender_module.ROOT
-    try:
-        command = builder(sys.argv[1] if len(sys.argv) > 1 else None)
-    except blender_module.NoBlenderError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    out = root / "dist"
     out.mkdir(exist_ok=True)
+    for earlier in out.glob("roigs-*.zip"):
+        earlier.unlink()
     for step in (
         ["validate", str(root)],
         ["build", "--source-dir", str(root), "--output-dir", str(out)],
+        ["server-generate", "--repo-dir", str(out), "--html"],
     ):
         status = subprocess.run([*command, *step], check=False).returncode
         if status:
             return status
     return 0
+
+
+def main() -> int:
+    """The exit status."""
+    try:
+        command = builder(sys.argv[1] if len(sys.argv) > 1 else None)
+    except blender_module.NoBlenderError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return build(command, blender_module.ROOT / "dist")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@
 
 Reads every wheel, source archive and Blender extension in the folder DIST. The name must be of this
 version. The engine's modules, the kernels' sources and the compiled kernels of the platform must be
-there, and no other platform's. `--complete`: DIST must hold all files of a release. `--tag`: the
+there, and no other platform's. The listing of the extension's repository must name the extension as
+it is there. `--complete`: DIST must hold all files of a release. `--tag`: the
 tag must be the version of the engine and the add-on, and the changelog must have a part for it.
 `--notes` prints that part. The script needs nothing but Python.
 """
@@ -13,7 +14,9 @@ from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import importlib.util
+import json
 import re
 import struct
 import sys
@@ -166,6 +169,19 @@ def check_extension(path: Path) -> None:
         check_kernels(archive, list(load_builder().PLATFORMS))
 
 
+def check_listing(path: Path) -> None:
+    """The listing of the extension's repository names the zip beside it, with its hash."""
+    name = f"roigs-{engine_version()}.zip"
+    listed = json.loads(path.read_text(encoding="utf-8"))["data"]
+    if [item["archive_url"] for item in listed] != [f"./{name}"]:
+        raise CheckError(f"it does not offer {name} alone")
+    archive = path.with_name(name)
+    if not archive.is_file():
+        raise CheckError(f"{name} is missing")
+    if listed[0]["archive_hash"] != f"sha256:{hashlib.sha256(archive.read_bytes()).hexdigest()}":
+        raise CheckError(f"{name} is not the one that it names")
+
+
 def check_folder(folder: Path, *, complete: bool) -> list[str]:
     """All files of a folder; returns a line for each."""
     kinds: list[str] = []
@@ -180,6 +196,11 @@ def check_folder(folder: Path, *, complete: bool) -> list[str]:
             elif path.suffix == ".zip":
                 check_extension(path)
                 kinds.append("extension")
+            elif path.name == "index.json":
+                check_listing(path)
+                kinds.append("listing")
+            elif path.name == "index.html":
+                continue
             else:
                 raise CheckError("not a file of a release")
         except CheckError as error:
@@ -187,7 +208,7 @@ def check_folder(folder: Path, *, complete: bool) -> list[str]:
         lines.append(f"{path.name}: {kinds[-1]}, {path.stat().st_size / 1000:.0f} kB")
     if not kinds:
         raise CheckError(f"{folder} is empty")
-    wanted = ["extension", "source", *load_builder().PLATFORMS]
+    wanted = ["extension", "listing", "source", *load_builder().PLATFORMS]
     if complete and sorted(kinds) != sorted(wanted):
         raise CheckError(f"the release is {sorted(kinds)}, but must be {sorted(wanted)}")
     return lines

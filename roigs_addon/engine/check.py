@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import python
+from . import install_steps, python
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +31,12 @@ last: tuple[Finding, ...] = ()
 """What the last `check` found, for the preferences page: a check takes too long for drawing."""
 
 
-def check(chosen: str, environments: Path) -> tuple[Finding, ...]:
+def check(chosen: str, environments: Iterable[Path]) -> tuple[Finding, ...]:
     """Ask every candidate again.
 
     Args:
         chosen: Python named by the user, or empty.
-        environments: folder of those that 'Set Up the Engine' makes.
+        environments: folders of those that 'Set Up the Engine' makes.
     """
     global last
     python.ability.cache_clear()
@@ -58,8 +60,19 @@ def _lack(path: Path, packages: tuple[str, ...]) -> str:
 
 
 def _place(path: Path) -> Finding:
-    fault = python.ability(path).fault
-    return Finding(works=not fault, text=f"{_name(path)}: {path}{fault and f', {fault}'}")
+    problem = python.ability(path).fault or _outdated(path)
+    return Finding(works=not problem, text=f"{_name(path)}: {path}{problem and f', {problem}'}")
+
+
+def _outdated(path: Path) -> str:
+    """What is wrong with a Python of 'Set Up the Engine' for this version of the add-on."""
+    try:
+        text = (path.parent.parent / python.MARKER).read_text(encoding="utf-8")
+        wanted = json.loads(text)["requirements"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+    made_for_this = wanted == install_steps.requirements()
+    return "" if made_for_this else "made for other versions of packages; set up the engine again"
 
 
 def _name(path: Path) -> str:

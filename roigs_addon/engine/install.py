@@ -1,7 +1,7 @@
 """Makes a Python environment for the engine, step by step, in a thread. No bpy.
 
 Environments are in numbered folders. A folder counts once it contains its marker, which is written
-last. A virtual environment cannot be moved after it was made, so nothing is renamed.
+last. A virtual environment cannot be moved after it was made, so none is renamed.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from typing import IO
 from ..errors import AddonError
 from .base_python import choose_python
 from .command import HIDDEN, without_blender
+from .environments import DOWNLOADS, SETUP_LOG, alone, made, remove_replaced
 from .install_steps import Plan, Step, requirements, steps
-from .python import MARKER, complete_environments, environment_python
+from .python import MARKER, environment_python
 
 _RAW_PROGRESS = re.compile(r"Progress (\d+) of (\d+)")
 
@@ -30,6 +31,7 @@ class Installation:
     """The making of one environment. Its attributes may be read at any time, from any thread.
 
     Attributes:
+        folder: where the environment is made.
         title: what it is doing.
         line: the last line that a program printed.
         fraction: how much of all steps is done, 0 to 1.
@@ -42,7 +44,8 @@ class Installation:
     def __init__(self, plan: Plan) -> None:
         """Prepare it; `start` begins."""
         self.plan = plan
-        self.log = plan.environments / "setup.log"
+        self.folder = plan.environments[0]
+        self.log = self.folder / SETUP_LOG
         self.title, self.line, self.message = "Looking for a Python", "", ""
         self.fraction = 0.0
         self.finished = self.stopped = False
@@ -66,7 +69,9 @@ class Installation:
 
     def _run(self) -> None:
         try:
-            self._make()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with alone(self.folder):
+                self._make()
         except AddonError as error:
             self.message = str(error)
         except OSError as error:
@@ -77,13 +82,11 @@ class Installation:
             self.finished = True
 
     def _make(self) -> None:
-        folder = self.plan.environments
-        folder.mkdir(parents=True, exist_ok=True)
         base = choose_python(self.plan.wheels)
         self.title = "Cleaning up"
-        before = [int(p.name) for p in folder.iterdir() if p.is_dir() and p.name.isdecimal()]
-        remove_replaced(folder)
-        environment = folder / str(max(before, default=0) + 1)
+        before = [int(path.name) for path in made([self.folder])]
+        remove_replaced(self.plan.environments)
+        environment = self.folder / str(max(before, default=0) + 1)
         with self.log.open("w", encoding="utf-8") as log:
             planned = steps(self.plan, base, environment)
             for number, step in enumerate(planned):
@@ -96,8 +99,8 @@ class Installation:
         (environment / MARKER).write_text(json.dumps(record, indent=1), encoding="utf-8")
         self.python, self.fraction = environment_python(environment), 1.0
         self.title = "The engine is set up"
-        if not self.plan.in_use():  # otherwise the next installation removes it
-            remove_replaced(folder)
+        shutil.rmtree(self.folder / DOWNLOADS, ignore_errors=True)
+        remove_replaced(self.plan.environments)
 
     def _run_step(self, step: Step, log: IO[str], begin: float, share: float) -> None:
         """Run one program to its end; its output goes to the log.
@@ -140,15 +143,9 @@ class Installation:
         raw = {"PIP_PROGRESS_BAR": "raw"} if step.title.startswith("Installing") else {}
         if self.plan.wheels is not None:  # this pip may be too old for it
             raw = {}
-        return {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"} | raw
-
-
-def remove_replaced(folder: Path) -> None:
-    """Remove incomplete environments and all but the newest complete one."""
-    newest = complete_environments(folder)[:1]
-    for path in folder.iterdir():
-        if path.is_dir() and path not in newest:
-            shutil.rmtree(path, ignore_errors=True)
+        # Python compiles a module when it is first used; most never are.
+        pip = {"PIP_COMPILE": "0", "PIP_CACHE_DIR": str(self.folder / DOWNLOADS)}
+        return pip | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"} | raw
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -13,11 +13,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
 from ..shared import events, files
+from . import environments
 from .command import HIDDEN, Engine
 from .event_log import in_words, read_lines
 
@@ -62,6 +64,14 @@ class EngineProcess:
         Raises:
             OSError: the Python could not be started.
         """
+        with ExitStack() as stack:
+            stack.enter_context(environments.using(engine.python))
+            self._start(engine, arguments, log)
+            self._used = stack.pop_all()
+        for reader in self._readers:
+            reader.start()
+
+    def _start(self, engine: Engine, arguments: Sequence[str], log: Path | None) -> None:
         self._events: queue.SimpleQueue[events.Record] = queue.SimpleQueue()
         self._final: events.Record | None = None
         self._log = _Log(log)
@@ -79,11 +89,9 @@ class EngineProcess:
             creationflags=HIDDEN,
         )
         self._readers = [
-            threading.Thread(target=self._read_events, daemon=True),
+            threading.Thread(target=self._read_to_the_end, daemon=True),
             threading.Thread(target=self._read_text, daemon=True),
         ]
-        for reader in self._readers:
-            reader.start()
 
     @property
     def pid(self) -> int:
@@ -153,6 +161,10 @@ class EngineProcess:
         last = next((line for line in reversed(self._log.said) if line.strip()), "")
         reason = f": {last.strip()}" if last else ""
         return f"The engine ended with status {status}{reason}. See the log for more."
+
+    def _read_to_the_end(self) -> None:
+        with self._used:
+            self._read_events()
 
     def _read_events(self) -> None:
         assert self._process.stdout is not None

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -108,19 +109,23 @@ def environment_python(environment: Path) -> Path:
     return environment / "bin" / "python"
 
 
-def complete_environments(environments: Path) -> list[Path]:
-    """The complete environments in a folder, newest first."""
-    marked = (path.parent for path in environments.glob(f"*/{MARKER}"))
-    found = [folder for folder in marked if folder.name.isdecimal()]
+def complete_environments(folders: Iterable[Path]) -> list[Path]:
+    """The complete environments in some folders: folder by folder, the newest first."""
+    return [path for folder in folders for path in _newest_first(folder)]
+
+
+def _newest_first(folder: Path) -> list[Path]:
+    marked = (path.parent for path in folder.glob(f"*/{MARKER}"))
+    found = [path for path in marked if path.name.isdecimal()]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 
 
-def candidates(chosen: str, environments: Path) -> list[Path]:
+def candidates(chosen: str, environments: Iterable[Path]) -> list[Path]:
     """Pythons to try, in order of preference. If the user named one, no other is tried.
 
     Args:
         chosen: by the user, or empty.
-        environments: folder of those that 'Set Up the Engine' makes.
+        environments: folders of those that 'Set Up the Engine' makes.
     """
     named = chosen or os.environ.get(VARIABLE, "")
     if named:
@@ -129,7 +134,9 @@ def candidates(chosen: str, environments: Path) -> list[Path]:
     return [*made, own_python()]
 
 
-def find(chosen: str, environments: Path, packages: tuple[str, ...]) -> tuple[Engine | None, str]:
+def find(
+    chosen: str, environments: Iterable[Path], packages: tuple[str, ...]
+) -> tuple[Engine | None, str]:
     """The first Python that has the packages, or why there is none.
 
     Returns:

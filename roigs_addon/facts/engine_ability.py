@@ -26,7 +26,7 @@ class EngineCheck:
         """Nothing is known yet."""
         self.problem = ""
         self.thread: threading.Thread | None = None
-        self._asked: tuple[str, Path] | None = None
+        self._asked: tuple[str, tuple[Path, ...]] | None = None
         self._at = 0.0
 
     def ask(self) -> str:
@@ -42,11 +42,15 @@ class EngineCheck:
             timer.start()
         return self.problem
 
+    def forget(self) -> None:
+        """Ask again next time: what was there may be gone."""
+        self._asked = None
+
     def busy(self) -> bool:
         """Whether an answer is on its way."""
         return self.thread is not None and self.thread.is_alive()
 
-    def _look(self, chosen: str, environments: Path) -> None:
+    def _look(self, chosen: str, environments: tuple[Path, ...]) -> None:
         if self.problem:  # what was missing may have been installed since
             python.ability.cache_clear()
         _, self.problem = python.find(chosen, environments, python.FOR_TRAINING)
@@ -59,6 +63,11 @@ _check = EngineCheck()
 def problem() -> str:
     """Why the engine cannot train, as far as that is known."""
     return _check.ask()
+
+
+def forget() -> None:
+    """Ask again; an environment was removed."""
+    _check.forget()
 
 
 def _poll() -> bool:

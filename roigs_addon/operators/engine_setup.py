@@ -1,4 +1,4 @@
-"""The preferences' buttons: set up the engine, stop setting up, check what is missing."""
+"""The preferences' buttons: set up the engine, stop setting up, check, remove."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from bpy.props import BoolProperty, StringProperty
 
 from .. import settings
 from ..blender import registration
-from ..engine import check, install
+from ..engine import check, environments, install, python
 from ..engine.install_steps import Plan
 from ..errors import AddonError
+from ..facts import engine_ability
 from ..jobs import current, terminal
 from ..windows import Timer, redraw
 from .base import BUSY, FRESH, available, failed
@@ -29,8 +30,15 @@ OFFLINE = (
 )
 
 
+def _busy() -> str:
+    """Why the engine's environments must stay as they are now; empty if they need not."""
+    if install.running():
+        return "The engine is being set up"
+    return BUSY if current.busy() else ""
+
+
 class SetUpEngine(bpy.types.Operator):
-    """Create a Python environment with torch for the engine, in the extension's own folder"""
+    """Create a Python environment with torch for the engine; all versions of Blender share it"""
 
     bl_idname = "roigs.setup_engine"
     bl_label = "Set Up the Engine"
@@ -50,8 +58,7 @@ class SetUpEngine(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be nothing else at work."""
-        reason = "The engine is being set up" if install.running() else ""
-        return available(cls, reason or (BUSY if current.busy() else ""))
+        return available(cls, _busy())
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """In a script: run to the end."""
@@ -92,7 +99,6 @@ class SetUpEngine(bpy.types.Operator):
             environments=settings.environments(),
             cuda=self.cuda,
             wheels=wheels,
-            in_use=current.busy,
         )
 
 
@@ -144,7 +150,46 @@ class CheckEngine(bpy.types.Operator):
         return {"FINISHED"}
 
 
-_register, _unregister = registration(SetUpEngine, StopSetUp, CheckEngine)
+class RemoveEngine(bpy.types.Operator):
+    """Delete the Python environments that Set Up the Engine has made; all Blenders share them"""
+
+    bl_idname = "roigs.remove_engine"
+    bl_label = "Remove"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be one, and nothing at work."""
+        there = environments.made(settings.environments())
+        return available(cls, _busy() or ("" if there else "There is nothing to remove"))
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask first."""
+        assert context.window_manager is not None
+        size = environments.size(environments.made(settings.environments()))
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Remove the engine?",
+            message=f"This frees {size / 1e6:,.0f} MB. Runs and results stay.",
+            confirm_text="Remove",
+        )
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Remove them."""
+        try:
+            freed = environments.remove_all(settings.environments())
+        except AddonError as error:
+            return failed(self, error)
+        finally:
+            install.forget()
+            check.forget()
+            python.ability.cache_clear()
+            engine_ability.forget()
+        self.report({"INFO"}, f"The engine is removed: {freed / 1e6:,.0f} MB freed")
+        return {"FINISHED"}
+
+
+_register, _unregister = registration(SetUpEngine, StopSetUp, CheckEngine, RemoveEngine)
 
 
 def register() -> None:

@@ -10,6 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from .. import blender, settings
 from ..blender import region_of, registration
 from ..engine import check, install
+from ..engine.install_steps import DISK_BYTES, DOWNLOAD_BYTES
 from ..windows import redraw_sidebars
 from .layout import PIXELS_PER_LETTER, wrapped
 
@@ -96,8 +97,19 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
         _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
     layout.prop(page, "cuda")
     layout.prop(page, "wheels")
-    button = layout.operator("roigs.setup_engine", icon="IMPORT")
+    _lines(layout, _needed_space(page.cuda), "INFO")
+    row = layout.row(align=True)
+    button = row.operator("roigs.setup_engine", icon="IMPORT")
     button.cuda, button.wheels = page.cuda, page.wheels
+    row.operator("roigs.remove_engine", icon="TRASH")
+
+
+def _needed_space(cuda: bool) -> str:
+    """What setting up takes, in words."""
+    if cuda:
+        return "Downloads several gigabytes and takes more of the disk."
+    download, disk = DOWNLOAD_BYTES / 1e6, DISK_BYTES / 1e9
+    return f"Downloads about {download:.0f} MB and takes {disk:.1f} GB of the disk (on Linux)."
 
 
 def _lines(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:

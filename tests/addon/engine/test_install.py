@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from roigs_addon.engine import base_python, check, install, install_steps, python
+from roigs_addon.engine import base_python, check, environments, install, install_steps, python
 from roigs_addon.engine.install import Installation
 from roigs_addon.engine.install_steps import Plan, Step
 from roigs_addon.errors import AddonError
@@ -57,38 +57,84 @@ def test_success_leaves_one_complete_environment(
 ) -> None:
     fake_steps(monkeypatch, "print('Progress 5 of 10'); print('fine')")
     for _ in range(2):
-        done = run(Installation(Plan(environments=tmp_path)))
+        done = run(Installation(Plan(environments=(tmp_path,))))
         assert done.message == "" and done.fraction == 1.0
-    (environment,) = python.complete_environments(tmp_path)
+    (environment,) = python.complete_environments([tmp_path])
     assert environment == tmp_path / "2"
     assert done.python == python.environment_python(environment)
     assert "fine" in done.log.read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["2"]
 
 
-def test_an_environment_in_use_stays_until_the_next_installation(
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.is_dir())
+
+
+def test_an_environment_in_use_stays_until_a_later_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_steps(monkeypatch)
-    for made in (["1"], ["1", "2"]):
-        run(Installation(Plan(environments=tmp_path, in_use=lambda: True)))
-        assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == made
-    run(Installation(Plan(environments=tmp_path, in_use=lambda: True)))
-    assert [path.name for path in python.complete_environments(tmp_path)] == ["3", "2"]
+    first = run(Installation(Plan(environments=(tmp_path,)))).python
+    assert first is not None
+    with environments.using(first):
+        for made in (["1", "2"], ["1", "3"]):
+            run(Installation(Plan(environments=(tmp_path,))))
+            assert names(tmp_path) == made
+    run(Installation(Plan(environments=(tmp_path,))))
+    assert names(tmp_path) == ["4"]
+
+
+def test_an_environment_of_an_earlier_version_is_used_until_one_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch)
+    shared, earlier = tmp_path / "shared", tmp_path / "extension"
+    old = run(Installation(Plan(environments=(earlier,)))).python
+    assert python.candidates("", (shared, earlier))[0] == old
+    new = run(Installation(Plan(environments=(shared, earlier)))).python
+    assert python.candidates("", (shared, earlier))[0] == new and new.is_relative_to(shared)
+    assert names(earlier) == []
+
+
+def test_one_installation_at_a_time_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_steps(monkeypatch)
+    folder = tmp_path / "engine"
+    with environments.alone(folder):
+        refused = run(Installation(Plan(environments=(folder,))))
+    assert (
+        refused.message
+        == f"Process {os.getpid()} is setting up the engine. Wait until it has finished."
+    )
+    assert names(tmp_path) == []  # nor the folder, which was empty
+
+
+def test_downloads_are_kept_for_another_try_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    download = "import os, pathlib; p = pathlib.Path(os.environ['PIP_CACHE_DIR']); p.mkdir()"
+    downloads = tmp_path / environments.DOWNLOADS
+    fake_steps(monkeypatch, download, "raise SystemExit(1)")
+    run(Installation(Plan(environments=(tmp_path,))))
+    assert downloads.is_dir()
+    fake_steps(monkeypatch)
+    run(Installation(Plan(environments=(tmp_path,))))
+    assert not downloads.exists()
 
 
 def test_failure_says_pips_last_error_and_keeps_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_steps(monkeypatch)
-    run(Installation(Plan(environments=tmp_path)))
+    run(Installation(Plan(environments=(tmp_path,))))
     fake_steps(monkeypatch, "print('ERROR: No space left'); print('notice'); raise SystemExit(1)")
-    failed = run(Installation(Plan(environments=tmp_path)))
+    failed = run(Installation(Plan(environments=(tmp_path,))))
     assert failed.message == f"Step 1 failed: No space left. See the log {tmp_path / 'setup.log'}"
-    assert [path.name for path in python.complete_environments(tmp_path)] == ["1"]
+    assert [path.name for path in python.complete_environments([tmp_path])] == ["1"]
     assert (tmp_path / "2").is_dir()  # incomplete, and removed by the next installation
     fake_steps(monkeypatch)
-    run(Installation(Plan(environments=tmp_path)))
+    run(Installation(Plan(environments=(tmp_path,))))
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["3"]
 
 
@@ -100,7 +146,7 @@ def test_stop_ends_what_the_step_started(tmp_path: Path, monkeypatch: pytest.Mon
         f" {child!r}]); print('pid', p.pid, flush=True); p.wait()"
     )
     fake_steps(monkeypatch, code)
-    installation = Installation(Plan(environments=tmp_path))
+    installation = Installation(Plan(environments=(tmp_path,)))
     installation.start()
     deadline = time.monotonic() + 30
     said = ""
@@ -110,7 +156,7 @@ def test_stop_ends_what_the_step_started(tmp_path: Path, monkeypatch: pytest.Mon
     pid = int(next(line for line in said.splitlines() if line.startswith("pid "))[4:])
     installation.stop()
     assert installation.finished and installation.message == "Setting up was stopped."
-    assert not python.complete_environments(tmp_path)
+    assert not python.complete_environments([tmp_path])
     deadline = time.monotonic() + 5
     while _lives(pid) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -145,16 +191,20 @@ def test_a_program_that_is_no_python_is_passed_over() -> None:
 
 def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     base, made = Path("python"), tmp_path / "1"
-    offline = install_steps.steps(Plan(environments=tmp_path, wheels=tmp_path), base, made)
+    offline = install_steps.steps(Plan(environments=(tmp_path,), wheels=tmp_path), base, made)
     assert [step.title for step in offline] == [
         "Creating the environment",
         "Installing",
+        "Removing what is not needed",
         "Testing the environment",
     ]
     assert "--no-index" in offline[1].command
-    online = install_steps.steps(Plan(environments=tmp_path, cuda=True), base, made)
+    online = install_steps.steps(Plan(environments=(tmp_path,), cuda=True), base, made)
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
-    assert scripts == [str(ROOT / "tools" / "install_torch.py")]
+    own = ("install_torch", "trim_engine", "try_engine")
+    assert scripts == [str(ROOT / "tools" / f"{name}.py") for name in own]
+    cuda_keeps = [step for step in online if "--keep-headers" in step.command]
+    assert len(cuda_keeps) == (sys.platform != "darwin")
     index = install_steps.CUDA_INDEX
     assert sys.platform == "darwin" or any(index in step.command for step in online)
     asked = [part for step in online for part in step.command]
@@ -167,7 +217,7 @@ def test_check_says_what_works_and_what_is_missing(
 ) -> None:
     found = python.Ability(version=(3, 12), missing=("torch", "pycolmap"))
     monkeypatch.setattr(python, "ability", functools.lru_cache(lambda path: found))
-    said = {f.text: f.works for f in check.check("/opt/python", tmp_path)}
+    said = {f.text: f.works for f in check.check("/opt/python", [tmp_path])}
     assert said["Reading models: ready"]
     assert said["Selecting by Gaussian process: ready"]
     assert not said["Training and rendering: not ready: Python 3.12 lacks torch"]
@@ -176,7 +226,7 @@ def test_check_says_what_works_and_what_is_missing(
 
 
 def test_check_of_a_python_that_does_not_exist(tmp_path: Path) -> None:
-    findings = check.check(str(tmp_path / "python"), tmp_path)
+    findings = check.check(str(tmp_path / "python"), [tmp_path])
     assert not any(finding.works for finding in findings)
     assert "does not start" in findings[-1].text
     check.forget()
@@ -184,6 +234,21 @@ def test_check_of_a_python_that_does_not_exist(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="no such program")
 def test_check_of_a_program_that_is_no_python(tmp_path: Path) -> None:
-    findings = check.check("/bin/ls", tmp_path)
+    findings = check.check("/bin/ls", [tmp_path])
     assert findings[-1].text.endswith("it is not a working Python")
+    check.forget()
+
+
+def test_check_says_that_an_environment_is_of_other_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = python.Ability(version=(3, 12), missing=())
+    monkeypatch.setattr(python, "ability", functools.lru_cache(lambda path: found))
+    fake_steps(monkeypatch)
+    made = run(Installation(Plan(environments=(tmp_path,)))).python
+    same = check.check("", [tmp_path])[-1]
+    assert same.works and same.text == f"Python 3.12: {made}"
+    (tmp_path / "1" / python.MARKER).write_text('{"requirements": ["torch==1.0"]}')
+    other = check.check("", [tmp_path])[-1]
+    assert not other.works and other.text.endswith("set up the engine again")
     check.forget()

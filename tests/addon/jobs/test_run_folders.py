@@ -27,7 +27,9 @@ def test_runs_of_unsaved_files_outlive_the_extension(
     run = run_folders.run_folder(blender.context.scene)
     assert not run.is_relative_to(extension)
     assert run.is_relative_to(blender.utils.user_resource("DATAFILES"))
-    assert settings.environments().is_relative_to(extension)
+    shared, earlier = settings.environments()
+    assert not shared.is_relative_to(extension)
+    assert earlier.is_relative_to(extension)
     assert settings.models_folder().is_relative_to(extension)
     assert not extension.exists()
 

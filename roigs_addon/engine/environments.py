@@ -1,0 +1,134 @@
+"""The environments that 'Set Up the Engine' makes: who uses one, how they are removed. No bpy.
+
+Several Blenders share them, so each engine that runs in one holds a lock in it, and one lock of
+their folder belongs to whoever makes or removes environments.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from ..errors import AddonError
+from ..shared import EngineError, files, lock, run_files
+from .python import MARKER, complete_environments
+
+SETUP_LOG, DOWNLOADS = "setup.log", "downloads"
+"""Beside the environments: what the last set-up printed; what pip keeps until it has ended well."""
+
+USES = "uses"
+"""In an environment: a folder with a lock for each engine that runs in it."""
+
+
+def made(folders: Iterable[Path]) -> list[Path]:
+    """All environments in the folders, incomplete ones too."""
+    return [
+        path
+        for folder in folders
+        if folder.is_dir()
+        for path in sorted(folder.iterdir())
+        if path.name.isdecimal() and path.is_dir() and not files.is_link(path)
+    ]
+
+
+def size(environments: Iterable[Path]) -> int:
+    """Bytes of all their files."""
+    total = 0
+    for environment in environments:
+        for parent, _, names in os.walk(environment):
+            for name in names:
+                with suppress(OSError):
+                    total += os.lstat(os.path.join(parent, name)).st_size
+    return total
+
+
+@contextmanager
+def using(python: Path) -> Iterator[None]:
+    """Keep the environment of a Python from being removed while the block runs.
+
+    Nobody removes a Python that is in no such environment, so nothing is done for it.
+
+    Raises:
+        OSError: the environment was removed just now.
+    """
+    environment = python.parent.parent
+    marker = environment / MARKER
+    with ExitStack() as stack:
+        if marker.is_file():
+            with suppress(EngineError):  # it cannot be written to, nor removed from here
+                stack.enter_context(lock.locked(environment / USES / secrets.token_hex(4)))
+            if not marker.is_file():
+                raise FileNotFoundError(errno.ENOENT, "The engine was removed", str(environment))
+        yield
+
+
+def user(environment: Path) -> int:
+    """A process that runs an engine in the environment; 0 if there is none."""
+    locks = environment.glob(f"{USES}/*/{run_files.LOCK}")
+    return next(filter(None, map(lock.holder, locks)), 0)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Let nobody else make or remove environments in a folder while the block runs.
+
+    Raises:
+        AddonError: somebody does so now, or the folder cannot be written to.
+    """
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(lock.locked(folder))
+        except EngineError as error:
+            if pid := lock.holder(folder / run_files.LOCK):
+                text = f"Process {pid} is setting up the engine. Wait until it has finished."
+                raise AddonError(text) from error
+            raise AddonError(str(error)) from error
+        yield
+
+
+def remove(environment: Path) -> bool:
+    """Remove one, unless an engine runs in it; whether it is gone."""
+    marker, aside = environment / MARKER, environment / f"{MARKER}.removed"
+    with suppress(OSError):
+        os.replace(marker, aside)  # from now on, no engine starts in it
+    if marker.exists() or user(environment):
+        with suppress(OSError):
+            os.replace(aside, marker)
+        return False
+    shutil.rmtree(environment, ignore_errors=True)
+    return not environment.exists()
+
+
+def remove_replaced(folders: Iterable[Path]) -> None:
+    """Remove incomplete environments, and all but the newest complete one; not those in use."""
+    newest = complete_environments(folders)[:1]
+    for environment in made(folders):
+        if environment not in newest:
+            remove(environment)
+
+
+def remove_all(folders: Iterable[Path]) -> int:
+    """Remove every environment and what belongs to it; the bytes of their files.
+
+    Raises:
+        AddonError: one is in use, an installation runs, or something cannot be removed.
+    """
+    freed = 0
+    for folder in filter(Path.is_dir, folders):
+        with alone(folder):
+            there = made([folder])
+            if pid := next(filter(None, map(user, there)), 0):
+                raise AddonError(f"An engine is running (process {pid}). Stop it first.")
+            freed += size(there)
+            for environment in there:
+                if not remove(environment):
+                    raise AddonError(f"Cannot remove {environment}. Remove it by hand.")
+            shutil.rmtree(folder / DOWNLOADS, ignore_errors=True)
+            with suppress(OSError):
+                (folder / SETUP_LOG).unlink()
+    return freed

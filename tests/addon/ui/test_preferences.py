@@ -1,0 +1,91 @@
+"""The preferences page: what a set-up takes, and removing it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from roigs_addon.engine import python
+
+
+@pytest.fixture
+def environment(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """A complete environment, in the folder that the add-on uses."""
+    from roigs_addon import settings
+
+    made = tmp_path / "engine" / "1"
+    made.mkdir(parents=True)
+    (made / python.MARKER).write_text("{}")
+    (made / "data").write_bytes(bytes(3_000_000))
+    monkeypatch.setattr(settings, "environments", lambda: (tmp_path / "engine", tmp_path / "old"))
+    return made
+
+
+def test_the_engine_is_removed(blender: ModuleType, environment: Path) -> None:
+    assert blender.ops.roigs.remove_engine() == {"FINISHED"}
+    assert not environment.exists()
+    assert not blender.ops.roigs.remove_engine.poll()
+
+
+def test_it_is_not_removed_while_something_works(
+    blender: ModuleType, environment: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.engine import environments, install
+    from roigs_addon.jobs import current
+
+    for module, name in ((install, "running"), (current, "busy")):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, lambda: True)
+            assert not blender.ops.roigs.remove_engine.poll()
+    with (
+        environments.using(python.environment_python(environment)),
+        pytest.raises(RuntimeError, match=r"An engine is running \(process \d+\). Stop it first."),
+    ):
+        blender.ops.roigs.remove_engine()
+    assert (environment / python.MARKER).is_file()
+
+
+def test_the_question_says_what_it_frees(
+    blender: ModuleType, environment: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from types import SimpleNamespace
+
+    from roigs_addon.operators.engine_setup import RemoveEngine
+
+    asked: dict[str, str] = {}
+
+    def ask(_operator: object, _event: object, **texts: str) -> set[str]:
+        asked.update(texts)
+        return {"RUNNING_MODAL"}
+
+    context = SimpleNamespace(window_manager=SimpleNamespace(invoke_confirm=ask))
+    assert RemoveEngine.invoke(None, context, None) == {"RUNNING_MODAL"}
+    assert asked["message"] == "This frees 3 MB. Runs and results stay."
+    assert environment.is_dir()
+
+
+def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon.ui import preferences
+
+    assert preferences._needed_space(False) == (
+        "Downloads about 310 MB and takes 1.0 GB of the disk (on Linux)."
+    )
+    assert "gigabytes" in preferences._needed_space(True)
+
+
+def test_all_versions_of_blender_share_the_environments(
+    blender: ModuleType, addon: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon import settings
+
+    def shared(user: str) -> Path:
+        monkeypatch.setattr(blender.utils, "resource_path", lambda kind: user)
+        return settings.environments()[0]
+
+    assert shared("/home/a/blender/4.3") == shared("/home/a/blender/5.2")
+    assert shared("/home/a/blender/5.2") == Path("/home/a/blender/roigs/engine")
+    assert shared("/apps/blender/portable") == Path("/apps/blender/portable/roigs/engine")
