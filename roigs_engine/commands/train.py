@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -103,7 +103,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run, Context]]:
     """The run of the options; its folder is open and locked during the block.
 
-    Events are also written to the folder, once it is known that it may be this run's.
+    Events are also written to the folder, once it is known that it may be this run's. The preview
+    is deleted at the end: the result is there.
     """
     from ..colmap.undistorted_photos import remove_unused
     from ..run.definition import define_run
@@ -137,6 +138,8 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
             console.emit(message)
         with recorded(args.run_dir, run.config.seed, context.device):
             yield run, context
+        with suppress(OSError):  # on Windows, while it is read
+            (args.run_dir / run_files.PREVIEW).unlink()
 
 
 def show_plan(

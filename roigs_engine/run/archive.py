@@ -15,9 +15,9 @@ from pathlib import Path
 
 from ..errors import RunFolderError
 from ..formats.files import own_folder
-from ..formats.run_files import ARCHIVE
+from ..formats.run_files import ARCHIVE, ARCHIVED_RESULTS
 
-PARTS, DAMAGED = "results", "damaged"
+DAMAGED = "damaged"
 
 
 def archive(folder: Path, fingerprint: str) -> None:
@@ -58,7 +58,7 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
 
 def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     """Move the files `names` of `folder`, as far as they exist, to one folder in its archive."""
-    place = _free(archived(folder / PARTS, fingerprint))
+    place = _free(archived(folder / ARCHIVED_RESULTS, fingerprint))
     for name in names:
         if (folder / name).exists():
             _move(folder / name, place / name)
@@ -66,7 +66,7 @@ def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
 
 def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     """Move the files that `archive_parts` archived under that fingerprint back."""
-    place = archived(folder / PARTS, fingerprint)
+    place = archived(folder / ARCHIVED_RESULTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():
             _move(place / name, folder / name)
