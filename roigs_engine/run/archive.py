@@ -27,7 +27,7 @@ def archive(folder: Path, fingerprint: str) -> None:
         RunFolderError: it cannot be moved.
     """
     if folder.exists():
-        _move(folder, _free(archived(folder, fingerprint)))
+        move(folder, _free(archived(folder, fingerprint)))
 
 
 def restore(folder: Path, fingerprint: str) -> None:
@@ -36,7 +36,7 @@ def restore(folder: Path, fingerprint: str) -> None:
     with suppress(OSError):  # an empty one, of an engine that was killed at its first file
         folder.rmdir()
     if place.exists() and not folder.exists():
-        _move(place, folder)
+        move(place, folder)
 
 
 def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
@@ -50,7 +50,7 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
     place = _free(archived(folder, DAMAGED))
     for name in names:
         if os.path.lexists(folder / name):
-            _move(folder / name, place / name)
+            move(folder / name, place / name)
     with suppress(OSError):
         folder.rmdir()
     return place
@@ -61,7 +61,7 @@ def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     place = _free(archived(folder / ARCHIVED_RESULTS, fingerprint))
     for name in names:
         if (folder / name).exists():
-            _move(folder / name, place / name)
+            move(folder / name, place / name)
 
 
 def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
@@ -69,7 +69,7 @@ def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     place = archived(folder / ARCHIVED_RESULTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():
-            _move(place / name, folder / name)
+            move(place / name, folder / name)
     with suppress(OSError):  # missing, or not empty
         place.rmdir()
 
@@ -86,7 +86,8 @@ def _free(place: Path) -> Path:
     return next(path for path in names if not path.exists())
 
 
-def _move(source: Path, target: Path) -> None:
+def move(source: Path, target: Path) -> None:
+    """Move a file or folder; RunFolderError if that fails."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.rename(source, target)
