@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..context import QUIET, Context
 from ..formats import run_files
-from ..formats.files import refuse_linked_folders, remove_leftovers
+from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
 from ..formats.lock import locked
 from ..selection.manual import load_manual
 from .console import Console
@@ -26,6 +26,7 @@ from .options import (
     load_scene,
     run_config,
 )
+from .options_file import settings
 from .out_folder import refuse_inputs, refuse_run_files
 from .values import PATH, Number
 
@@ -133,6 +134,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
         scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
+        write_json(args.run_dir / run_files.SETTINGS, settings(args))
         remove_unused(args.run_dir / run_files.CACHE, scene.images)
         for message in run_memory(run, context).messages():
             console.emit(message)
