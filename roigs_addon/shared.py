@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING or __package__ == "roigs_addon":
     from roigs_engine.errors import EngineError
     from roigs_engine.formats import (
+        clean_up,
         events,
         files,
         frame_requests,
@@ -25,6 +26,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
 else:
     from ..roigs_engine.errors import EngineError
     from ..roigs_engine.formats import (
+        clean_up,
         events,
         files,
         frame_requests,
@@ -39,6 +41,7 @@ else:
 
 __all__ = [
     "EngineError",
+    "clean_up",
     "events",
     "files",
     "frame_requests",

@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from . import __version__
 from .commands import (
+    clean,
     compose,
     evaluate,
     export,
@@ -46,6 +47,7 @@ COMMANDS: dict[str, ModuleType] = {
     "render": render,
     "render-frames": render_frames,
     "run": run,
+    "clean": clean,
 }
 WITH_TORCH = ("train", "run", "evaluate", "render", "render-frames", "compose")
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.

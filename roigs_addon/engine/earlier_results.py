@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import AddonError
-from ..shared import run_files
+from ..shared import clean_up, run_files
 
-FOLDERS = "results-*"
+FOLDERS = f"{run_files.ARCHIVED_RESULTS}-*"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ def earlier_results(run: Path) -> list[EarlierResult]:
             made = (folder / run_files.RESULT).stat().st_mtime
             if not (folder / run_files.BACKGROUND).is_file():
                 continue
-            size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+            size = clean_up.disk_size([folder])
         except OSError:
             continue  # not complete, or being moved right now
         found.append(EarlierResult(folder=folder, made=made, size=size))

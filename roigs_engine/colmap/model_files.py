@@ -16,20 +16,13 @@ from typing import TypeVar
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.files import UNREADABLE
+from ..formats.projects import model_suffix
 from . import binary_files, text_files
 from .records import Model
 
 T = TypeVar("T")
 
 HINT_DAMAGED = "The file is damaged or incomplete: export the model again."
-
-
-def model_suffix(folder: Path) -> str | None:
-    """The suffix of the folder's cameras and images files, `.bin` or `.txt`; None: no model."""
-    for suffix in (".bin", ".txt"):
-        if all((folder / (stem + suffix)).is_file() for stem in ("cameras", "images")):
-            return suffix
-    return None
 
 
 def read_model(folder: Path, context: Context = QUIET) -> Model:

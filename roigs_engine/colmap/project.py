@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +11,14 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
+from ..formats.projects import model_folders, model_suffix, project_folder
 from ..formats.refined_model import is_complete, refined_folder
 from ..formats.rois import FAR
 from ..formats.text import counted
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
-from ..photos.files import PHOTO_FOLDERS, PhotoFolder, find_photos
-from .model_files import HINT_DAMAGED, count_images, model_suffix, read_model
+from ..photos.files import PhotoFolder, find_photos
+from .model_files import HINT_DAMAGED, count_images, read_model
 from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
@@ -140,14 +140,8 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
         return path
     if not path.is_dir():
         raise SceneError(f"{path} is not a folder.", "Give the project's folder.")
-    if path.name in PHOTO_FOLDERS and not (path / "sparse").is_dir():
-        with suppress(SceneError):
-            return find_model(path.parent, context)
-    found: list[Path] = []
-    for parent in (path / "sparse", path):
-        numbered = [child for child in _children(parent) if child.name.isdecimal()]
-        found += [*sorted(numbered, key=lambda child: int(child.name)), parent]
-    counts = {folder: count_images(folder) for folder in found if model_suffix(folder)}
+    path = project_folder(path)
+    counts = {folder: count_images(folder) for folder in model_folders(path)}
     if not counts:
         raise SceneError(
             f"{path} has no COLMAP model.",
@@ -161,13 +155,6 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
             f" {counted(counts[best], 'photo')} (others: {', '.join(others)})."
         )
     return best
-
-
-def _children(folder: Path) -> list[Path]:
-    try:
-        return [child for child in folder.iterdir() if child.is_dir()]
-    except OSError:
-        return []
 
 
 def smaller(downscale: float | None, max_side: int | None) -> Shrink:

@@ -11,6 +11,7 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.events import StageStarted
 from ..formats.files import cannot_write, own_folder
+from ..formats.run_files import UNDISTORTED
 from ..formats.text import in_gb
 from ..machine import ENGINE, disk_message, machine_memory, release_freed_memory
 from ..model.scene import PosedImage
@@ -18,7 +19,6 @@ from ..photos.headers import PhotoError
 from ..photos.parallel import in_parallel, threads_for
 from .undistort import UndistortionPlan, temporary_folder, undistort
 
-FOLDER = "undistorted"
 STAGE = "undistort"
 PER_PIXEL = 3  # bytes of a PNG, at most; photos take about 2
 
@@ -38,7 +38,7 @@ def undistort_all(
         RunFolderError: the cache cannot be written.
         Stopped: on request.
     """
-    folder = temporary_folder() if cache is None else _created(own_folder(cache, FOLDER))
+    folder = temporary_folder() if cache is None else _created(own_folder(cache, UNDISTORTED))
     by_key = {plan.key(): plan for plan in plans}
     paths = {key: folder / f"{key}.png" for key in by_key}
     missing = [plan for key, plan in by_key.items() if not paths[key].is_file()]
@@ -70,14 +70,14 @@ def missing_in(cache: Path, images: Iterable[PosedImage]) -> list[PosedImage]:
     return [
         image
         for image in images
-        if image.distorted and not (cache / FOLDER / f"{image.digest}.png").is_file()
+        if image.distorted and not (cache / UNDISTORTED / f"{image.digest}.png").is_file()
     ]
 
 
 def remove_unused(cache: Path, images: Iterable[PosedImage]) -> None:
     """Delete the undistorted photos in `cache` that `images` do not use."""
     used = {image.path.name for image in images}
-    for path in own_folder(cache, FOLDER).glob("*.png"):
+    for path in own_folder(cache, UNDISTORTED).glob("*.png"):
         if path.name not in used:
             with suppress(OSError):
                 path.unlink()

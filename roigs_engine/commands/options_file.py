@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,11 @@ from ..formats.files import read_json
 from .values import NAME, Name, Number, shown
 
 NOT_KEYS = {"help", "events"}  # options that an options file must not set
+# Of a parsed command line: what decides no result, and what is no option.
+NO_SETTINGS = {
+    *("command", "events", "options_given", "options_file", "run_dir", "update", "dry_run"),
+    *("compare", "preview_seconds", "image_cache", "threads", "device"),
+}
 
 
 def with_options_file(
@@ -53,6 +59,16 @@ def with_options_file(
     args = parser.parse_args(argv)
     args.scene, args.options_file = scene, path
     return args
+
+
+def settings(args: argparse.Namespace) -> dict[str, Any]:
+    """The options that decide the results, as an options file has them; paths are absolute."""
+    given = {name: value for name, value in vars(args).items() if name not in NO_SETTINGS}
+    return {
+        name: os.path.abspath(value) if isinstance(value, Path) else value
+        for name, value in given.items()
+        if value is not None and value != []
+    }
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ..context import QUIET, Context
 from ..formats import run_files
-from ..formats.files import refuse_linked_folders, remove_leftovers
+from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
 from ..formats.lock import locked
 from ..selection.manual import load_manual
 from .console import Console
@@ -26,6 +26,7 @@ from .options import (
     load_scene,
     run_config,
 )
+from .options_file import settings
 from .out_folder import refuse_inputs, refuse_run_files
 from .values import PATH, Number
 
@@ -103,7 +104,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run, Context]]:
     """The run of the options; its folder is open and locked during the block.
 
-    Events are also written to the folder, once it is known that it may be this run's.
+    Events are also written to the folder, once it is known that it may be this run's. The preview
+    is deleted at the end: the result is there.
     """
     from ..colmap.undistorted_photos import remove_unused
     from ..run.definition import define_run
@@ -132,11 +134,14 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
         scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
+        write_json(args.run_dir / run_files.SETTINGS, settings(args))
         remove_unused(args.run_dir / run_files.CACHE, scene.images)
         for message in run_memory(run, context).messages():
             console.emit(message)
         with recorded(args.run_dir, run.config.seed, context.device):
             yield run, context
+        with suppress(OSError):  # on Windows, while it is read
+            (args.run_dir / run_files.PREVIEW).unlink()
 
 
 def show_plan(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-PHOTOS, SPARSE, FIRST, NAME = "images", "sparse", "0", "refined"
+from .projects import SPARSE, project_folder
+
+FIRST, NAME = "0", "refined"
 CAMERAS = "cameras.bin"
 PARTS = (CAMERAS, "images.bin", "points3D.bin")
 """Of a refined model, which is always binary."""
@@ -16,11 +18,11 @@ IMAGES = ("images.bin", "images.txt")
 def refined_folder(colmap: Path) -> Path:
     """The folder of the refined model, for the folder of a project or of one of its models.
 
-    In a project with `sparse` it is `sparse/refined`; for a model `sparse/1`, `sparse/refined-1`.
-    No two models share one, and the engine finds the project's photos from there.
+    A project's folder of photos stands for the project. In a project with `sparse` it is
+    `sparse/refined`; for a model `sparse/1`, `sparse/refined-1`. No two models share one, and the
+    engine finds the project's photos from there.
     """
-    if colmap.name.startswith(PHOTOS) and (colmap.parent / SPARSE).is_dir():
-        colmap = colmap.parent  # the folder of photos stands for the project
+    colmap = project_folder(colmap)
     inside = colmap / SPARSE
     if inside.is_dir():
         return inside / NAME

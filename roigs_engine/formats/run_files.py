@@ -4,12 +4,17 @@ from __future__ import annotations
 
 MANIFEST = "manifest.json"
 """What the run was made for: boxes, photos, settings."""
+SETTINGS = "settings.json"
+"""The options that the run was asked for with: an options file (docs/files.md)."""
 PROVENANCE = "provenance.json"
 SPLIT = "split.json"
 LOCK = "run.lock"
 EVENTS = "events.jsonl"
 ARCHIVE = "archive"
-CACHE = "cache"
+ARCHIVED_RESULTS = "results"
+"""In the archive, followed by `-` and a hash: results of a run; the other folders are stages."""
+CACHE, UNDISTORTED = "cache", "undistorted"
+"""The latter is in the former."""
 SELECTION = "selection"
 """Folder with a list of photos for each box."""
 
@@ -32,7 +37,7 @@ TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its run. No stage is called that."""
 
-_FILES = (MANIFEST, PROVENANCE, SPLIT, LOCK, EVENTS, RESULT, BACKGROUND, PREVIEW)
+_FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, RESULT, BACKGROUND, PREVIEW)
 _RESULTS = (FINE, COARSE, REPORT, REPORT_DATA, CROPS, SELECTION, ARCHIVE, CACHE)
 _STAGES = (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, FULL_SCENE_STAGE, MATCHED_STAGE)
 _PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)

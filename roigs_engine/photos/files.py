@@ -10,8 +10,8 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from ..errors import SceneError
+from ..formats.projects import PHOTO_FOLDERS, SPARSE
 
-PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
 
 
@@ -101,7 +101,7 @@ def _roots(model: Path) -> list[Path]:
     """The model's folder and those above it, up to the one that holds `sparse` (at most two up)."""
     roots = [model.absolute()]
     for folder in model.absolute().parents[:2]:
-        if roots[-1].name == "sparse":
+        if roots[-1].name == SPARSE:
             return [*roots, folder]
         roots.append(folder)
     return roots

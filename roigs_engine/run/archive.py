@@ -15,9 +15,9 @@ from pathlib import Path
 
 from ..errors import RunFolderError
 from ..formats.files import own_folder
-from ..formats.run_files import ARCHIVE
+from ..formats.run_files import ARCHIVE, ARCHIVED_RESULTS
 
-PARTS, DAMAGED = "results", "damaged"
+DAMAGED = "damaged"
 
 
 def archive(folder: Path, fingerprint: str) -> None:
@@ -27,7 +27,7 @@ def archive(folder: Path, fingerprint: str) -> None:
         RunFolderError: it cannot be moved.
     """
     if folder.exists():
-        _move(folder, _free(archived(folder, fingerprint)))
+        move(folder, _free(archived(folder, fingerprint)))
 
 
 def restore(folder: Path, fingerprint: str) -> None:
@@ -36,7 +36,7 @@ def restore(folder: Path, fingerprint: str) -> None:
     with suppress(OSError):  # an empty one, of an engine that was killed at its first file
         folder.rmdir()
     if place.exists() and not folder.exists():
-        _move(place, folder)
+        move(place, folder)
 
 
 def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
@@ -50,7 +50,7 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
     place = _free(archived(folder, DAMAGED))
     for name in names:
         if os.path.lexists(folder / name):
-            _move(folder / name, place / name)
+            move(folder / name, place / name)
     with suppress(OSError):
         folder.rmdir()
     return place
@@ -58,18 +58,18 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
 
 def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     """Move the files `names` of `folder`, as far as they exist, to one folder in its archive."""
-    place = _free(archived(folder / PARTS, fingerprint))
+    place = _free(archived(folder / ARCHIVED_RESULTS, fingerprint))
     for name in names:
         if (folder / name).exists():
-            _move(folder / name, place / name)
+            move(folder / name, place / name)
 
 
 def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
     """Move the files that `archive_parts` archived under that fingerprint back."""
-    place = archived(folder / PARTS, fingerprint)
+    place = archived(folder / ARCHIVED_RESULTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():
-            _move(place / name, folder / name)
+            move(place / name, folder / name)
     with suppress(OSError):  # missing, or not empty
         place.rmdir()
 
@@ -86,7 +86,8 @@ def _free(place: Path) -> Path:
     return next(path for path in names if not path.exists())
 
 
-def _move(source: Path, target: Path) -> None:
+def move(source: Path, target: Path) -> None:
+    """Move a file or folder; RunFolderError if that fails."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.rename(source, target)

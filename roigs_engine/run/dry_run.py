@@ -15,6 +15,7 @@ from .forecast import StageForecast, forecast
 from .manifest import check_version, from_json, manifest_difference, read_manifest
 from .memory import run_memory
 from .plan import Plan
+from .renaming import renamed_boxes, with_names
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
@@ -117,7 +118,10 @@ def _folder_notes(run: Run, *, update: bool) -> list[str]:
     path = run.folder / MANIFEST
     if not path.exists():
         return notes
-    difference = manifest_difference(read_manifest(path), from_json(run.manifest()))
+    before, now = read_manifest(path), from_json(run.manifest())
+    difference = manifest_difference(before, now)
+    if update and difference:
+        difference = manifest_difference(with_names(before, renamed_boxes(before, now)), now)
     if difference and update:
         notes.append(f"Folder: another run ({difference}) would be archived.")
     elif difference:

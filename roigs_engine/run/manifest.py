@@ -15,6 +15,7 @@ from ..formats.text import json_digest
 from .archive import archive_parts, restore_parts
 from .config import STRATEGIES
 from .definition import MANIFEST_VERSION
+from .renaming import rename_results, rename_stages, renamed_boxes, with_names
 
 FORMER_NAME = "request.json"  # until 0.1.0
 CONTENTS = "contents"  # the key of the photos' digests
@@ -25,6 +26,7 @@ MOST_TEXT = 120  # characters; a longer difference is not spelled out
 RESULTS = (
     *(run_files.RESULT, run_files.BACKGROUND, run_files.FINE, run_files.COARSE),
     *(run_files.REPORT, run_files.REPORT_DATA, run_files.CROPS, run_files.SELECTION),
+    run_files.SETTINGS,
 )
 
 
@@ -34,7 +36,7 @@ def claim(
     """Write the manifest to `folder`, or check that it equals the folder's manifest.
 
     With `update`, the results of another manifest are archived, and archived results of this one
-    are restored.
+    are restored. Boxes may have other names: their stages and results are renamed.
 
     Raises:
         RunFolderError: the folder was made for other settings, or by an earlier version.
@@ -50,11 +52,20 @@ def claim(
         return
     if not update:
         raise _other_run(folder, difference)
+    renamed = renamed_boxes(before, now)
+    other = manifest_difference(with_names(before, renamed), now)
     for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
-        archive_parts(home, RESULTS, json_digest(before))
-        restore_parts(home, RESULTS, json_digest(now))
+        rename_stages(home, renamed)
+        if other:
+            archive_parts(home, RESULTS, json_digest(before))
+            restore_parts(home, RESULTS, json_digest(now))
+        else:
+            rename_results(home, renamed)
     write_json(path, now)
-    context.info(f"Updated {folder} to the new settings ({difference}).")
+    for old, new in renamed.items():
+        context.info(f"Box '{old}' is now called '{new}'; its training is kept.")
+    if other:
+        context.info(f"Updated {folder} to the new settings ({other}).")
 
 
 def refuse_other_run(folder: Path, manifest: dict[str, Any]) -> None:

@@ -78,14 +78,14 @@ class Stage:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of everything that decides the stage's result."""
+        """Hash of everything that decides the stage's result; the boxes' names do not."""
         record = {
             "config": asdict(self.config),
             "images": [
                 (i.name, i.digest, asdict(i.camera), i.world_to_camera.tolist())
                 for i in self.images
             ],
-            "rois": [roi.to_dict() for roi in self.rois],
+            "rois": [roi.to_dict() | {"name": ""} for roi in self.rois],
             "budgets": self.budgets,
             "matched": self.matched and self.matched.fingerprint,
             "seeing": self.seeing,

@@ -151,7 +151,8 @@ class StageFolder:
             self._archive_damaged(error, context)
             return None
         remove_checkpoint(self._checkpoint)  # left if the engine was killed at the very end
-        context.info(f"{self.name}: already finished, {counted(result.count, 'Gaussian')}.")
+        gaussians = counted(result.count, "Gaussian")
+        context.info(f"{self.name}: finished in an earlier training; its {gaussians} are used.")
         return result
 
     def _usable_record(self, context: Context) -> StageRecord | None:

@@ -150,3 +150,23 @@ def test_an_options_file_that_is_none_is_refused(
     assert "broken.json" in refused(capsys, "select", broken)
     assert "gone.json" in refused(capsys, "select", tmp_path / "gone.json")
     assert "xxx" in refused(capsys, "select", options_file(tmp_path, scene="x" * 5000, roi=[BOX]))
+
+
+def test_a_run_folders_settings_are_an_options_file(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, tiny = tmp_path / "run", ("--steps-factor", "0.003", "--max-side", "40", "--device", "cpu")
+    more = ("--test-every", "0", "--update", "--preview-seconds", "1")
+    line = ("train", str(project.folder), "--roi", BOX, "--run-dir", str(run), *tiny, *more)
+    assert main([*line]) == 0
+    settings = json.loads((run / "settings.json").read_text(encoding="utf-8"))
+    assert settings == {
+        **{"scene": str(project.folder), "roi": [BOX], "preset": "draft", "test_every": 0},
+        **{"steps_factor": 0.003, "max_side": 40},
+    }
+    capsys.readouterr()
+    assert main(["train", str(run / "settings.json"), "--run-dir", str(run)]) == 0
+    assert "joint: finished in an earlier training" in capsys.readouterr().err
+    assert main([*line, "--seed", "1"]) == 0
+    (archived,) = (run / "archive").glob("results-*/settings.json")
+    assert json.loads(archived.read_text(encoding="utf-8")) == settings

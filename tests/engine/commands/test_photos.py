@@ -174,7 +174,7 @@ def test_changed_photos_are_refused_or_trained_again(
         path.touch()
     capsys.readouterr()
     assert main(arguments(project, run)) == 0
-    assert "already finished" in capsys.readouterr().err
+    assert "finished in an earlier training" in capsys.readouterr().err
     kept = {path: path.read_bytes() for path in photos}
     for path in photos:  # as many bytes under the same times
         status = path.stat()
@@ -190,12 +190,12 @@ def test_changed_photos_are_refused_or_trained_again(
     assert "10 photos changed" in capsys.readouterr().out
     assert main(arguments(project, run, "--update")) == 0
     said = capsys.readouterr().err
-    assert "already finished" not in said and "10 photos changed" in said
+    assert "finished in an earlier training" not in said and "10 photos changed" in said
     assert all(data != before[name] for name, data in plys(run).items() if name in before)
     for path, data in kept.items():
         path.write_bytes(data)
     assert main(arguments(project, run, "--update")) == 0
-    assert "already finished" in capsys.readouterr().err
+    assert "finished in an earlier training" in capsys.readouterr().err
     assert {name: data for name, data in plys(run).items() if "archive" not in name} == before
 
 
@@ -234,7 +234,7 @@ def test_a_run_with_selected_and_damaged_photos_resumes(
     before = plys(run)
     capsys.readouterr()
     assert main(words) == 0
-    assert "already finished" in capsys.readouterr().err
+    assert "finished in an earlier training" in capsys.readouterr().err
     assert plys(run) == before
 
 

@@ -42,12 +42,18 @@ def test_a_dry_run_leaves_no_trace(
 def test_a_run_its_record_and_the_run_again(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["run", *arguments(project, tmp_path)]) == 0
-    assert "ROI PSNR" in capsys.readouterr().out
+    assert main(["run", *arguments(project, tmp_path, "--preview-seconds", "1e-6")]) == 0
+    shown = capsys.readouterr()
+    assert "ROI PSNR" in shown.out
+    assert "earlier training" not in shown.err
+    assert not (tmp_path / run_files.PREVIEW).exists()
     result = (tmp_path / run_files.RESULT).read_bytes()
     assert main(["run", *arguments(project, tmp_path)]) == 0
     said = capsys.readouterr().err
-    assert all(f"{stage}: already finished" in said for stage in ("full-scene", "scene", "joint"))
+    assert all(
+        f"{stage}: finished in an earlier training" in said
+        for stage in ("full-scene", "scene", "joint")
+    )
     assert (tmp_path / run_files.RESULT).read_bytes() == result
     assert main(["run", *arguments(project, tmp_path, "--dry-run")]) == 0
     assert capsys.readouterr().out.count(" done\n") == 3

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.colmap.project import find_model
 from roigs_engine.formats import refined_model
+from roigs_engine.formats.projects import PHOTO_FOLDERS
 from roigs_engine.formats.refined_model import IMAGES, PARTS, refined_folder
 
 
@@ -30,13 +32,29 @@ def model(folder: Path, seconds: float) -> Path:
         ("garden/sparse/1", "garden/sparse/refined-1"),
         ("garden/sparse/refined-1", "garden/sparse/refined-1"),
         ("garden/images", "garden/sparse/refined"),
+        ("garden/images_8", "garden/sparse/refined"),
+        ("garden/images of mine", "garden/images of mine/refined"),
         ("flat", "flat/refined"),
+        ("flat/images", "flat/refined"),
     ],
 )
 def test_every_model_has_a_folder_of_its_own(tmp_path: Path, imported: str, refined: str) -> None:
     for name in ("garden/sparse/0", "garden/sparse/1", "flat"):
-        (tmp_path / name).mkdir(parents=True)
+        model(tmp_path / name, 1000)
+    for name in ("garden/images", "garden/images_8", "garden/images of mine", "flat/images"):
+        (tmp_path / name).mkdir()
     assert refined_folder(tmp_path / imported) == tmp_path / refined
+
+
+@pytest.mark.parametrize("photos", PHOTO_FOLDERS)
+@pytest.mark.parametrize("place", ["", "sparse", "sparse/0", "0"])
+def test_photos_stand_for_the_project_that_the_engine_loads(
+    tmp_path: Path, photos: str, place: str
+) -> None:
+    made = model(tmp_path / place, 1000)
+    (tmp_path / photos).mkdir()
+    assert find_model(tmp_path / photos) == made
+    assert refined_folder(tmp_path / photos) == refined_folder(tmp_path)
 
 
 def test_a_project_below_a_folder_called_sparse(tmp_path: Path) -> None:

@@ -208,7 +208,11 @@ def test_every_stage_is_made_and_read_at_most_once(
     train_run(run, compare, Context(emit=events.append))
     assert sorted(trained) == sorted(names)
     assert sorted(read) == sorted(names)
-    done = [e.text for e in events if isinstance(e, Message) and "already finished" in e.text]
+    done = [
+        e.text
+        for e in events
+        if isinstance(e, Message) and "finished in an earlier training" in e.text
+    ]
     assert len(done) == len(names)
     assert all(is_own(path.name) for path in tmp_path.iterdir())
 

@@ -1,0 +1,76 @@
+"""What a run folder can lose: only what the engine makes again when it needs it, never a result."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from ..errors import RunFolderError
+from . import run_files
+from .files import is_link
+
+
+def is_run_folder(folder: Path) -> bool:
+    """Whether an engine has worked in the folder."""
+    return any((folder / name).is_file() for name in (run_files.MANIFEST, run_files.PROVENANCE))
+
+
+def removable(run: Path) -> list[Path]:
+    """What can be removed: undistorted photos, archived stages, a preview that is outdated.
+
+    The preview of a training that was stopped stays: it is all there is to look at.
+    """
+    if not is_run_folder(run):
+        return []
+    found = [run / run_files.CACHE / run_files.UNDISTORTED]
+    if (run / run_files.RESULT).is_file():
+        found.append(run / run_files.PREVIEW)
+    for home in (run, *sorted(run.glob(f"{run_files.COMPARED}*"))):
+        stages = (home / run_files.ARCHIVE).glob("*")
+        found += [f for f in sorted(stages) if not f.name.startswith(run_files.ARCHIVED_RESULTS)]
+    return [path for path in found if path.exists() and not _is_linked(path, run)]
+
+
+def remove(run: Path) -> int:
+    """Remove it; returns the bytes that were freed.
+
+    Raises:
+        RunFolderError: something cannot be removed.
+    """
+    freed = 0
+    for path in removable(run):
+        size = disk_size([path])
+        try:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        except OSError as error:
+            raise RunFolderError(
+                f"Cannot remove {path} ({error.strerror or error}).",
+                "Close the programs that have it open.",
+            ) from error
+        freed += size
+        with suppress(OSError):  # not empty
+            path.parent.rmdir()
+    return freed
+
+
+def disk_size(paths: Iterable[Path]) -> int:
+    """Bytes of files, and of those in folders; what cannot be read counts as nothing."""
+    total = 0
+    for path in paths:
+        names = (Path(parent, name) for parent, _, files in os.walk(path) for name in files)
+        for file in (path, *names):
+            with suppress(OSError):
+                total += 0 if file.is_dir() else os.lstat(file).st_size
+    return total
+
+
+def _is_linked(path: Path, run: Path) -> bool:
+    """Whether it is a link, or reached through one below the run folder."""
+    above = [parent for parent in path.parents if parent != run and parent.is_relative_to(run)]
+    return any(is_link(each) for each in (path, *above))

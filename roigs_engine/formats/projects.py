@@ -1,0 +1,41 @@
+"""What is where in a COLMAP project: its models, and its folders of photos."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
+"""Names of a project's folders of photos; the first one that fits is used."""
+SPARSE = "sparse"
+SUFFIXES = (".bin", ".txt")
+
+
+def model_suffix(folder: Path) -> str | None:
+    """The suffix of the folder's cameras and images files, `.bin` or `.txt`; None: no model."""
+    for suffix in SUFFIXES:
+        if all((folder / (stem + suffix)).is_file() for stem in ("cameras", "images")):
+            return suffix
+    return None
+
+
+def model_folders(project: Path) -> list[Path]:
+    """The folders with a model: `sparse`, the project itself, and their numbered subfolders."""
+    places: list[Path] = []
+    for parent in (project / SPARSE, project):
+        numbered = [child for child in _children(parent) if child.name.isdecimal()]
+        places += [*sorted(numbered, key=lambda child: int(child.name)), parent]
+    return [folder for folder in places if model_suffix(folder)]
+
+
+def project_folder(folder: Path) -> Path:
+    """The project that a folder stands for: its folder of photos does, if it holds no model."""
+    if folder.name in PHOTO_FOLDERS and not model_folders(folder) and model_folders(folder.parent):
+        return folder.parent
+    return folder
+
+
+def _children(folder: Path) -> list[Path]:
+    try:
+        return [child for child in folder.iterdir() if child.is_dir()]
+    except OSError:
+        return []

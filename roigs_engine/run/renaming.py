@@ -1,0 +1,102 @@
+"""Boxes with another name than before: their files follow, and nothing is trained again.
+
+A box is the same one if its place and size are exactly the same.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..formats import run_files
+from ..formats.files import own_folder
+from ..formats.text import json_digest
+from .archive import move
+
+STAGES = (
+    *(run_files.OBJECT_STAGE, run_files.FULL_OBJECT_STAGE),
+    *(run_files.TUNED_STAGE + run_files.OBJECT_STAGE,),
+    *(run_files.TUNED_COARSE_STAGE + run_files.OBJECT_STAGE,),
+)
+RESULTS = (
+    *(f"{run_files.FINE}/{{}}.ply", f"{run_files.COARSE}/{{}}.ply"),
+    *(f"{run_files.SELECTION}/{{}}.json", f"{run_files.CROPS}/{{}}"),
+)
+ARCHIVED = re.compile(r"-([0-9a-f]{8}|damaged)(-\d+)?")
+"""What follows a stage's name in the archive."""
+
+
+def renamed_boxes(before: Any, now: dict[str, Any]) -> dict[str, str]:
+    """Old name -> new one, of the boxes of two manifests, in an order that never meets a file.
+
+    Boxes that have swapped their names are left out.
+    """
+    old, new = _by_place(before), _by_place(now)
+    left = {old[place]: new[place] for place in old if place in new and old[place] != new[place]}
+    ordered: dict[str, str] = {}
+    while free := [name for name, other in left.items() if other not in left]:
+        ordered |= {name: left.pop(name) for name in free}
+    return ordered
+
+
+def with_names(manifest: dict[str, Any], renamed: dict[str, str]) -> dict[str, Any]:
+    """A manifest with the new names."""
+    if not renamed:
+        return manifest
+    named = dict(manifest)
+    named["rois"] = [
+        roi | {"name": renamed.get(str(roi.get("name")), roi.get("name"))}
+        for roi in manifest["rois"]
+        if isinstance(roi, dict)
+    ]
+    if isinstance(manual := manifest.get("manual"), dict):
+        named["manual"] = {renamed.get(name, name): photos for name, photos in manual.items()}
+    return named
+
+
+def rename_stages(home: Path, renamed: dict[str, str]) -> None:
+    """Rename the boxes' stages in a run folder and in its archive.
+
+    Raises:
+        RunFolderError: one cannot be moved, or the archive is a link.
+    """
+    for old, new in renamed.items():
+        for prefix in STAGES:
+            _rename(home / f"{prefix}{old}", home / f"{prefix}{new}")
+            for place in own_folder(home, run_files.ARCHIVE).glob(f"{prefix}*"):
+                mark = place.name.removeprefix(f"{prefix}{old}")
+                if mark != place.name and ARCHIVED.fullmatch(mark):
+                    _rename(place, place.with_name(f"{prefix}{new}{mark}"))
+
+
+def rename_results(home: Path, renamed: dict[str, str]) -> None:
+    """Rename the boxes' results in a run folder; raises as `rename_stages`."""
+    for old, new in renamed.items():
+        for form in RESULTS:
+            _rename(home / form.format(old), home / form.format(new))
+
+
+def _rename(source: Path, target: Path) -> None:
+    free = not target.exists() or (source.exists() and os.path.samefile(source, target))
+    if source.exists() and free:  # a run that was killed in between has renamed it already
+        move(source, target)
+
+
+def _by_place(manifest: Any) -> dict[str, str]:
+    """Place and size -> name, of the boxes that are alone there."""
+    found: dict[str, list[str]] = {}
+    for place, name in _boxes(manifest):
+        found.setdefault(place, []).append(name)
+    return {place: names[0] for place, names in found.items() if len(names) == 1}
+
+
+def _boxes(manifest: Any) -> Iterator[tuple[str, str]]:
+    """Place and size, and name, of each box of a manifest, which may be damaged."""
+    records = manifest.get("rois") if isinstance(manifest, dict) else None
+    for record in records if isinstance(records, list) else []:
+        if isinstance(record, dict) and isinstance(record.get("name"), str):
+            place = {key: value for key, value in record.items() if key != "name"}
+            yield json_digest(place), record["name"]
