@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 IMPORTING, REFINING, SELECTING = "Importing", "Refining", "Selecting"
-TRAINING, RENDERING = "Training", "Rendering"
+ESTIMATING, TRAINING, RENDERING = "Estimating", "Training", "Rendering"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 
