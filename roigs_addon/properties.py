@@ -134,7 +134,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     preset: EnumProperty(items=PRESETS, name="Preset", default="draft", update=_follow_preset)
     strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
     steps_factor: FloatProperty(
-        name="Steps",
+        name="Steps ×",
         default=1.0,
         min=0.001,
         max=1000.0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender import persistent
-from ..jobs import current
+from ..jobs import current, estimate_job
 from . import engine_ability, photo_names, photo_pictures, point_counts, run_facts
 
 
@@ -28,6 +28,7 @@ def unregister() -> None:
     """Remove the handlers, and end threads and timers."""
     forget()
     point_counts.close()
+    estimate_job.forget()
     engine_ability.timer.stop()
     current.on_end.remove(forget)
     bpy.app.handlers.load_post.remove(forget)

@@ -54,10 +54,15 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool =
 
 
 def project_name(folder: Path) -> str:
-    """The name of a COLMAP project: that of its folder, skipping `sparse` and `sparse/0`."""
+    """The name of a COLMAP project: that of its folder."""
+    return project_folder(folder).name
+
+
+def project_folder(folder: Path) -> Path:
+    """The folder of a COLMAP project, of which `sparse` or `sparse/0` may be given."""
     while folder.parent.name and (folder.name == "sparse" or folder.parent.name == "sparse"):
         folder = folder.parent
-    return folder.name
+    return folder
 
 
 def export_folder(colmap: Path) -> Path:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 IMPORTING, REFINING, SELECTING = "Importing", "Refining", "Selecting"
-TRAINING = "Training"
+ESTIMATING, TRAINING = "Estimating", "Training"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 

@@ -14,6 +14,7 @@ from ..blender import registration, scene_of
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import lookup, rois, selections, start_cube
+from . import folders
 from .base import FRESH, NO_BOX, available, box_problem, failed, select_only
 
 if TYPE_CHECKING:
@@ -91,13 +92,23 @@ class LoadRois(bpy.types.Operator, ImportHelper):  # type: ignore[misc] # the st
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
     filter_glob: StringProperty(default="*.json", options={"HIDDEN", *FRESH})
 
+    def invoke(  # type: ignore[override] # the stub of the mixin returns nothing
+        self, context: bpy.types.Context, event: bpy.types.Event
+    ) -> OperatorResult:
+        """Ask for the file."""
+        assert context.window_manager is not None
+        self.filepath = folders.for_boxes(scene_props(scene_of(context)).colmap)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add its boxes, which are in the COLMAP frame, below the root."""
+        scene, path = scene_of(context), Path(bpy.path.abspath(self.filepath))
         try:
-            boxes = rois.read(Path(bpy.path.abspath(self.filepath)))
-            rois.add_boxes(scene_of(context), boxes)
+            rois.add_boxes(scene, rois.read(path))
         except AddonError as error:
             return failed(self, error)
+        folders.loaded_boxes(path, scene_props(scene).colmap)
         return {"FINISHED"}
 
 

@@ -19,6 +19,7 @@ from ..jobs.spec import JobSpec
 from ..properties import scene_props
 from ..scene import cameras, lookup
 from ..shared import refined_model
+from . import folders
 from .base import BUSY, FRESH, EngineOperator, available, failed, model_problem
 
 if TYPE_CHECKING:
@@ -52,7 +53,10 @@ class ImportColmap(EngineOperator, ImportHelper):  # type: ignore[misc] # the st
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Export the model to the cache, then build objects from that."""
-        return import_job.spec(scene_of(context), self.directory or self.filepath, self.images)
+        chosen = self.directory or self.filepath
+        spec = import_job.spec(scene_of(context), chosen, self.images)
+        folders.imported(Path(bpy.path.abspath(chosen)))
+        return spec
 
     def invoke(  # type: ignore[override] # the stub of the mixin returns nothing
         self, context: bpy.types.Context, event: bpy.types.Event
@@ -61,6 +65,7 @@ class ImportColmap(EngineOperator, ImportHelper):  # type: ignore[misc] # the st
         if self.directory or self.filepath:
             return EngineOperator.invoke(self, context, event)
         assert context.window_manager is not None
+        self.directory = folders.for_import(scene_props(scene_of(context)).colmap)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

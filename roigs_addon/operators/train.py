@@ -12,7 +12,7 @@ from .. import blender
 from ..blender import registration, scene_of
 from ..engine.own_files import log_file
 from ..facts import engine_ability, run_facts
-from ..jobs import current, run_folders, train_job
+from ..jobs import current, estimate_job, run_folders, train_job
 from ..jobs.spec import JobSpec
 from ..scene import lookup
 from ..shared import files
@@ -45,8 +45,7 @@ class TrainRoi(EngineOperator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a model, a box, and an idle engine that can train."""
-        missing = "" if bpy.app.background else engine_ability.problem()
-        return available(cls, engine_problem(context) or missing)
+        return available(cls, _training_problem(context))
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Train in the scene's run folder, then import the Gaussians."""
@@ -61,6 +60,28 @@ class TrainRoi(EngineOperator):
         if self.resume:
             return train_job.boxes_to_resume(scene, run_facts.run(scene))
         return lookup.rois(scene)
+
+
+class EstimateTime(EngineOperator):
+    """Let the engine train a few steps, and say how long a training of all boxes would take"""
+
+    bl_idname = "roigs.estimate_time"
+    bl_label = "Estimate"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """As for training."""
+        return available(cls, _training_problem(context))
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """A training that only says what it would do."""
+        return estimate_job.spec(scene_of(context))
+
+
+def _training_problem(context: bpy.types.Context) -> str:
+    """Why training is not available; empty if it is."""
+    missing = "" if bpy.app.background else engine_ability.problem()
+    return engine_problem(context) or missing
 
 
 class StopJob(bpy.types.Operator):
@@ -122,4 +143,4 @@ def log_path(scene: bpy.types.Scene) -> Path | None:
     return path if run_facts.is_file(path) else None
 
 
-register, unregister = registration(TrainRoi, StopJob, ShowLog)
+register, unregister = registration(TrainRoi, EstimateTime, StopJob, ShowLog)

@@ -8,10 +8,11 @@ from .. import settings
 from ..blender import layout_of, registration, scene_of
 from ..engine.own_files import stage_in_words
 from ..engine.run_status import RunStatus
+from ..engine.training_steps import training_steps
 from ..facts import engine_ability, run_facts
-from ..jobs import current, run_folders
-from ..jobs.spec import TRAINING
-from ..operators.train import ShowLog, TrainRoi
+from ..jobs import current, estimate_job, run_folders
+from ..jobs.spec import ESTIMATING, TRAINING
+from ..operators.train import EstimateTime, ShowLog, TrainRoi
 from ..properties import scene_props
 from ..scene import lookup
 from . import layout as show
@@ -30,6 +31,7 @@ class TrainPanel(SidebarPanel):
         column = show.setting_column(layout)
         for name in ("preset", "max_side"):
             column.prop(scene_props(scene), name)
+        _draw_length(layout, scene)
         status = run_facts.run(scene)
         resume = not current.busy() and status.unfinished
         row = layout.row(align=True)
@@ -42,8 +44,21 @@ class TrainPanel(SidebarPanel):
         row.operator(ShowLog.bl_idname, text="", icon="TEXT")
         if problem := engine_ability.problem():
             _draw_engine_problem(layout, problem)
-        if not show.job(layout, TRAINING):
+        if not show.job(layout, ESTIMATING) and not show.job(layout, TRAINING):
             _draw_status(layout, scene, status)
+
+
+def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """How many steps all boxes take, and how long, if that was estimated."""
+    props = scene_props(scene)
+    boxes = max(1, len(lookup.rois(scene)))
+    steps = training_steps(props.preset, props.strategy, props.steps_factor, boxes)
+    if time := estimate_job.known(scene):
+        show.say(layout, f"{steps:,} steps, {time}", "TIME")
+        return
+    row = layout.split(factor=0.62, align=True)
+    row.label(text=f"{steps:,} steps", icon="TIME")
+    row.operator(EstimateTime.bl_idname)
 
 
 def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: RunStatus) -> None:

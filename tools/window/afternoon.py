@@ -1,109 +1,319 @@
 """A newcomer's afternoon in a real Blender window: fifteen steps by mouse and keys, with pictures.
 
-    python -m tools.window.afternoon BLENDER --engine-python PYTHON [--out FOLDER] [--steps F]
+    python -m tools.window.afternoon BLENDER --engine-python PYTHON [--out FOLDER] [--side PX]
 
-Needs what `driver` needs. Begins with the factory settings and their default cube. Prints a line
-per step with its seconds; the exit status is 1 when a step did not do what it should.
+Needs what `driver` needs. Begins with the factory settings and their start file. Prints a line per
+step with its seconds; the exit status is 1 when a step did not do what it should. Paths are given
+to the file browser as if they had been typed; everything else is clicked or pressed.
 """
 
 from __future__ import annotations
 
+import json
 import os
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from .driver import REPOSITORY, Blender, Screen, WindowError
-from .scenario import BUSY, SCENE, STATE, TAB, parser
+from .driver import REPOSITORY, Blender, Screen, WindowError, built_extension
+from .scenario import BUSY, SCENE, STATE, parser, show_tab
 
 SIZE = (1400, 1000)
 COLOURS = ("+dither", "-colors", "128")
-BOX = "vase"
+PICTURE_SIDE = ("-resize", "1000x")
+VASE = "vase"
+FRAMES = 3
 
 BEGIN = """
 bpy.context.preferences.view.show_splash = False
 bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
 bpy.context.preferences.view.smooth_view = 0
 bpy.context.preferences.filepaths.use_auto_save_temporary_files = False
+bpy.context.preferences.system.use_online_access = False
 """
-MINE = "[o for o in bpy.context.scene.objects if o.roigs.kind == {kind!r}]"
+OURS = "[o for o in bpy.context.scene.objects if o.roigs.kind == {!r}]"
+ADDON = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.{}']"
+TRAINED = f"{ADDON.format('facts.run_facts')}.run(bpy.context.scene).result"
 
 
 class Afternoon:
     """The steps, one after another, in one window and then in a second one."""
 
     def __init__(self, blender: Blender, folder: Path, out: Path) -> None:
+        """`folder` keeps everything that is made, `out` gets the pictures."""
         self.blender, self.folder, self.out = blender, folder, out
-        self.number = 0
+        self.done = 0
 
-    @contextmanager
-    def step(self, name: str) -> Iterator[None]:
-        """Time a step, and photograph the window after it."""
-        self.number += 1
+    def step(self, name: str, work: Callable[[], None], *, mouse: bool = True) -> None:
+        """Do a step, time it, and photograph the window after it."""
+        self.done += 1
         start = time.monotonic()
-        yield
+        try:
+            work()
+        except WindowError:
+            self.blender.screen.picture(self.out / "failed.png")
+            raise
         seconds = time.monotonic() - start
-        self.blender.screen.do("mousemove", "3", "500")
-        self.blender.pause(2.0)
-        name = f"{self.number:02d}-{name}"
-        self.blender.screen.picture(self.out / f"{name}.png", "", *COLOURS)
+        if mouse:
+            self.blender.screen.do("mousemove", "3", "500")
+        self.blender.pause(3.0)
+        name = f"{self.done:02d}-{name}"
+        self.blender.screen.picture(self.out / f"{name}.png", "", *PICTURE_SIDE, *COLOURS)
         print(f"{name:<24}{seconds:7.1f} s", flush=True)
-
-    def over_view(self) -> None:
-        """Move the mouse over the 3D view, which keys then go to."""
-        self.blender.screen.do("mousemove", str(SIZE[0] // 3), str(SIZE[1] // 3))
-        self.blender.pause(0.3)
 
     def keys(self, *keys: str) -> None:
         """Press keys over the 3D view, one after another."""
-        self.over_view()
+        self.blender.screen.do("mousemove", str(SIZE[0] // 3), str(SIZE[1] // 3))
+        self.blender.pause(0.3)
         for key in keys:
             self.blender.press(key)
-            self.blender.pause(0.3)
+            self.blender.pause(0.4)
+
+    def typed(self, *words: str) -> None:
+        """A transform: a key, an axis, a number and Enter."""
+        *keys, number = words
+        self.keys(*keys)
+        self.blender.type(number)
+        self.keys("Return")
 
     def button(self, command: str, x: float = 0.5) -> None:
         """Click a button of the sidebar."""
         self.blender.click(self.blender.find(command, x))
 
-    def number_field(self, name: str, value: int) -> None:
+    def field(self, name: str, value: int) -> None:
         """Type a number into a field of the sidebar."""
         x, y = self.blender.find(name, 0.7)
         self.blender.screen.do("mousemove", str(x), str(y), "click", "--repeat", "2", "1")
-        self.blender.pause(0.4)
+        self.blender.pause(0.5)
         self.blender.press("ctrl+a")
         self.blender.type(str(value))
         self.blender.press("Return")
-        self.blender.pause(0.4)
+        self.blender.until(f"bpy.context.scene.roigs.{name} == {value}")
 
-    def until_idle(self, seconds: float = 3600.0) -> None:
+    def until_idle(self) -> None:
         """Wait until the engine has ended; an error fails."""
-        self.blender.until(f"not {BUSY}", seconds)
+        self.blender.until(f"not {BUSY}", 3600)
         error = self.blender.ask(f"{STATE}.error")
         if error:
             raise WindowError(str(error))
 
+    def ask(self, code: str) -> Any:
+        """What an expression gives inside Blender."""
+        return self.blender.ask(code)
 
-def boxed(story: Afternoon) -> None:
-    """Add a box and fit it to the vase with typed moves and scales, as one does by eye."""
+
+def expect(good: object, text: str) -> None:
+    """Fail with a text unless something is so."""
+    if not good:
+        raise WindowError(text)
+
+
+def before_training(story: Afternoon, archive: Path, side: int) -> None:
+    """Install, import, box, select, exclude a photo."""
     blender = story.blender
-    story.button("roigs.add_roi")
-    blender.until(f"len({MINE.format(kind='ROI')}) == 1")
-    target = blender.ask(
-        "[[float(x) for x in v] for v in __import__('sys').modules['__main__'].target()]"
-    )
-    box = f"{MINE.format(kind='ROI')}[0]"
-    for axis, at, wanted in zip("xyz", blender.ask(f"list({box}.matrix_world.translation)"), target[0]):
-        story.keys("g", axis)
-        blender.type(f"{wanted - at:.4f}")
-        blender.press("Return")
-        blender.pause(0.3)
-    for axis, now, wanted in zip("xyz", blender.ask(f"list({box}.matrix_world.to_scale())"), target[1]):
-        story.keys("s", axis)
-        blender.type(f"{wanted / now:.4f}")
-        blender.press("Return")
-        blender.pause(0.3)
+
+    def install() -> None:
+        story.ask("call('extensions.package_install_files', 'INVOKE_DEFAULT')")
+        blender.choose(archive)
+        blender.until("hasattr(bpy.types.Scene, 'roigs')", 120)
+        show_tab(blender)
+
+    def import_model() -> None:
+        story.button("roigs.import_colmap")
+        blender.choose(SCENE)
+        story.until_idle()
+        blender.until(f"len({OURS.format('CAMERA')}) > 80")
+
+    def box() -> None:
+        story.button("roigs.add_roi")
+        blender.until(f"len({OURS.format('ROI')}) == 1")
+        item = f"{OURS.format('ROI')}[0]"
+        records = json.loads((SCENE / "rois.json").read_text(encoding="utf-8"))["rois"]
+        wanted = next(record for record in records if record["name"] == VASE)
+        for k, axis in enumerate("xyz"):  # by eye, a person would do the same
+            low, high = wanted["min"][k], wanted["max"][k]
+            at = blender.ask(f"{item}.matrix_world.translation[{k}]")
+            story.typed("g", axis, f"{(low + high) / 2 - at:.4f}")
+            half = blender.ask(f"{item}.matrix_world.to_scale()[{k}]")
+            story.typed("s", axis, f"{(high - low) / 2 / half:.4f}")
+        story.keys("F2", "ctrl+a")
+        blender.type(VASE)
+        story.keys("Return", "KP_Decimal", "KP_Subtract", "KP_Subtract")
+        expect(story.ask(f"{item}.name == {VASE!r}"), "the box has another name")
+
+    def select() -> None:
+        story.button("roigs.select_cameras")
+        story.until_idle()
+        blender.until(f"len(bpy.data.objects[{VASE!r}].roigs.selection) > 5")
+
+    def exclude() -> None:
+        story.button("roigs.exclude_photos", 0.84)
+        blender.until("len(bpy.context.scene.roigs.excluded) == 1")
+
+    story.step("install", install)
+    story.step("import", import_model)
+    story.step("box", box)
+    story.step("select", select)
+    story.step("exclude", exclude)
+    story.field("max_side", side)
+
+
+def training(story: Afternoon) -> None:
+    """Train, stop, continue, look."""
+    blender = story.blender
+
+    def train() -> None:
+        story.button("roigs.train_roi", 0.3)
+        blender.until(f"{BUSY} and {STATE}.step > 300", 900)
+
+    def stop() -> None:
+        story.keys("Escape")
+        story.until_idle()
+
+    def resume() -> None:
+        story.button("roigs.train_roi", 0.3)
+        blender.until(f"{BUSY} and {STATE}.step > 0", 120)
+        story.until_idle()
+        blender.until(TRAINED)
+
+    def look() -> None:
+        story.button("step=0")
+        blender.pause(3.0)
+
+    story.step("train", train)
+    story.step("stop", stop)
+    story.step("continue", resume)
+    story.step("look", look)
+
+
+def artwork(story: Afternoon) -> None:
+    """Move the vase, put a mesh beside it, F12, an animation."""
+    blender = story.blender
+    name = f"{VASE} Gaussians"
+    vase = f"bpy.data.objects[{name!r}]"
+    renders = story.folder / "renders"
+
+    def move() -> None:
+        before = story.ask(f"{vase}.matrix_world.translation[0]")
+        story.button(f'name="{name}"', 0.2)
+        story.typed("g", "x", "0.25")
+        moved = story.ask(f"{vase}.matrix_world.translation[0]")
+        expect(abs(moved - before - 0.25) < 1e-3, f"the vase moved by {moved - before}")
+
+    def mesh() -> None:
+        story.keys("shift+a")
+        blender.type("monkey")
+        blender.pause(0.5)
+        story.keys("Return")
+        blender.until("'Suzanne' in bpy.data.objects")
+        story.typed("s", "0.1")
+        place = story.ask("[float(x) for x in bpy.data.objects['Suzanne'].location]")
+        for axis, at, wanted in zip("xyz", place, (-0.45, 0.05, 0.85), strict=True):
+            story.typed("g", axis, f"{wanted - at:.4f}")
+
+    def f12() -> None:
+        story.keys("F12")
+        rendering = "bpy.app.is_job_running('RENDER')"
+        blender.until(rendering, 20)
+        blender.until(f"not {rendering}", 600)
+
+    def animation() -> None:
+        blender.screen.do("mousemove", "3", "500")
+        story.ask(f"setattr(bpy.context.scene.render, 'filepath', {str(renders / 'pot')!r})")
+        story.ask(f"setattr(bpy.context.scene, 'frame_end', {FRAMES})")
+        story.ask("bpy.data.objects['Suzanne'].keyframe_insert('location', frame=1)")
+        story.keys("shift+Right")
+        story.typed("g", "x", "0.3")
+        story.ask(f"bpy.data.objects['Suzanne'].keyframe_insert('location', frame={FRAMES})")
+        story.keys("ctrl+F12")
+        blender.until(f"__import__('pathlib').Path({str(renders)!r}).is_dir()", 120)
+        blender.until("not bpy.app.is_job_running('RENDER')", 1200)
+        made = sorted(path.name for path in renders.iterdir())
+        expect(len(made) == FRAMES, f"frames: {made}")
+
+    story.step("move", move)
+    story.step("mesh", mesh)
+    story.step("f12", f12, mouse=False)
+    blender.press("Escape")
+    blender.pause(1.0)
+    story.step("animation", animation, mouse=False)
+    blender.press("Escape")
+    blender.pause(1.0)
+
+
+def second_training(story: Afternoon, side: int) -> None:
+    """Train once more at another size; the first result stays in the list."""
+    blender = story.blender
+
+    def again() -> None:
+        story.field("max_side", side)
+        story.button("roigs.train_roi", 0.3)
+        blender.until(f"{BUSY} and {STATE}.step > 0", 300)
+        story.until_idle()
+        earlier = f"{ADDON.format('facts.run_facts')}.earlier(bpy.context.scene)"
+        blender.until(f"len({earlier}) == 1", 30)
+        story.keys("ctrl+s")
+
+    story.step("second-training", again)
+
+
+def next_day(story: Afternoon) -> None:
+    """Reopen the file: everything is there."""
+    blender = story.blender
+
+    def reopen() -> None:
+        show_tab(blender)
+        expect(story.ask(TRAINED), "the result is gone")
+        place = story.ask(f"bpy.data.objects['{VASE} Gaussians'].location[0]")
+        expect(abs(float(str(place))) > 0.2, "the vase was moved back")
+        blender.find("roigs.load_results")
+
+    story.step("reopen", reopen)
+
+
+def main() -> int:
+    """Spend it."""
+    options = parser(__doc__)
+    options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures" / "afternoon")
+    options.add_argument("--side", type=int, default=320, help="of the photos, in pixels (320)")
+    given = options.parse_args()
+    python = {"ROIGS_ENGINE_PYTHON": os.fspath(given.engine_python)}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        archive = built_extension(given.blender, folder)
+        resources, blend = folder / "resources", folder / "afternoon.blend"
+        resources.mkdir()
+        screen, log = Screen(*SIZE), given.out / "blender.log"
+        given.out.mkdir(parents=True, exist_ok=True)
+
+        def window(*arguments: str) -> Blender:
+            return Blender(
+                given.blender, screen, resources, log=log, arguments=arguments, variables=python
+            )
+
+        try:
+            with window() as blender:
+                blender.ask(BEGIN)
+                story = Afternoon(blender, folder, given.out)
+                before_training(story, archive, given.side)
+                blender.ask(f"bpy.ops.wm.save_as_mainfile(filepath={str(blend)!r}) and None")
+                training(story)
+                artwork(story)
+                second_training(story, given.side // 2)
+            with window(str(blend)) as blender:
+                story.blender = blender
+                next_day(story)
+        except WindowError as error:
+            print(f"step {story.done} failed: {error}", file=sys.stderr)
+            return 1
+        finally:
+            screen.close()
+    log.unlink()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

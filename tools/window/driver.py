@@ -206,7 +206,7 @@ class Blender:
 
     def type(self, text: str) -> None:
         """Type letters and numbers."""
-        self.screen.do("type", "--delay", "30", text)
+        self.screen.do("type", "--delay", "30", "--", text)
 
     def choose(self, path: Path) -> None:
         """Choose a folder or a file in the file browser that is open, and confirm with Enter.
@@ -259,24 +259,30 @@ class Blender:
                     log.flush()
 
 
+def built_extension(program: Path, folder: Path) -> Path:
+    """The extension as a zip in a folder."""
+    _extension(program, {}, "build", "--source-dir", REPOSITORY, "--output-dir", folder)
+    (archive,) = folder.glob("*.zip")
+    return archive
+
+
 def with_extension(program: Path, folder: Path) -> Path:
     """Build the extension and install it into fresh settings; returns their folder."""
     resources = folder / "resources"
     resources.mkdir(parents=True)
-    variables = os.environ | {"BLENDER_USER_RESOURCES": str(resources)}
-
-    def extension(*words: str | Path) -> None:
-        done = subprocess.run(
-            [program, "--command", "extension", *words],
-            env=variables,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            raise WindowError(f"{done.stdout}{done.stderr}")
-
-    extension("build", "--source-dir", REPOSITORY, "--output-dir", folder)
-    (archive,) = folder.glob("*.zip")
-    extension("install-file", "--repo", "user_default", "--enable", archive)
+    archive = built_extension(program, folder)
+    own = {"BLENDER_USER_RESOURCES": str(resources)}
+    _extension(program, own, "install-file", "--repo", "user_default", "--enable", archive)
     return resources
+
+
+def _extension(program: Path, variables: dict[str, str], *words: str | Path) -> None:
+    done = subprocess.run(
+        [program, "--command", "extension", *words],
+        env=os.environ | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise WindowError(f"{done.stdout}{done.stderr}")

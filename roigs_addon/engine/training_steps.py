@@ -1,0 +1,21 @@
+"""How many steps a training has, before the engine is asked. No bpy.
+
+The engine's presets decide (roigs_engine/run/presets.py); a test compares.
+"""
+
+from __future__ import annotations
+
+PRESET_STEPS = {"draft": (2000, 3000), "standard": (6000, 9000), "paper": (20_000, 30_000)}
+"""Of the scene, and of the boxes."""
+REFINE_SHARE = 0.2
+"""Of the boxes' steps, for the joint stage after boxes that were trained one by one."""
+PAPER = "paper"
+
+
+def training_steps(preset: str, strategy: str, factor: float, boxes: int) -> int:
+    """The steps of all stages."""
+    scene, roi = (max(1, round(steps * factor)) for steps in PRESET_STEPS[preset])
+    if strategy == "joint":
+        return scene + roi
+    refine = 0 if preset == PAPER else round(REFINE_SHARE * roi)
+    return scene + boxes * (roi - refine) + refine

@@ -1,0 +1,82 @@
+"""Estimating: the engine trains a few steps and says how long a training would take."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import bpy
+
+from ..engine import own_files
+from ..errors import AddonError
+from ..properties import scene_props
+from ..scene import lookup, rois
+from ..shared import EngineError, files
+from . import options_files, run_folders
+from .spec import ESTIMATING, JobSpec
+
+TIME = re.compile(r"(?:\S+ +)?Time: (.+?)\.?")
+"""The line of the engine's plan that says how long it takes, with the log's time of day."""
+
+_known: dict[tuple[object, ...], str] = {}
+
+
+def spec(scene: bpy.types.Scene) -> JobSpec:
+    """The job that estimates the time of a training of all boxes.
+
+    Raises:
+        AddonError: something is missing, or the run folder cannot be written to.
+    """
+    options = options_files.write_train_options(scene, lookup.rois(scene), 0.0)
+    folder, key = run_folders.run_folder(scene), _key(scene)
+    log = own_files.log_file(folder)
+
+    def take(_: Mapping[str, str]) -> None:
+        _known.clear()
+        _known[key] = _time(log)
+
+    return JobSpec(
+        title=ESTIMATING,
+        arguments=["train", str(options), "--run-dir", str(folder), "--dry-run"],
+        log=log,
+        then=take,
+    )
+
+
+def known(scene: bpy.types.Scene) -> str:
+    """'about 4 minutes on this machine (2 threads)'; empty if it was not estimated like this."""
+    return _known.get(_key(scene), "")
+
+
+def forget() -> None:
+    """For tests, and where the add-on is unregistered."""
+    _known.clear()
+
+
+def _time(log: Path) -> str:
+    try:
+        lines = files.read_bytes(log).decode("utf-8", "replace").splitlines()
+    except EngineError as error:
+        raise AddonError(str(error)) from error
+    found = [match[1] for line in lines if (match := TIME.fullmatch(line))]
+    return found[-1] if found else ""
+
+
+def _key(scene: bpy.types.Scene) -> tuple[object, ...]:
+    """What the time depends on."""
+    props = scene_props(scene)
+    settings = (props.colmap, props.preset, props.strategy, props.steps_factor, props.max_side)
+    return (
+        *settings,
+        props.test_every,
+        len(props.excluded),
+        *(_place(roi, scene) for roi in lookup.rois(scene)),
+    )
+
+
+def _place(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    try:
+        return rois.place_key(roi, scene)
+    except AddonError:
+        return roi.name

@@ -1,0 +1,41 @@
+"""The steps that the panel shows are those that the engine takes."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from roigs_addon.engine.training_steps import PRESET_STEPS, training_steps
+from roigs_engine.run.presets import PRESETS
+
+
+def test_all_presets_are_known() -> None:
+    assert list(PRESET_STEPS) == sorted(PRESETS, key=list(PRESET_STEPS).index)
+
+
+@pytest.mark.parametrize("factor", [0.001, 0.33333, 1.0, 2.5])
+@pytest.mark.parametrize("strategy", ["joint", "independent"])
+@pytest.mark.parametrize("preset", ["draft", "standard", "paper"])
+def test_steps_are_the_engines(preset: str, strategy: str, factor: float) -> None:
+    pytest.importorskip("torch")
+    from roigs_engine.commands.options import (
+        add_evaluation_option,
+        add_selection_options,
+        add_training_options,
+        run_config,
+    )
+    from roigs_engine.run.stage_configs import object_stage
+
+    parser = argparse.ArgumentParser()
+    add_selection_options(parser)
+    add_training_options(parser)
+    add_evaluation_option(parser)
+    options = ["--preset", preset, "--strategy", strategy, "--steps-factor", f"{factor:.5g}"]
+    config = run_config(parser.parse_args(options))
+    boxes = 3
+    if strategy == "joint":
+        steps = config.scene.steps + config.roi.steps
+    else:
+        steps = config.scene.steps + boxes * object_stage(config).steps + config.refine_steps
+    assert training_steps(preset, strategy, factor, boxes) == steps
