@@ -108,8 +108,8 @@ def _needed_space(cuda: bool) -> str:
     """What setting up takes, in words."""
     if cuda:
         return "Downloads several gigabytes and takes more of the disk."
-    download, disk = DOWNLOAD_BYTES / 1e6, DISK_BYTES / 1e9
-    return f"Downloads about {download:.0f} MB and takes {disk:.1f} GB of the disk (on Linux)."
+    download, disk = DOWNLOAD_BYTES / 1e6, DISK_BYTES / 1e6
+    return f"Downloads about {download:.0f} MB and takes {disk:.0f} MB of the disk (on Linux)."
 
 
 def _lines(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:

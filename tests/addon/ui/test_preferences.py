@@ -72,7 +72,7 @@ def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleTyp
     from roigs_addon.ui import preferences
 
     assert preferences._needed_space(False) == (
-        "Downloads about 310 MB and takes 1.0 GB of the disk (on Linux)."
+        "Downloads about 310 MB and takes 960 MB of the disk (on Linux)."
     )
     assert "gigabytes" in preferences._needed_space(True)
 
