@@ -46,16 +46,26 @@ def subject(
     if not weights.any():
         return None
     (centre,) = _quantiles(placed, weights, [0.5])
-    near = np.ones(len(placed), bool)
+    near, reach = np.ones(len(placed), bool), 0.0
     for _ in range(ROUNDS):
-        reach = REACH * np.median(np.linalg.norm(eyes - centre, axis=1))
+        reach = REACH * float(np.median(np.linalg.norm(eyes - centre, axis=1)))
         near = (np.linalg.norm(placed - centre, axis=1) <= reach) & (weights > 0)
         if near.sum() < FEWEST_POINTS:
             return None
         (centre,) = _quantiles(placed[near], weights[near], [0.5])
     low, high = _quantiles(placed[near], weights[near], [OUTLIERS, 1 - OUTLIERS])
+    high[2] = max(high[2], _top(placed, low, high, reach))
     middle, half = (low + high) / 2, (high - low) / 2 * MARGIN
     return middle - half, middle + half
+
+
+def _top(points: Vectors, low: Vectors, high: Vectors, reach: float) -> float:
+    """How high an object goes whose lower part is within these bounds: nothing floats above it.
+
+    Photos of something tall are often aimed at its foot.
+    """
+    above = ((points >= low) & (points <= (*high[:2], high[2] + reach))).all(axis=1)
+    return float(np.quantile(points[above][:, 2], 1 - OUTLIERS)) if above.any() else high[2]
 
 
 def attention(photos: Sequence[Photo], points: Vectors) -> Vectors:

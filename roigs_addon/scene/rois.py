@@ -167,16 +167,20 @@ def around_objects(items: list[bpy.types.Object]) -> Place | None:
 
 def around_selected_vertices(item: bpy.types.Object) -> Place | None:
     """The world-aligned box around the selected vertices of a mesh, such as the sparse points."""
+    points = selected_vertices(item)
+    return _around(points) if len(points) else None
+
+
+def selected_vertices(item: bpy.types.Object) -> NDArray[Any]:
+    """(N, 3) of a mesh in the world."""
     mesh = mesh_of(item)
     chosen = np.zeros(len(mesh.vertices), bool)
     mesh.vertices.foreach_get("select", chosen)
     flat = np.empty(3 * len(chosen), np.float32)
     mesh.vertices.foreach_get("co", flat)
     points = flat.reshape(-1, 3)[chosen]
-    if not len(points):
-        return None
     world = lookup.matrix_world(item)
-    return _around(points @ world[:3, :3].T + world[:3, 3])
+    return np.asarray(points @ world[:3, :3].T + world[:3, 3])
 
 
 def _around(points: NDArray[Any], margin: float = 0.05) -> Place | None:

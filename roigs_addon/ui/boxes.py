@@ -6,6 +6,7 @@ import bpy
 
 from ..blender import layout_of, registration, scene_of
 from ..facts import point_counts
+from ..operators.box_tools import FitToPoints, SnapToFloor
 from ..operators.boxes import AddRoi, LoadRois, RemoveRoi, SelectRoi
 from ..scene import lookup
 from ..shared import text
@@ -44,6 +45,9 @@ class BoxesPanel(SidebarPanel):
             row.prop(roi, "name", text="")
             row.prop(roi, "hide_viewport", text="", emboss=False)
             _describe(column, roi, scene)
+        row = layout.row(align=True)
+        row.operator(FitToPoints.bl_idname)
+        row.operator(SnapToFloor.bl_idname)
 
 
 def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.types.Scene) -> None:

@@ -20,12 +20,16 @@ def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     row.operator(IncludePhotos.bl_idname, text="Include All").every = True
 
 
-def toggle(layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str) -> None:
-    """The button that excludes a photo, or includes it again."""
+def toggle(
+    layout: bpy.types.UILayout, scene: bpy.types.Scene, photo: str, *, named: bool = False
+) -> None:
+    """The button that excludes a photo, or includes it again; `named`: with a text."""
     if exclusions.is_excluded(scene, photo):
-        layout.operator(IncludePhotos.bl_idname, text="", icon="LOOP_BACK").photo = photo
+        label = "Include Photo" if named else ""
+        layout.operator(IncludePhotos.bl_idname, text=label, icon="LOOP_BACK").photo = photo
     else:
-        layout.operator(ExcludePhotos.bl_idname, text="", icon="CANCEL").photo = photo
+        label = "Exclude Photo" if named else ""
+        layout.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = photo
 
 
 def selected(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

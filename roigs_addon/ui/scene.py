@@ -51,7 +51,7 @@ class ScenePanel(SidebarPanel):
         row.operator(LookThrough.bl_idname, text=name, icon="CAMERA_DATA").step = 0
         row.operator(LookThrough.bl_idname, text="", icon="TRIA_RIGHT").step = 1
         if photo:
-            exclusions.toggle(row, scene, photo.name)
+            exclusions.toggle(layout, scene, photo.name, named=True)
         exclusions.selected(layout, context)
 
 

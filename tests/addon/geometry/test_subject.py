@@ -51,6 +51,16 @@ def test_it_is_along_the_axes_of_the_frame_asked_for() -> None:
     np.testing.assert_allclose((high - low) / 2, 0.4, atol=0.1)
 
 
+def test_what_is_tall_is_whole_though_photos_aim_at_its_foot() -> None:
+    random = np.random.default_rng(0)
+    tower = random.uniform((-0.2, -0.9, -0.2), (0.2, 0.1, 0.2), (4000, 3))
+    upright = np.eye(4)
+    upright[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # the photos' y points down
+    low, high = subject(photos(), np.concatenate([tower, room()[2000:]]), upright)
+    np.testing.assert_allclose(high, (0.2, 0.2, 0.9), atol=0.12)
+    assert -0.25 < low[2] < 0
+
+
 @pytest.mark.parametrize("count", [0, 5])
 def test_too_little_to_tell(count: int) -> None:
     assert subject(photos(), room()[:count], np.eye(4)) is None

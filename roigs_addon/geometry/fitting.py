@@ -1,0 +1,69 @@
+"""Fitting boxes to points, in a frame along the box's axes, with its centre at 0. No bpy."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vectors = NDArray[np.float64]
+Bounds = tuple[Vectors, Vectors]
+"""Lower and upper corner."""
+
+FEWEST = 10
+CELLS = 24  # along the longest side, in which points are counted
+SPARSE = 0.1  # of the usual number of points around a point: with fewer it is an outlier
+MARGIN = 0.02  # of the size, added at each side
+AROUND = 2.0  # the floor is looked for this far around the box, in half sides
+BELOW = 3.0  # and this far below its centre, in half its longest side
+STEP = 0.02  # resolution of the floor's height, likewise
+
+
+def tight(points: Vectors) -> Bounds | None:
+    """The bounds of points (N, 3) without outliers, which have few others near; None if too few."""
+    if len(points) < FEWEST:
+        return None
+    dense = points[_is_dense(points)]
+    if len(dense) < FEWEST:
+        return None
+    low, high = dense.min(axis=0), dense.max(axis=0)
+    margin = MARGIN * np.maximum(high - low, (high - low).max() * 0.1)
+    return low - margin, high + margin
+
+
+def _is_dense(points: Vectors) -> NDArray[np.bool_]:
+    """Whether the cell of each point and those around it have many points."""
+    low = points.min(axis=0)
+    side = max(float(np.ptp(points, axis=0).max()) / CELLS, 1e-12)
+    cells = ((points - low) / side).astype(int) + 1
+    counts = np.zeros(cells.max(axis=0) + 2, int)
+    np.add.at(counts, tuple(cells.T), 1)
+    around = sum(counts[tuple((cells + shift).T)] for shift in product((-1, 0, 1), repeat=3))
+    others = np.asarray(around) - 1
+    return np.asarray(others >= max(1.0, SPARSE * float(np.median(others))))
+
+
+def floor(points: Vectors, half_sides: Vectors, up: int, sign: int) -> float | None:
+    """Where the floor is along an axis of the box: there most points around it are.
+
+    Args:
+        points: (N, 3), also those outside the box.
+        half_sides: of the box.
+        up: the axis that points up or down.
+        sign: 1 if it points up, else -1.
+
+    Returns:
+        The coordinate along the axis; None if too few points are around the box, below its centre.
+    """
+    flat = [axis for axis in range(3) if axis != up]
+    across = np.abs(points[:, flat]) / half_sides[flat]
+    heights, size = sign * points[:, up], float(half_sides.max())
+    ring = (across <= AROUND).all(axis=1) & (across > 1).any(axis=1)
+    found = heights[ring & (heights < 0) & (heights > -BELOW * size)]
+    if len(found) < FEWEST:
+        return None
+    counts, edges = np.histogram(found, np.arange(-BELOW * size, STEP * size, STEP * size))
+    at = int(np.argmax(np.convolve(counts, (1, 1, 1), "same")))
+    near = found[np.abs(found - (edges[at] + edges[at + 1]) / 2) <= 1.5 * STEP * size]
+    return sign * float(np.median(near))
