@@ -35,6 +35,7 @@ MODULES = (
     "operators.photos",
     "operators.train",
     "operators.results",
+    "operators.run_folder",
     "viewport",
     "rendering",
     "facts.caches",

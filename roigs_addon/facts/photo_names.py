@@ -13,7 +13,7 @@ from ..scene import importing, lookup
 Key = tuple[str, str, int]
 """Of what the facts were found in: another model, or other objects, and they are found again."""
 
-_deleted: dict[Key, int] = {}
+_deleted: dict[Key, list[str]] = {}
 _names: dict[Key, dict[str, str]] = {}
 
 
@@ -22,12 +22,12 @@ def count(scene: bpy.types.Scene) -> int:
     return len(_short_names(scene))
 
 
-def deleted(scene: bpy.types.Scene) -> int:
-    """How many of the imported photos' cameras the user has deleted."""
+def deleted(scene: bpy.types.Scene) -> list[str]:
+    """Names of the imported photos whose cameras the user has deleted."""
     key = _key(scene)
     if key not in _deleted:
         _deleted.clear()
-        _deleted[key] = len(importing.deleted_photos(scene))
+        _deleted[key] = importing.deleted_photos(scene)
     return _deleted[key]
 
 

@@ -42,7 +42,7 @@ class ScenePanel(SidebarPanel):
         show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
         deleted = photo_names.deleted(scene)
         if deleted:
-            counted = text.counted(deleted, "photo")
+            counted = text.counted(len(deleted), "photo")
             show.todo(layout, f"{counted} not used: deleted here. Import again to have them back")
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")

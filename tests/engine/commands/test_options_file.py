@@ -161,8 +161,12 @@ def test_a_run_folders_settings_are_an_options_file(
     assert main([*line]) == 0
     settings = json.loads((run / "settings.json").read_text(encoding="utf-8"))
     assert settings == {
-        **{"scene": str(project.folder), "roi": [BOX], "preset": "draft", "test_every": 0},
-        **{"steps_factor": 0.003, "max_side": 40},
+        "scene": str(project.folder),
+        "roi": [BOX],
+        "preset": "draft",
+        "test_every": 0,
+        "steps_factor": 0.003,
+        "max_side": 40,
     }
     capsys.readouterr()
     assert main(["train", str(run / "settings.json"), "--run-dir", str(run)]) == 0
