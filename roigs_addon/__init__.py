@@ -37,6 +37,7 @@ MODULES = (
     "operators.photos",
     "operators.train",
     "operators.results",
+    "operators.run_folder",
     "viewport",
     "rendering",
     "facts.caches",

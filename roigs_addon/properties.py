@@ -15,6 +15,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from .engine.run_settings import STEPS
+
 KINDS = (
     ("NONE", "None", "Not an object of ROI-GS"),
     ("ROOT", "Root", "Parent of everything that belongs to an imported COLMAP model"),
@@ -37,12 +39,13 @@ METHODS = (
     ("random", "Random", "Random photos, for comparison"),
 )
 PRESETS = (
-    ("draft", "Draft", "5,000 steps: minutes on a CPU"),
-    ("standard", "Standard", "15,000 steps"),
+    ("draft", "Draft", f"{STEPS['draft']:,} steps: minutes on a CPU"),
+    ("standard", "Standard", f"{STEPS['standard']:,} steps"),
     (
         "paper",
         "Paper",
-        "50,000 steps, boxes one by one, photos chosen by the paper's Gaussian process",
+        f"{STEPS['paper']:,} steps, boxes one by one, photos chosen by the paper's Gaussian"
+        " process",
     ),
 )
 STRATEGIES = (
@@ -88,6 +91,9 @@ class RoigsObject(bpy.types.PropertyGroup):
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
     as_points: BoolProperty(description="Gaussians: the viewport shows points instead")
     roi: StringProperty(description="Gaussians: name of their box")
+    parked: StringProperty(
+        description="Gaussians: not in the result that is shown; how they were seen before"
+    )
 
 
 def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
@@ -162,6 +168,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     )
     model_cache: StringProperty(description="Folder of the model as exported by the engine")
     skipped: StringProperty(description="What the import skipped, in words")
+    compared: StringProperty(description="Folder of the earlier result that was shown last")
 
 
 def scene_props(scene: bpy.types.Scene) -> RoigsScene:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from ..errors import AddonError
 from ..shared import clean_up, run_files
+from . import report, run_settings
+from .run_settings import RunSettings
 
 FOLDERS = f"{run_files.ARCHIVED_RESULTS}-*"
 
@@ -20,11 +22,15 @@ class EarlierResult:
         folder: laid out like a run folder.
         made: when, in seconds since the epoch.
         size: bytes on disk.
+        settings: what it was trained with.
+        psnr: as measured, in words; empty if it was not.
     """
 
     folder: Path
     made: float
     size: int
+    settings: RunSettings
+    psnr: str
 
 
 def earlier_results(run: Path) -> list[EarlierResult]:
@@ -38,7 +44,10 @@ def earlier_results(run: Path) -> list[EarlierResult]:
             size = clean_up.disk_size([folder])
         except OSError:
             continue  # not complete, or being moved right now
-        found.append(EarlierResult(folder=folder, made=made, size=size))
+        settings, psnr = run_settings.read(folder), report.psnr(folder)
+        found.append(
+            EarlierResult(folder=folder, made=made, size=size, settings=settings, psnr=psnr)
+        )
     return sorted(found, key=lambda result: result.made, reverse=True)
 
 

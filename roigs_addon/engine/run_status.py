@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..shared import EngineError, files, lock, run_files
+from . import run_settings
+from .run_settings import RunSettings
 
 TrainedBox = tuple[Any, Any]
 """world_to_box and half_extents, as the file has them."""
@@ -18,16 +21,24 @@ class RunStatus:
 
     Attributes:
         done: finished stages, in the order in which they were trained.
+        seconds: training time of each of them, as far as it is known.
         left: the stage that was stopped midway; empty if there is none.
         result: whether the result is there.
         boxes: what was trained for: name -> box; None if that is not known.
+        settings: what was asked for.
+        lists: box -> its photos that the user chose, of those that were trained on.
+        photos: names of the photos that were trained on; None if that is not known.
         holder: process of an engine that works there now; 0 if there is none.
     """
 
     done: tuple[str, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
     left: str = ""
     result: bool = False
     boxes: dict[str, TrainedBox] | None = None
+    settings: RunSettings = field(default_factory=RunSettings)
+    lists: Mapping[str, list[str]] = field(default_factory=dict)
+    photos: frozenset[str] | None = None
     holder: int = 0
 
     @property
@@ -47,11 +58,16 @@ def read(folder: Path) -> RunStatus:
 def _read(folder: Path) -> RunStatus:
     stages = sorted(folder.glob(f"*/{run_files.STAGE}"), key=_age)
     left = [path.parent.name for path in folder.glob("*/checkpoint*.bin")]
+    manifest = _object(folder / run_files.MANIFEST)
     return RunStatus(
         done=tuple(path.parent.name for path in stages),
+        seconds={path.parent.name: _seconds(path) for path in stages},
         left=left[0] if left else "",
         result=(folder / run_files.RESULT).is_file(),
-        boxes=_boxes(folder / run_files.MANIFEST),
+        boxes=_boxes(manifest),
+        settings=run_settings.read(folder, _dict(manifest.get("config"))),
+        lists={k: v for k, v in _dict(manifest.get("manual")).items() if isinstance(v, list)},
+        photos=_photos(manifest, _object(folder / run_files.SPLIT)),
         holder=lock.holder(folder / run_files.LOCK),
     )
 
@@ -63,9 +79,35 @@ def _age(path: Path) -> float:
         return 0.0
 
 
-def _boxes(manifest: Path) -> dict[str, TrainedBox] | None:
+def _seconds(stage: Path) -> float:
+    seconds = _object(stage).get("seconds")
+    return float(seconds) if isinstance(seconds, (int, float)) else 0.0
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """The object in a JSON file; empty if there is none."""
     try:
-        records = files.read_json(manifest)["rois"]
+        return _dict(files.read_json(path))
+    except EngineError:
+        return {}
+
+
+def _dict(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _boxes(manifest: dict[str, Any]) -> dict[str, TrainedBox] | None:
+    try:
+        records = manifest["rois"]
         return {str(r["name"]): (r["world_to_box"], r["half_extents"]) for r in records}
-    except (EngineError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return None
+
+
+def _photos(manifest: dict[str, Any], split: dict[str, Any]) -> frozenset[str] | None:
+    """The photos of the manifest without those that results are measured on."""
+    names = set(_dict(manifest.get("contents")))
+    held_out = [split.get(key) for key in ("test", "validation")]
+    for listed in held_out:
+        names -= {str(name) for name in listed} if isinstance(listed, list) else set()
+    return frozenset(names) or None

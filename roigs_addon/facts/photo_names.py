@@ -18,7 +18,7 @@ LONG = 10
 SHOWN_TWICE = 2
 """Letters before the first difference that stay if a word is cut."""
 
-_excluded: dict[Key, int] = {}
+_excluded: dict[Key, list[str]] = {}
 _names: dict[Key, dict[str, str]] = {}
 
 
@@ -27,12 +27,12 @@ def count(scene: bpy.types.Scene) -> int:
     return len(_short_names(scene))
 
 
-def excluded(scene: bpy.types.Scene) -> int:
-    """How many of the imported photos the user has excluded."""
+def excluded(scene: bpy.types.Scene) -> list[str]:
+    """Names of the imported photos that the user has excluded."""
     key = _key(scene)
     if key not in _excluded:
         _excluded.clear()
-        _excluded[key] = len(exclusions.excluded(scene))
+        _excluded[key] = exclusions.excluded(scene)
     return _excluded[key]
 
 

@@ -4,26 +4,45 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
-import numpy as np
 
-from ..engine import run_status
+from ..engine import report, run_status
 from ..engine.earlier_results import EarlierResult, earlier_results
+from ..engine.run_settings import RunSettings
 from ..engine.run_status import RunStatus
-from ..errors import AddonError
 from ..jobs import run_folders
 from ..properties import object_props
-from ..scene import lookup
+from ..scene import lookup, rois
+from ..shared import clean_up
 
-SECONDS = 1.0
-"""How long what was found is used again."""
+SECONDS, DISK_SECONDS = 1.0, 30.0
+"""How long what was found is used again; adding up files takes longer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultFacts:
+    """What is known of the run folder's own result: its settings, and its PSNR in words."""
+
+    settings: RunSettings
+    psnr: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disk:
+    """Bytes of the run folder, and of what Clean Up would remove."""
+
+    total: int
+    removable: int
+
 
 _runs: dict[Path, tuple[float, RunStatus]] = {}
 _earlier: dict[Path, tuple[float, list[EarlierResult]]] = {}
 _files: dict[Path, tuple[float, bool]] = {}
+_results: dict[Path, tuple[float, ResultFacts]] = {}
+_disk: dict[Path, tuple[float, Disk]] = {}
 _missing: dict[str, tuple[float, list[str]]] = {}
 
 
@@ -45,6 +64,27 @@ def earlier(scene: bpy.types.Scene) -> list[EarlierResult]:
     return _earlier[folder][1]
 
 
+def result(scene: bpy.types.Scene) -> ResultFacts:
+    """What is known of the last result."""
+    folder = run_folders.run_folder(scene)
+    if _is_old(_results.get(folder)):
+        _results.clear()
+        found = ResultFacts(settings=run(scene).settings, psnr=report.psnr(folder))
+        _results[folder] = time.monotonic(), found
+    return _results[folder][1]
+
+
+def disk(scene: bpy.types.Scene) -> Disk:
+    """What the scene's run folder takes."""
+    folder = run_folders.run_folder(scene)
+    if _is_old(_disk.get(folder), DISK_SECONDS):
+        _disk.clear()
+        total, removable = clean_up.disk_size([folder]), clean_up.removable(folder)
+        found = Disk(total=total, removable=clean_up.disk_size(removable))
+        _disk[folder] = time.monotonic(), found
+    return _disk[folder][1]
+
+
 def is_file(path: Path) -> bool:
     """Whether a file exists."""
     if _is_old(_files.get(path)):
@@ -56,7 +96,8 @@ def is_file(path: Path) -> bool:
 def missing_splats(scene: bpy.types.Scene) -> list[str]:
     """Names of the Gaussians whose file is missing: nothing of them can be drawn."""
     if _is_old(_missing.get(scene.name)):
-        files = {item.name: object_props(item).ply for item in lookup.splats(scene)}
+        items = (item for item in lookup.splats(scene) if not object_props(item).parked)
+        files = {item.name: object_props(item).ply for item in items}
         _missing.clear()
         missing = [name for name, file in files.items() if not os.path.isfile(file)]
         _missing[scene.name] = time.monotonic(), missing
@@ -64,39 +105,26 @@ def missing_splats(scene: bpy.types.Scene) -> list[str]:
 
 
 def changed_boxes(scene: bpy.types.Scene, status: RunStatus) -> list[str]:
-    """Names of the scene's boxes that have changed since they were trained, or are new."""
-    trained = status.boxes or {}
-    return [roi.name for roi in lookup.rois(scene) if not _is_as_trained(roi, scene, trained)]
+    """Names of the boxes that have changed since they were trained, are new or were removed."""
+    trained, now = status.boxes or {}, [roi.name for roi in lookup.rois(scene)]
+    same = rois.trained_names(scene, trained)
+    gone = trained.keys() - set(now) - set(same.values())
+    return [
+        *(name for name in now if name not in same),
+        *(f"{name} (removed)" for name in sorted(gone)),
+    ]
 
 
-def _is_as_trained(
-    roi: bpy.types.Object, scene: bpy.types.Scene, trained: dict[str, tuple[Any, Any]]
-) -> bool:
-    if roi.name not in trained:
-        return False
-    try:
-        box = lookup.box(roi, scene)
-    except AddonError:
-        return False
-    matrix, half = trained[roi.name]
-    size = float(np.max(box.half_extents))
-    try:
-        return bool(
-            np.allclose(box.world_to_box, matrix, atol=1e-4 * max(size, 1.0))
-            and np.allclose(box.half_extents, half, rtol=1e-4)
-        )
-    except (ValueError, TypeError, OverflowError):  # no numbers in the run folder's manifest
-        return False
-
-
-def _is_old(fact: tuple[float, object] | None) -> bool:
+def _is_old(fact: tuple[float, object] | None, seconds: float = SECONDS) -> bool:
     """Whether to look again; always in scripts, which need what is true now."""
-    return fact is None or bpy.app.background or time.monotonic() - fact[0] > SECONDS
+    return fact is None or bpy.app.background or time.monotonic() - fact[0] > seconds
 
 
 def forget() -> None:
     """Look again at the next question."""
     _runs.clear()
     _earlier.clear()
+    _results.clear()
+    _disk.clear()
     _files.clear()
     _missing.clear()

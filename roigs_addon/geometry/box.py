@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,17 @@ class Box:
         return rois.RoiRecord(
             name=name, world_to_box=self.world_to_box, half_extents=self.half_extents
         )
+
+    def is_at(self, world_to_box: Any, half_extents: Any) -> bool:
+        """Whether the box has that place and size, but for rounding; values may be damaged."""
+        size = float(np.max(self.half_extents))
+        try:
+            return bool(
+                np.allclose(self.world_to_box, world_to_box, atol=1e-4 * max(size, 1.0))
+                and np.allclose(self.half_extents, half_extents, rtol=1e-4)
+            )
+        except (ValueError, TypeError, OverflowError):  # no numbers
+            return False
 
     def contains(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
         """(N,) which of the points (N, 3) lie inside."""

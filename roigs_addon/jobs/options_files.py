@@ -9,6 +9,7 @@ import bpy
 
 from .. import settings
 from ..engine import own_files
+from ..engine.run_settings import RunSettings
 from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
@@ -23,21 +24,43 @@ def common_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> dic
     Raises:
         AddonError: there is no model, or there are no boxes.
     """
-    props, colmap = scene_props(scene), colmap_folder(scene)
+    colmap = colmap_folder(scene)
     if not boxes:
         raise AddonError("There are no boxes. Add one around each object to sharpen.")
-    values: dict[str, Any] = {
+    values = _selection_settings(scene) | {
         "scene": str(colmap),
+        "threads": settings.get().threads or None,
+        "exclude": excluded(scene) or None,
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _selection_settings(scene: bpy.types.Scene) -> dict[str, Any]:
+    props = scene_props(scene)
+    return {
+        "scene": props.colmap,
         "images": bpy.path.abspath(props.images) or None,
         "max_side": props.max_side,
         "method": props.method,
         "count": props.count or None,
         "seed": props.seed,
-        "threads": settings.get().threads or None,
         "test_every": props.test_every,
-        "exclude": excluded(scene) or None,
     }
-    return {key: value for key, value in values.items() if value is not None}
+
+
+def _training_settings(scene: bpy.types.Scene) -> dict[str, Any]:
+    props = scene_props(scene)
+    return {
+        "preset": props.preset,
+        "steps_factor": float(f"{props.steps_factor:.5g}"),  # Blender's is a 32-bit number
+        "strategy": props.strategy,
+    }
+
+
+def settings_now(scene: bpy.types.Scene, exclude: list[str]) -> RunSettings:
+    """What a training would be asked for now; `exclude` are the photos that are left out."""
+    values = _selection_settings(scene) | _training_settings(scene)
+    return RunSettings.from_options(values | {"exclude": exclude})
 
 
 def excluded(scene: bpy.types.Scene) -> list[str]:
@@ -86,17 +109,19 @@ def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) 
 def write_train_options(
     scene: bpy.types.Scene, boxes: list[bpy.types.Object], preview_seconds: float
 ) -> Path:
-    """Write what `train` needs; returns the path of the options file."""
-    props = scene_props(scene)
-    values = common_options(scene, boxes) | {
-        "preset": props.preset,
-        "steps_factor": float(f"{props.steps_factor:.5g}"),  # Blender's is a 32-bit number
-        "strategy": props.strategy,
-        "preview_seconds": preview_seconds,
-        "device": settings.get().device,
-        "update": True,
-    }
-    if chosen := _usable_lists(scene, boxes):
+    """Write what `train` and, with test photos, `run` needs; returns the options file's path."""
+    values = (
+        common_options(scene, boxes)
+        | _training_settings(scene)
+        | {
+            "preview_seconds": preview_seconds,
+            "device": settings.get().device,
+            "update": True,
+        }
+    )
+    if values["test_every"]:
+        values["compare"] = []
+    if chosen := usable_lists(scene, boxes):
         values["selection"] = str(_write_selections(scene, chosen))
     return _write(scene, own_files.TRAIN_OPTIONS, boxes, values)
 
@@ -121,7 +146,7 @@ def own_folder(scene: bpy.types.Scene) -> Path:
     return made_folder(run_folders.settle(scene), own_files.OWN)
 
 
-def _usable_lists(
+def usable_lists(
     scene: bpy.types.Scene, boxes: list[bpy.types.Object]
 ) -> dict[bpy.types.Object, list[str]]:
     """The photos of each box that has some in its list, without excluded ones."""

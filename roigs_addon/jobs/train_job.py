@@ -7,23 +7,27 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..engine import own_files
+from ..engine import own_files, run_status
 from ..engine.run_status import RunStatus
-from ..scene import lookup, splats
+from ..properties import scene_props
+from ..scene import lookup, rois, splats
 from ..windows import redraw
 from . import options_files, run_folders
 from .spec import TRAINING, JobSpec
 
 
 def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
-    """The job that trains the scene and refines some boxes.
+    """The job that trains the scene and refines some boxes; with test photos it also measures.
 
     Raises:
         AddonError: something is missing, or the run folder cannot be written to.
     """
+    measured = bool(scene_props(scene).test_every)
     seconds = 0.0 if bpy.app.background else settings.get().preview_seconds
     options = options_files.write_train_options(scene, boxes, seconds)
     folder, find = run_folders.run_folder(scene), run_folders.finder(scene)
+    trained = rois.trained_names(scene, run_status.read(folder).boxes or {})
+    splats.rename_boxes(scene, {old: new for new, old in trained.items()})
 
     def preview(path: Path) -> None:
         if now := find():
@@ -37,7 +41,7 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
 
     return JobSpec(
         title=TRAINING,
-        arguments=["train", str(options), "--run-dir", str(folder)],
+        arguments=["run" if measured else "train", str(options), "--run-dir", str(folder)],
         log=own_files.log_file(folder),
         folder=folder,
         on_preview=preview,
@@ -53,5 +57,6 @@ def boxes_to_resume(scene: bpy.types.Scene, status: RunStatus) -> list[bpy.types
     every = lookup.rois(scene)
     if not status.unfinished or not status.boxes:
         return every
-    theirs = [box for box in every if box.name in status.boxes]
+    names = rois.trained_names(scene, status.boxes)
+    theirs = [box for box in every if names.get(box.name, box.name) in status.boxes]
     return theirs if len(theirs) == len(status.boxes) else every

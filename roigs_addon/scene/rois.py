@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -205,6 +205,28 @@ def place_key(roi: bpy.types.Object, scene: bpy.types.Scene) -> str:
     return " ".join(f"{value:.5g}" for value in numbers)
 
 
+def trained_names(scene: bpy.types.Scene, trained: Mapping[str, tuple[Any, Any]]) -> dict[str, str]:
+    """Name -> name in training, of the boxes that are where they were trained, as large as then.
+
+    The names differ if a box was renamed since.
+
+    Args:
+        scene: with the boxes.
+        trained: name -> world_to_box and half_extents, as a run folder has them.
+    """
+    boxes = lookup.rois(scene)
+    gone = trained.keys() - {roi.name for roi in boxes}
+    found: dict[str, str] = {}
+    for roi in boxes:
+        with suppress(AddonError):
+            place = lookup.box(roi, scene)
+            names = [roi.name] if roi.name in trained else sorted(gone - set(found.values()))
+            same = next((name for name in names if place.is_at(*trained[name])), None)
+            if same is not None:
+                found[roi.name] = same
+    return found
+
+
 def file_name(roi: bpy.types.Object) -> str:
     """The box's name, which also names its files; a .blend may come from anybody.
 
@@ -220,6 +242,8 @@ def file_name(roi: bpy.types.Object) -> str:
 def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -> Path:
     """Write `rois.json` for the engine; returns its path.
 
+    The boxes are in an order that their names have no part in: a box may be renamed.
+
     Raises:
         AddonError: one is not a box, its name cannot name a file, or two have the same name.
     """
@@ -228,6 +252,7 @@ def write(folder: Path, boxes: list[bpy.types.Object], scene: bpy.types.Scene) -
     if taken is not None:
         raise AddonError(f"Two boxes are named '{taken}' (case does not count). Rename one.")
     records = [lookup.box(roi, scene).record(file_name(roi)) for roi in boxes]
+    records.sort(key=lambda box: (*box.world_to_box.ravel(), *box.half_extents))
     files.write_text(path, roi_format.rois_document(records))
     return path
 

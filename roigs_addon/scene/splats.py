@@ -9,6 +9,7 @@ hidden and moved in edit mode (edits.py).
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +24,9 @@ from ..properties import object_props, scene_props
 from ..shared import run_files
 from . import clouds, compositor, edits, lookup, native_splats
 from .splat_attributes import add_attributes
+
+Part = tuple[str, str]
+"""Of a result: the level of `properties.LEVELS`, and the box."""
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
@@ -40,25 +44,39 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     """
     remove_preview(scene)
     _hide_sparse(scene)
-    shown = [_show(scene, folder / run_files.BACKGROUND, "RESULT", "")]
-    for path in sorted((folder / run_files.FINE).glob("*.ply")):
-        shown.append(_show(scene, path, "ROI", path.stem))
-        coarse = folder / run_files.COARSE / path.name
-        if coarse.is_file():
-            item = _show(scene, coarse, "SCENE", path.stem)
-            _hide(scene, item, True)
-            item.hide_render = True
-            shown.append(item)
-    files = {(object_props(i).level, object_props(i).roi): object_props(i).ply for i in shown}
+    files = result_files(folder)
+    shown = [show_file(scene, *key) for key in files.items()]
     for item in lookup.splats(scene):
         props = object_props(item)
         file = files.get((props.level, props.roi))
+        props.parked = ""
         if file is not None:
-            props.ply = file
+            props.ply = str(file)
         elif props.level in ("ROI", "SCENE"):
             delete(item)
     compositor.link(scene)
     return shown
+
+
+def result_files(folder: Path) -> dict[Part, Path]:
+    """The files of a result: of the background, and of each box refined and coarse."""
+    files: dict[Part, Path] = {("RESULT", ""): folder / run_files.BACKGROUND}
+    for path in sorted((folder / run_files.FINE).glob("*.ply")):
+        files["ROI", path.stem] = path
+        coarse = folder / run_files.COARSE / path.name
+        if coarse.is_file():
+            files["SCENE", path.stem] = coarse
+    return files
+
+
+def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
+    """Give the Gaussians of renamed boxes, old name -> new one, the new names."""
+    for item in lookup.splats(scene):
+        props = object_props(item)
+        if new := renamed.get(props.roi):
+            if item.name == _name(props.level, props.roi):
+                item.name = _name(props.level, new)
+            props.roi = new
 
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
@@ -71,7 +89,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         object_props(item).level = "PREVIEW"
         for other in lookup.splats(scene):
             if other != item:
-                _hide(scene, other, True)
+                hide(scene, other, True)
         _hide_sparse(scene)
     object_props(item).ply = str(path)
     return item
@@ -84,7 +102,8 @@ def follow(scene: bpy.types.Scene, folder: Path) -> None:
         if props.level == "PREVIEW" or not props.ply or os.path.isfile(props.ply):
             continue
         now = where_it_is_now(folder, Path(props.ply))
-        if now is not None:
+        now = now or result_files(folder).get((props.level, props.roi))  # the box was renamed
+        if now is not None and now.is_file():
             props.ply = str(now)
 
 
@@ -94,7 +113,7 @@ def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
         props = object_props(item)
         if props.roi == roi and props.level in ("ROI", "SCENE"):
             hidden = (props.level == "ROI") != fine
-            _hide(scene, item, hidden)
+            hide(scene, item, hidden)
             item.hide_render = hidden
 
 
@@ -124,7 +143,7 @@ def remove_preview(scene: bpy.types.Scene) -> None:
             delete(item)
             continue
         coarse = level == "SCENE"
-        _hide(scene, item, coarse)
+        hide(scene, item, coarse)
         item.hide_render = coarse
 
 
@@ -132,11 +151,11 @@ def _hide_sparse(scene: bpy.types.Scene) -> None:
     """Hide the sparse points: as solid objects they would cover Gaussians behind them."""
     sparse = lookup.points(scene)
     if sparse is not None:
-        _hide(scene, sparse, True)
+        hide(scene, sparse, True)
         sparse.hide_render = True
 
 
-def _hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
+def hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
     """Hide or show in the scene's own view layers: the window may show another scene."""
     for layer in scene.view_layers:
         with suppress(RuntimeError):  # not in this layer
@@ -151,8 +170,18 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None
     return None
 
 
-def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types.Object:
-    name = {"RESULT": "Background", "SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}[level]
+def _name(level: str, roi: str) -> str:
+    """What an object of Gaussians is called at first."""
+    return {"SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}.get(level, "Background")
+
+
+def show_file(scene: bpy.types.Scene, part: Part, path: Path) -> bpy.types.Object:
+    """Show a file as this part of the result; an object that there is already keeps its place.
+
+    Raises:
+        AddonError: the file is missing or damaged.
+    """
+    (level, roi), name = part, _name(*part)
     fresh = native_splats.import_splats(path) or _points(name, path)
     old = _of(scene, level, roi)
     if old is not None and old.type != fresh.type:  # made by a Blender with other kinds of splats
@@ -160,6 +189,8 @@ def _show(scene: bpy.types.Scene, path: Path, level: str, roi: str) -> bpy.types
         old = None
     if old is None:
         item = _new_object(scene, name, fresh)
+        hide(scene, item, level == "SCENE")
+        item.hide_render = level == "SCENE"
     else:  # keeps its name, place and whatever the user did with it
         item, before = old, old.data
         item.data = fresh.data

@@ -12,7 +12,7 @@ from ..shared import text
 
 def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """'3 photos excluded', with the button that undoes it; nothing if there are none."""
-    count = photo_names.excluded(scene)
+    count = len(photo_names.excluded(scene))
     if not count:
         return
     row = layout.split(factor=0.62, align=True)

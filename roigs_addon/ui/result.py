@@ -9,13 +9,22 @@ import bpy
 
 from .. import rendering, viewport
 from ..blender import layout_of, registration, scene_of
+from ..engine import run_settings
 from ..engine.earlier_results import EarlierResult
-from ..facts import run_facts
+from ..facts import outdated, run_facts
 from ..jobs import current
-from ..operators.results import DeleteResult, LoadResults, SelectGaussians, SetDetail, ShowPoints
+from ..operators.results import (
+    DeleteResult,
+    LoadResults,
+    SelectGaussians,
+    SetDetail,
+    ShowPoints,
+)
+from ..operators.run_folder import CleanUp, CompareResults
 from ..properties import object_props
-from ..scene import compositor, lookup
+from ..scene import compared, compositor, lookup
 from ..scene.splats import shown_levels
+from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
 
@@ -38,40 +47,54 @@ class ResultPanel(SidebarPanel):
         splats = lookup.splats(scene)
         if not splats:
             show.todo(layout, "Train first to get Gaussians")
-        _draw_objects(layout.column(align=True), splats, shown_levels(scene))
+        names = outdated.renamed(scene, run_facts.run(scene))
+        _draw_objects(layout.column(align=True), splats, shown_levels(scene), names)
         _draw_as_points(layout, splats)
         for path, problem in viewport.problems().items():
             named = not path or path in problem
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine archives files.
         if not current.busy() and (missing := run_facts.missing_splats(scene)):
-            names = ", ".join(missing)
-            text = f"Missing splat files: {names}. Train, or set the Run Folder and load results"
-            show.wrong(layout, text)
-        _draw_earlier(layout, splats, run_facts.earlier(scene))
+            listed = ", ".join(missing)
+            told = f"Missing splat files: {listed}. Train, or set the Run Folder and load results"
+            show.wrong(layout, told)
+        _draw_results(layout, scene)
         if splats:
             _draw_render(layout, scene)
 
 
-def _draw_objects(layout: bpy.types.UILayout, splats: Objects, levels: dict[str, bool]) -> None:
-    """The background and the boxes; `levels`: box -> whether it is shown refined."""
+def _draw_objects(
+    layout: bpy.types.UILayout, splats: Objects, levels: dict[str, bool], names: dict[str, str]
+) -> None:
+    """The background and the boxes.
+
+    Args:
+        layout, splats: where, and the objects.
+        levels: box -> whether it is shown refined.
+        names: box -> its name now, if it was renamed.
+    """
     for item in splats:
         props = object_props(item)
+        if props.parked:  # in another result
+            continue
         row = layout.row(align=True)
         if props.level == "RESULT":
             _draw_name(row, item, item.name)
             row.prop(item, "hide_viewport", text="", emboss=False)
         elif props.level == "ROI":
-            _draw_box(row, splats, props.roi, levels[props.roi])
+            name = names.get(props.roi, props.roi)
+            _draw_box(row, splats, props.roi, name, refined=levels[props.roi])
 
 
-def _draw_box(row: bpy.types.UILayout, splats: Objects, roi: str, refined: bool) -> None:
+def _draw_box(
+    row: bpy.types.UILayout, splats: Objects, roi: str, name: str, *, refined: bool
+) -> None:
     shown = "ROI" if refined else "SCENE"
     items = [i for i in splats if object_props(i).roi == roi and object_props(i).level == shown]
     if items:
-        _draw_name(row, items[0], roi)
-    for text, fine in (("Coarse", False), ("Fine", True)):
-        button = row.operator(SetDetail.bl_idname, text=text, depress=refined == fine)
+        _draw_name(row, items[0], name)
+    for label, fine in (("Coarse", False), ("Fine", True)):
+        button = row.operator(SetDetail.bl_idname, text=label, depress=refined == fine)
         button.roi, button.fine = roi, fine
     for item in items:
         row.prop(item, "hide_viewport", text="", emboss=False)
@@ -89,27 +112,45 @@ def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
         return
     row = layout.row(align=True)
     as_points = object_props(drawn[0]).as_points
-    for text, points in (("Gaussians", False), ("Points", True)):
-        button = row.operator(ShowPoints.bl_idname, text=text, depress=as_points == points)
+    for label, points in (("Gaussians", False), ("Points", True)):
+        button = row.operator(ShowPoints.bl_idname, text=label, depress=as_points == points)
         button.points = points
 
 
-def _draw_earlier(
-    layout: bpy.types.UILayout, splats: Objects, results: list[EarlierResult]
-) -> None:
-    """Results that a later training has replaced: when they were made, and how large they are."""
-    if not results:
-        return
-    shown = [Path(object_props(item).ply).parents for item in splats]
-    column = layout.column(align=True)
-    column.label(text="Earlier results")
+def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """The last result and those that it has replaced: settings, PSNR, day, size; disk use."""
+    results, shown = run_facts.earlier(scene), compared.shown_result(scene)
+    last = run_facts.result(scene)
+    if run_facts.run(scene).result and (results or last.psnr):
+        said = [part for part in (run_settings.title(last.settings), last.psnr) if part]
+        show.say(
+            layout, ": ".join(("Last result", ", ".join(said))) if said else "Last result", "INFO"
+        )
+    if results:
+        column = layout.column(align=True)
+        column.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
+        size = text.in_gb(sum(result.size for result in results))
+        column.label(text=f"Earlier results, {size} in total")
     for result in results:
         row = column.row(align=True)
-        made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
-        seen = any(result.folder in parents for parents in shown)
-        text = f"{made}, {result.size / 1e6:,.0f} MB"
-        row.operator(LoadResults.bl_idname, text=text, depress=seen).earlier = result.folder.name
+        button = row.operator(
+            LoadResults.bl_idname, text=_in_words(result), depress=shown == result.folder
+        )
+        button.earlier = result.folder.name
         row.operator(DeleteResult.bl_idname, text="", icon="TRASH").earlier = result.folder.name
+    disk = run_facts.disk(scene)
+    if disk.total:
+        row = layout.row(align=True)
+        row.label(text=f"Run folder: {text.in_gb(disk.total)}")
+        size = f" ({text.in_gb(disk.removable)})" if disk.removable else ""
+        label = f"{CleanUp.bl_label}{size}"
+        row.operator(CleanUp.bl_idname, text=label, icon="BRUSH_DATA")
+
+
+def _in_words(result: EarlierResult) -> str:
+    made = time.strftime("%d %b %H:%M", time.localtime(result.made))
+    parts = (run_settings.title(result.settings), result.psnr, made, text.in_gb(result.size))
+    return ", ".join(part for part in parts if part)
 
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

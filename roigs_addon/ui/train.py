@@ -9,7 +9,7 @@ from ..blender import layout_of, registration, scene_of
 from ..engine.own_files import stage_in_words
 from ..engine.run_status import RunStatus
 from ..engine.training_steps import training_steps
-from ..facts import engine_ability, run_facts
+from ..facts import engine_ability, outdated, run_facts
 from ..jobs import current, estimate_job, run_folders
 from ..jobs.spec import ESTIMATING, TRAINING
 from ..operators.train import EstimateTime, ShowLog, TrainRoi
@@ -63,19 +63,23 @@ def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: RunStatus) -> None:
     stages = ", ".join(map(stage_in_words, status.done))
+    changes = "" if status.holder else outdated.in_words(scene, status)
     if status.holder:
         text = f"Another Blender or terminal is training here (process {status.holder})"
         show.paused(layout, text)
     elif status.left:
         show.paused(layout, f"Stopped during: {stage_in_words(status.left)}")
-    elif status.result and (changed := run_facts.changed_boxes(scene, status)):
-        show.wrong(layout, f"Changed since training: {', '.join(changed)}")
-    elif status.result:
+    elif status.result and not changes:
         show.done(layout, f"Trained: {stages}")
-    elif status.done:
+    elif status.done and not status.result:
         show.paused(layout, f"Stopped after: {stages}")
-    else:
+    elif not status.result:
         show.todo(layout, "Not trained yet")
+        return
+    if changes:
+        show.wrong(layout, changes)
+    for old, new in outdated.renamed(scene, status).items():
+        show.say(layout, f"'{new}' was trained as '{old}'; Train only renames its files", "INFO")
 
 
 def _draw_engine_problem(layout: bpy.types.UILayout, problem: str) -> None:

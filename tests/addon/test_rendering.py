@@ -169,6 +169,25 @@ def test_an_animation_moves(blender: ModuleType, shot, tmp_path: Path) -> None:
     assert psnr(first, last) < 40
 
 
+def test_an_animation_shows_poses_without_keyframes(
+    blender: ModuleType, shot, tmp_path: Path
+) -> None:
+    """In every frame, the first one too; the camera is keyed, what was moved is not."""
+    bpy, (scene, f12) = blender, shot
+    item, before = scene.objects["thing Gaussians"], f12("before")
+    scene.camera.keyframe_insert("location", frame=1)
+    scene.frame_set(2)
+    item.location.x, item.rotation_euler.z = 0.4, 1.0
+    moved = f12("moved")
+    assert psnr(moved, before) < 40
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.render.filepath = str(tmp_path / "frames" / "a_")
+    bpy.ops.render.render(animation=True)
+    for number in (1, 2):
+        assert psnr(load_rgba(tmp_path / "frames" / f"a_000{number}.png"), moved) > 50
+    assert item.location.x == pytest.approx(0.4)
+
+
 def test_it_survives_saving(blender: ModuleType, shot, tmp_path: Path) -> None:
     bpy, (scene, f12) = blender, shot
     before = f12()

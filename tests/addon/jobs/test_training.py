@@ -108,6 +108,52 @@ def test_the_whole_scene_is_reused_for_another_box(
     assert ("ROI", "second") in levels
 
 
+def test_a_renamed_box_is_not_trained_again(
+    blender: ModuleType, engine, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.facts import outdated
+    from roigs_addon.jobs import current
+
+    bpy, run = blender, tmp_path / "run"
+    scene = ready(bpy, project, run)
+    add_box(bpy, "second", (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
+    scene.roigs.strategy = "independent"
+    bpy.ops.roigs.train_roi()
+    assert outdated.in_words(scene, status(scene)) == ""
+    before, made = plys(run), (run / "object-thing" / "stage.json").stat().st_mtime_ns
+    item = scene.objects["thing Gaussians"]
+    item.location.x = 7
+    scene.objects["thing"].name = "a pot"  # now the first by name
+    assert outdated.in_words(scene, status(scene)) == ""
+    bpy.ops.roigs.train_roi()
+    assert (run / "object-a pot" / "stage.json").stat().st_mtime_ns == made
+    assert plys(run) == {name.replace("thing", "a pot"): data for name, data in before.items()}
+    assert item.name == "a pot Gaussians" and item.location.x == 7
+    assert item.roigs.ply == str(run / "rois" / "a pot.ply")
+    assert not current.state().error
+
+
+def test_with_test_photos_the_result_is_measured(
+    blender: ModuleType, engine, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.facts import outdated, run_facts
+
+    bpy, run = blender, tmp_path / "run"
+    scene = ready(bpy, project, run)
+    bpy.ops.roigs.train_roi()
+    assert run_facts.result(scene).psnr == ""
+    scene.roigs.test_every = 4
+    assert "test photos: 1 in 4" in outdated.in_words(scene, status(scene))
+    bpy.ops.roigs.train_roi()
+    assert outdated.in_words(scene, status(scene)) == ""
+    assert run_facts.result(scene).psnr.endswith(" dB on 2 test photos")
+    (earlier,) = run_facts.earlier(scene)
+    assert earlier.psnr == "" and earlier.settings.test_every == 0
+    scene.roigs.test_every = 0
+    text = outdated.in_words(scene, status(scene))
+    assert text.endswith(": Train uses the earlier result where it still fits")
+
+
 def test_a_stopped_training_resumes_to_the_same_bytes(
     blender: ModuleType, engine, project: Path, tmp_path: Path, by_hand
 ) -> None:
@@ -141,8 +187,8 @@ def test_resuming_trains_the_same_boxes(
 
     bpy, run = blender, tmp_path / "run"
     scene = ready(bpy, project, run)
-    for name in ("jug", "vase"):
-        add_box(bpy, name, (-0.5, -0.5, -0.5), (0.0, 0.1, 0.2))
+    for name, top in (("jug", 0.2), ("vase", 0.3)):
+        add_box(bpy, name, (-0.5, -0.5, -0.5), (0.0, 0.1, top))
 
     def trained() -> list[str]:
         return [roi.name for roi in Asker()._boxes(bpy.context)]

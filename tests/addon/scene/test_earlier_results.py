@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from types import ModuleType
@@ -10,14 +11,16 @@ import pytest
 
 pytestmark = pytest.mark.blender
 PARTS = ("result.ply", "background.ply", "rois", "coarse")
+MORE = ("report.json", "settings.json")
 
 
 def archive(folder: Path, name: str = "results-abcdef12") -> Path:
     """Archive the results of a run folder, as a training with other settings does."""
     place = folder / "archive" / name
     place.mkdir(parents=True)
-    for part in PARTS:
-        (folder / part).rename(place / part)
+    for part in (*PARTS, *MORE):
+        if (folder / part).exists():
+            (folder / part).rename(place / part)
     return place
 
 
@@ -97,9 +100,18 @@ def test_the_panel_lists_them(blender: ModuleType, run) -> None:
     from tests.addon.ui.test_panels import said
 
     scene, folder = run
-    assert "Earlier results" not in said(blender, ResultPanel)
+    assert not any("Earlier results" in text for text in said(blender, ResultPanel))
+    report = {"test_views": ["1", "2"], "rois": [{"rows": [{"roi_psnr": 9}, {"roi_psnr": 27.42}]}]}
+    (folder / "report.json").write_text(json.dumps(report))
+    settings = {"scene": "garden", "preset": "standard", "max_side": 960}
+    (folder / "settings.json").write_text(json.dumps(settings))
+    texts = " ".join(said(blender, ResultPanel))
+    assert "Last result: Standard, 960 px, 27.4 dB on 2 test photos" in texts
     place = archive(folder)
-    assert "Earlier results" in said(blender, ResultPanel)
+    texts = said(blender, ResultPanel)
+    assert "Earlier results, 1 MB in total" in texts
+    (text,) = (text for text in texts if text.startswith("Standard, 960 px, 27.4 dB on 2 test"))
+    assert text.endswith(", 1 MB")
     (found,) = run_facts.earlier(scene)
     assert found.folder == place
-    assert found.size == sum(f.stat().st_size for f in place.rglob("*.ply"))
+    assert found.size == sum(f.stat().st_size for f in place.rglob("*.*"))

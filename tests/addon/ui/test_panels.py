@@ -21,14 +21,14 @@ def stand_in(cls: type):
 
 
 class Layout:
-    """A layout that accepts everything, and keeps the labels."""
+    """A layout that accepts everything, and keeps the labels, also those of buttons."""
 
     def __init__(self, labels: list[str]) -> None:
         vars(self)["labels"] = labels
 
     def __getattr__(self, name: str):
         def take(*args: object, **keywords: object) -> Layout:
-            if name == "label":
+            if name in ("label", "operator"):
                 self.labels.append(str(keywords.get("text", "")))
             return Layout(self.labels)
 

@@ -1,0 +1,130 @@
+"""The settings that a training was asked for: compared with others, and in words. No bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from ..shared import EngineError, files, run_files, text
+
+STEPS = {"draft": 5_000, "standard": 15_000, "paper": 50_000}
+"""Preset -> training steps."""
+NAMED = 2
+"""Photos that are named."""
+BOX_SETTINGS = ("method", "count")
+"""They decide the boxes' photos only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """What decides a result beside boxes and photo lists; None: not known.
+
+    Attributes:
+        preset, strategy, method, count, seed, test_every: as the engine's options.
+        max_side, steps_factor: likewise.
+        exclude: names of the photos that are left out.
+        scene, images: names of the folders. Their paths change when a project is moved.
+    """
+
+    preset: str | None = None
+    max_side: int | None = None
+    steps_factor: float | None = None
+    strategy: str | None = None
+    method: str | None = None
+    count: int | None = None
+    seed: int | None = None
+    test_every: int | None = None
+    exclude: tuple[str, ...] | None = None
+    scene: str | None = None
+    images: str | None = None
+
+    @classmethod
+    def from_options(
+        cls, values: Mapping[str, Any], config: Mapping[str, Any] | None = None
+    ) -> RunSettings:
+        """The settings of an options file.
+
+        Args:
+            values: of the file.
+            config: of the manifest, for what the file leaves to the preset.
+        """
+        config = config or {}
+        selection = config.get("selection")
+        chosen = selection if isinstance(selection, dict) else {}
+        known = {**chosen, **config, **values}
+        names = [field.name for field in fields(cls) if field.name not in ("exclude", "count")]
+        found = {name: _plain(known.get(name)) for name in names}
+        if values:
+            found["steps_factor"] = found["steps_factor"] or 1.0
+            found["images"] = found["images"] or ""
+        found |= {key: Path(found[key]).name for key in ("scene", "images") if found[key]}
+        exclude, count = values.get("exclude"), known.get("count")
+        listed = exclude if isinstance(exclude, list) else []
+        return cls(
+            **found,
+            exclude=tuple(sorted(map(str, listed))) if values else None,
+            count=(count if isinstance(count, int) else 0) if known else None,
+        )
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, (str, int, float)) else None
+
+
+def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:
+    """The settings of a run folder, or of an archived result; unknown ones are None."""
+    try:
+        values = files.read_json(folder / run_files.SETTINGS)
+    except EngineError:
+        values = {}
+    return RunSettings.from_options(values if isinstance(values, dict) else {}, config)
+
+
+def differing(before: RunSettings, now: RunSettings) -> list[str]:
+    """Names of the settings that differ, of those that both know."""
+    pairs = {f.name: (getattr(before, f.name), getattr(now, f.name)) for f in fields(RunSettings)}
+    return [name for name, (a, b) in pairs.items() if a != b and None not in (a, b)]
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ", ".join((*names[:NAMED], *(["…"] if len(names) > NAMED else [])))
+
+
+IN_WORDS: dict[str, Callable[[Any], str]] = {
+    "preset": lambda value: str(value).capitalize(),
+    "max_side": lambda value: f"{value} px",
+    "steps_factor": lambda value: f"{value:g} x steps",
+    "strategy": lambda value: "boxes together" if value == "joint" else "boxes one by one",
+    "method": lambda value: f"method {value}",
+    "count": lambda value: (
+        f"{text.counted(value, 'photo')} a box" if value else "photos a box: auto"
+    ),
+    "seed": lambda value: f"seed {value}",
+    "test_every": lambda value: f"test photos: 1 in {value}" if value else "no test photos",
+    "exclude": lambda value: f"without {_listed(value)}" if value else "all photos",
+    "scene": lambda value: f"cameras of {value}",
+    "images": lambda value: f"photos of {value}" if value else "the project's photos",
+}
+
+
+def in_words(settings: RunSettings, names: list[str]) -> str:
+    """Some of the settings: 'Draft, 640 px'."""
+    return ", ".join(IN_WORDS[name](getattr(settings, name)) for name in names)
+
+
+def title(settings: RunSettings) -> str:
+    """A short name of the result of these settings; empty if they are not known."""
+    names = [name for name in ("preset", "max_side") if getattr(settings, name) is not None]
+    if settings.steps_factor not in (None, 1.0):
+        names.append("steps_factor")
+    return in_words(settings, names)
+
+
+def work(settings: RunSettings) -> float | None:
+    """The work of a training, in pixels times steps; None if it is not known."""
+    steps = STEPS.get(settings.preset or "")
+    if steps is None or settings.max_side is None:
+        return None
+    return steps * (settings.steps_factor or 1.0) * settings.max_side**2

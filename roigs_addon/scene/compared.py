@@ -1,0 +1,60 @@
+"""Another result in the same objects, to compare: places, visibility and view stay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..properties import object_props
+from . import compositor, lookup, splats
+
+SEEN = ("view", "render")
+"""Words for what a parked object was seen in."""
+
+
+def shown_result(scene: bpy.types.Scene) -> Path | None:
+    """The folder of the result whose background the scene has; None if it has none."""
+    files = (object_props(i).ply for i in lookup.splats(scene) if object_props(i).level == "RESULT")
+    return next((Path(file).parent for file in files), None)
+
+
+def switch(scene: bpy.types.Scene, folder: Path) -> None:
+    """Show the result of a run folder, or an archived one.
+
+    What it does not have is parked: hidden until a result is shown that has it.
+
+    Raises:
+        AddonError: a file is missing or damaged.
+    """
+    files = splats.result_files(folder)
+    for part, file in files.items():
+        splats.show_file(scene, part, file)
+    for item in lookup.splats(scene):
+        props = object_props(item)
+        current = files.get((props.level, props.roi))
+        if current is not None:
+            props.ply = str(current)
+            _unpark(scene, item)
+        elif props.level in ("ROI", "SCENE"):
+            _park(scene, item)
+    compositor.link(scene)
+
+
+def _park(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    props = object_props(item)
+    if not props.parked:
+        seen = (not item.hide_get(view_layer=scene.view_layers[0]), not item.hide_render)
+        words = [word for word, is_seen in zip(SEEN, seen, strict=True) if is_seen]
+        props.parked = " ".join(("parked", *words))
+    splats.hide(scene, item, True)
+    item.hide_render = True
+
+
+def _unpark(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    props = object_props(item)
+    if props.parked:
+        seen = props.parked.split()
+        splats.hide(scene, item, "view" not in seen)
+        item.hide_render = "render" not in seen
+        props.parked = ""

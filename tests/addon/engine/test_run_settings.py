@@ -1,0 +1,68 @@
+"""The settings of a training, compared and in words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from roigs_addon.engine import report, run_settings
+from roigs_addon.engine.run_settings import IN_WORDS, STEPS, RunSettings
+from roigs_engine.run.presets import PRESETS, preset
+
+OPTIONS = {"scene": "/a/garden", "preset": "draft", "max_side": 640, "seed": 1, "count": 8}
+
+
+def test_the_steps_are_the_presets() -> None:
+    assert {name: preset(name).total_steps for name in PRESETS} == STEPS
+
+
+def test_every_setting_has_words() -> None:
+    settings = RunSettings.from_options(OPTIONS)
+    assert set(IN_WORDS) == set(vars(settings))
+    assert run_settings.in_words(settings, ["preset", "max_side", "count", "exclude"]) == (
+        "Draft, 640 px, 8 photos a box, all photos"
+    )
+    assert run_settings.title(settings) == "Draft, 640 px"
+    assert run_settings.title(RunSettings()) == ""
+
+
+def test_only_what_is_known_differs() -> None:
+    then = RunSettings.from_options(OPTIONS)
+    assert run_settings.differing(RunSettings(), then) == []
+    moved = RunSettings.from_options(OPTIONS | {"scene": "/b/garden"})
+    assert run_settings.differing(then, moved) == []
+    other = {"seed": 2, "exclude": ["b", "a"], "steps_factor": 0.5, "scene": "/a/refined"}
+    now = RunSettings.from_options(OPTIONS | other)
+    assert run_settings.differing(then, now) == ["steps_factor", "seed", "exclude", "scene"]
+
+
+def test_what_the_options_leave_out_is_in_the_manifest(tmp_path: Path) -> None:
+    config = {"preset": "paper", "scene": {}, "strategy": "independent", "seed": 0}
+    config |= {"selection": {"method": "gp9", "count": None, "seed": 3}, "test_every": 8}
+    found = run_settings.read(tmp_path, config)
+    assert (found.method, found.strategy, found.test_every) == ("gp9", "independent", 8)
+    assert found.max_side is None and found.scene is None and found.count == 0
+    (tmp_path / "settings.json").write_text(json.dumps(OPTIONS))
+    found = run_settings.read(tmp_path, config)
+    assert (found.scene, found.method, found.seed, found.count) == ("garden", "gp9", 1, 8)
+    (tmp_path / "settings.json").write_text("[]")
+    assert run_settings.read(tmp_path) == RunSettings()
+
+
+@pytest.mark.parametrize(
+    ("record", "expected"),
+    [
+        ({"rois": [{"rows": [{"roi_psnr": 20}, {"roi_psnr": 25}]}, {"rows": [{"roi_psnr": 26}]}],
+          "test_views": ["a"], "photos": "validation"}, "25.5 dB on 1 validation photo"),
+        ({"rois": [{"rows": [{"roi_psnr": None}]}], "test_views": []}, ""),
+        ({"rois": [{"rows": []}], "test_views": []}, ""),
+        ({"rois": 3}, ""),
+        ([], ""),
+    ],
+)  # fmt: skip
+def test_psnr(tmp_path: Path, record: object, expected: str) -> None:
+    assert report.psnr(tmp_path) == ""
+    (tmp_path / "report.json").write_text(json.dumps(record))
+    assert report.psnr(tmp_path) == expected

@@ -1,0 +1,99 @@
+"""Two results in the same objects, and a run folder that becomes smaller."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.addon.scene.test_earlier_results import PARTS, archive, files
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture
+def two(blender: ModuleType, run):
+    """The last result, which is shown, and an earlier one."""
+    scene, folder = run
+    older = archive(folder)
+    for part in PARTS:
+        copy = shutil.copytree if (older / part).is_dir() else shutil.copy
+        copy(older / part, folder / part)
+    blender.ops.roigs.load_results()
+    return scene, folder, older
+
+
+def test_a_and_b(blender: ModuleType, two) -> None:
+    scene, folder, older = two
+    item, back = scene.objects["thing Gaussians"], scene.objects["Background"]
+    item.location = 1, 2, 3
+    back.hide_set(True)
+    back.hide_render = True
+    blender.ops.roigs.set_detail(roi="thing", fine=False)
+    seen = {o.name: (o.hide_get(), o.hide_render) for o in scene.objects}
+    for place in (older, folder, older):
+        assert blender.ops.roigs.compare_results() == {"FINISHED"}
+        assert {file.parents[0 if file.parent == place else 1] for file in files(scene)} == {place}
+        assert {o.name: (o.hide_get(), o.hide_render) for o in scene.objects} == seen
+        assert tuple(item.location) == (1, 2, 3)
+
+
+def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
+    from roigs_addon.facts import run_facts
+
+    scene, _, older = two
+    for part in ("rois", "coarse"):
+        (older / part / "thing.ply").rename(older / part / "other.ply")
+    item = scene.objects["thing Gaussians"]
+    item.location.x = 5
+    for _ in range(2):
+        blender.ops.roigs.compare_results()
+        assert item.hide_get() and item.hide_render
+        assert not scene.objects["other Gaussians"].hide_get()
+        assert scene.objects["other coarse"].hide_get()
+        assert run_facts.missing_splats(scene) == []
+        blender.ops.roigs.compare_results()
+        assert not item.hide_get() and not item.hide_render and item.location.x == 5
+        assert scene.objects["thing coarse"].hide_get()
+        assert scene.objects["other Gaussians"].hide_get()
+    blender.ops.roigs.load_results()
+    assert "other Gaussians" not in scene.objects
+
+
+def test_the_earlier_result_that_was_shown_last(blender: ModuleType, two) -> None:
+    from roigs_addon.scene import compared
+
+    scene, folder, older = two
+    newer = folder / "archive" / "results-00000000"
+    shutil.copytree(older, newer)
+    blender.ops.roigs.load_results(earlier=older.name)
+    blender.ops.roigs.compare_results()
+    assert compared.shown_result(scene) == folder
+    blender.ops.roigs.compare_results()
+    assert compared.shown_result(scene) == older
+
+
+def test_without_another_result_there_is_no_compare(blender: ModuleType, run) -> None:
+    assert not blender.ops.roigs.compare_results.poll()
+    blender.ops.roigs.load_results()
+    assert not blender.ops.roigs.compare_results.poll()
+
+
+def test_clean_up(blender: ModuleType, two) -> None:
+    from roigs_addon.ui.result import ResultPanel
+    from tests.addon.ui.test_panels import said
+
+    _, folder, older = two
+    assert not blender.ops.roigs.clean_up.poll()
+    (folder / "manifest.json").write_text("{}")
+    gone = ("preview.ply", "archive/scene-12345678/model.ply", "cache/undistorted/1.png")
+    for path in (Path(folder, name) for name in gone):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(1_000_000))
+    kept = {path for path in folder.rglob("*") if path.is_file()} - {folder / g for g in gone}
+    assert "Clean Up (3 MB)" in said(blender, ResultPanel)
+    assert blender.ops.roigs.clean_up() == {"FINISHED"}
+    assert {path for path in folder.rglob("*") if path.is_file()} == kept
+    assert older.is_dir() and "Clean Up" in said(blender, ResultPanel)
