@@ -10,7 +10,6 @@ import bpy
 from .. import rendering, viewport
 from ..blender import layout_of, registration, scene_of
 from ..engine import run_settings
-from ..engine.earlier_results import EarlierResult
 from ..facts import outdated, run_facts
 from ..jobs import current
 from ..operators.results import (
@@ -132,12 +131,16 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         size = text.in_gb(sum(result.size for result in results))
         column.label(text=f"Earlier results, {size} in total")
     for result in results:
+        made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
+        title = run_settings.title(result.settings)
         row = column.row(align=True)
         button = row.operator(
-            LoadResults.bl_idname, text=_in_words(result), depress=shown == result.folder
+            LoadResults.bl_idname, text=title or made, depress=shown == result.folder
         )
         button.earlier = result.folder.name
         row.operator(DeleteResult.bl_idname, text="", icon="TRASH").earlier = result.folder.name
+        parts = (result.psnr, made if title else "", text.in_gb(result.size))
+        show.say(column, ", ".join(part for part in parts if part), "BLANK1")
     disk = run_facts.disk(scene)
     if disk.total:
         row = layout.row(align=True)
@@ -145,12 +148,6 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         size = f" ({text.in_gb(disk.removable)})" if disk.removable else ""
         label = f"{CleanUp.bl_label}{size}"
         row.operator(CleanUp.bl_idname, text=label, icon="BRUSH_DATA")
-
-
-def _in_words(result: EarlierResult) -> str:
-    made = time.strftime("%d %b %H:%M", time.localtime(result.made))
-    parts = (run_settings.title(result.settings), result.psnr, made, text.in_gb(result.size))
-    return ", ".join(part for part in parts if part)
 
 
 def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

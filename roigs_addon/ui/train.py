@@ -79,7 +79,7 @@ def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: Run
     if changes:
         show.wrong(layout, changes)
     for old, new in outdated.renamed(scene, status).items():
-        show.say(layout, f"'{new}' was trained as '{old}'; Train only renames its files", "INFO")
+        show.say(layout, f"'{new}' was trained as '{old}': Train renames its files", "INFO")
 
 
 def _draw_engine_problem(layout: bpy.types.UILayout, problem: str) -> None:

@@ -221,7 +221,7 @@ class StageFolder:
             again = "last checkpoint" if checkpoint_exists(self._checkpoint) else "start"
             context.warn(f"{self.name}: {error.message} Trying again from the {again}.")
             trainer = self._trained(start, data, config, context)
-        for text in trainer.health.outliers():
+        if text := trainer.health.outliers():
             context.warn(f"{self.name}: {text}")
         return self._finish(trainer)
 

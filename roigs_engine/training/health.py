@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from ..errors import TrainingError
+from ..formats.text import counted
 
 CHECK_EVERY = 100  # steps; at least as often as Gaussians are added
 VISITS = 5  # number of a photo's last losses that count; with fewer, the photo is not judged
@@ -21,6 +22,7 @@ FEWEST_PHOTOS = 8  # with fewer photos, none is judged
 # An outlier is DEVIATIONS standard deviations above the median, estimated from the median deviation
 # (Iglewicz and Hoaglin 1993 use 3.5; photos differ more), and at least TIMES the median.
 DEVIATIONS, TIMES = 6.0, 1.5
+NAMED = 5  # how many of them a warning names
 HINT = (
     "Check the photos named in warnings, and the model's scale. The last good checkpoint is kept;"
     " the same command resumes from it."
@@ -82,21 +84,25 @@ class Health:
                 )
             self._recent.setdefault(photo, deque(maxlen=VISITS)).append(loss)
 
-    def outliers(self) -> list[str]:
-        """A warning for each photo whose loss stays far above the others', worst first."""
+    def outliers(self) -> str:
+        """A warning about photos whose loss stays far above the others'; empty if none does."""
         self._read_losses()
         # The smallest of its last losses: a photo must be bad on every visit.
         least = {k: min(v) for k, v in self._recent.items() if len(v) == VISITS}
         if len(least) < FEWEST_PHOTOS:
-            return []
+            return ""
         values = np.array(list(least.values()))
         middle = float(np.median(values))
         spread = 1.4826 * float(np.median(np.abs(values - middle)))
         limit = max(middle + DEVIATIONS * spread, TIMES * middle)
         worst = sorted((k for k in least if least[k] > limit), key=lambda k: -least[k])
-        return [
-            f"The photo '{self._photos[k]}' does not fit the others: its loss stays at"
-            f" {least[k]:.3f}, the median is {middle:.3f}. Check that it is sharp, shows this scene"
-            " and has a correct pose; a unique close-up is fine."
-            for k in worst
-        ]
+        if not worst:
+            return ""
+        names = ", ".join(f"'{self._photos[k]}'" for k in worst[:NAMED])
+        more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
+        return (
+            f"{counted(len(worst), 'photo')} not as well matched as the others: {names}{more} (loss"
+            f" up to {least[worst[0]]:.3f}, the median is {middle:.3f}). Close-ups that no other"
+            " photo shows are fine; otherwise check that they are sharp, show this scene and have"
+            " correct poses."
+        )

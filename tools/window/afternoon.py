@@ -25,6 +25,8 @@ SIZE = (1400, 1000)
 COLOURS = ("+dither", "-colors", "128")
 PICTURE_SIDE = ("-resize", "1000x")
 VASE = "vase"
+MONKEY = (-0.45, 0.05, 0.85)
+"""Where the mesh goes: where the vase was."""
 FRAMES = 3
 
 BEGIN = """
@@ -135,10 +137,15 @@ def before_training(story: Afternoon, archive: Path, side: int) -> None:
         wanted = next(record for record in records if record["name"] == VASE)
         for k, axis in enumerate("xyz"):  # by eye, a person would do the same
             low, high = wanted["min"][k], wanted["max"][k]
-            at = blender.ask(f"{item}.matrix_world.translation[{k}]")
-            story.typed("g", axis, f"{(low + high) / 2 - at:.4f}")
-            half = blender.ask(f"{item}.matrix_world.to_scale()[{k}]")
-            story.typed("s", axis, f"{(high - low) / 2 / half:.4f}")
+            at, half = (
+                f"{item}.matrix_world.translation[{k}]",
+                f"{item}.matrix_world.to_scale()[{k}]",
+            )
+            centre, side = (low + high) / 2, (high - low) / 2
+            story.typed("g", axis, f"{centre - story.ask(at):.4f}")
+            blender.until(f"abs({at} - {centre}) < 1e-3")
+            story.typed("s", axis, f"{side / story.ask(half):.4f}")
+            blender.until(f"abs({half} - {side}) < 1e-3")
         story.keys("F2", "ctrl+a")
         blender.type(VASE)
         story.keys("Return", "KP_Decimal", "KP_Subtract", "KP_Subtract")
@@ -180,8 +187,8 @@ def training(story: Afternoon) -> None:
         blender.until(TRAINED)
 
     def look() -> None:
-        story.button("step=0")
-        blender.pause(3.0)
+        story.button("photo=", 0.62)
+        blender.until("view()['area'].spaces.active.region_3d.view_perspective == 'CAMERA'")
 
     story.step("train", train)
     story.step("stop", stop)
@@ -200,8 +207,7 @@ def artwork(story: Afternoon) -> None:
         before = story.ask(f"{vase}.matrix_world.translation[0]")
         story.button(f'name="{name}"', 0.2)
         story.typed("g", "x", "0.25")
-        moved = story.ask(f"{vase}.matrix_world.translation[0]")
-        expect(abs(moved - before - 0.25) < 1e-3, f"the vase moved by {moved - before}")
+        blender.until(f"abs({vase}.matrix_world.translation[0] - {before} - 0.25) < 1e-3")
 
     def mesh() -> None:
         story.keys("shift+a")
@@ -210,9 +216,11 @@ def artwork(story: Afternoon) -> None:
         story.keys("Return")
         blender.until("'Suzanne' in bpy.data.objects")
         story.typed("s", "0.1")
-        place = story.ask("[float(x) for x in bpy.data.objects['Suzanne'].location]")
-        for axis, at, wanted in zip("xyz", place, (-0.45, 0.05, 0.85), strict=True):
-            story.typed("g", axis, f"{wanted - at:.4f}")
+        blender.until("bpy.data.objects['Suzanne'].scale[0] < 0.2")
+        for k, wanted in enumerate(MONKEY):
+            at = f"bpy.data.objects['Suzanne'].location[{k}]"
+            story.typed("g", "xyz"[k], f"{wanted - story.ask(at):.4f}")
+            blender.until(f"abs({at} - {wanted}) < 1e-3")
 
     def f12() -> None:
         story.keys("F12")
@@ -224,10 +232,14 @@ def artwork(story: Afternoon) -> None:
         blender.screen.do("mousemove", "3", "500")
         story.ask(f"setattr(bpy.context.scene.render, 'filepath', {str(renders / 'pot')!r})")
         story.ask(f"setattr(bpy.context.scene, 'frame_end', {FRAMES})")
-        story.ask("bpy.data.objects['Suzanne'].keyframe_insert('location', frame=1)")
+        monkey = "bpy.data.objects['Suzanne']"
+        story.keys("i")
+        blender.until(f"{monkey}.animation_data is not None")
         story.keys("shift+Right")
+        blender.until(f"bpy.context.scene.frame_current == {FRAMES}")
         story.typed("g", "x", "0.3")
-        story.ask(f"bpy.data.objects['Suzanne'].keyframe_insert('location', frame={FRAMES})")
+        blender.until(f"{monkey}.location[0] > {MONKEY[0] + 0.2}")
+        story.keys("i")
         story.keys("ctrl+F12")
         blender.until(f"__import__('pathlib').Path({str(renders)!r}).is_dir()", 120)
         blender.until("not bpy.app.is_job_running('RENDER')", 1200)

@@ -325,7 +325,7 @@ def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
 
     running = (
         *(photos.SelectCameras, scene.ImportColmap),
-        *(scene.RefineCameras, train.TrainRoi),
+        *(scene.RefineCameras, train.EstimateTime, train.TrainRoi),
     )
     assert set(EngineOperator.__subclasses__()) == set(running)
     for cls in running:
