@@ -59,10 +59,11 @@ def project_name(folder: Path) -> str:
 
 
 def project_folder(folder: Path) -> Path:
-    """The folder of a COLMAP project, of which `sparse` or `sparse/0` may be given."""
-    while folder.parent.name and (folder.name == "sparse" or folder.parent.name == "sparse"):
+    """The folder of a COLMAP project, of which `sparse`, `sparse/0` or `images` may be given."""
+    while folder.parent.name and ("sparse" in (folder.name, folder.parent.name)):
         folder = folder.parent
-    return folder
+    photos = folder.name.startswith("images") and (folder.parent / "sparse").is_dir()
+    return folder.parent if photos else folder
 
 
 def export_folder(colmap: Path) -> Path:

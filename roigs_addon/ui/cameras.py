@@ -28,7 +28,7 @@ EDIT_ICONS: dict[str, IconItems] = {
     "DOWN": "TRIA_DOWN",
     "CLEAR": "X",
 }
-PICTURE_SCALE = 8.0
+PICTURE_SCALE = 6.0
 """Size of the active photo's picture, in buttons."""
 
 

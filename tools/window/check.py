@@ -113,13 +113,13 @@ def first_window(blender: Blender, folder: Path) -> None:
     start = blender.click(at)
     blender.until("all(len(o.roigs.selection) for o in bpy.data.objects if o.roigs.kind == 'ROI')")
     check(f"Select Cameras clicked: selected after {time.time() - start:.1f} s", True)
-    next_photo = blender.find("step=1", x=0.84)
 
     pid = start_training(blender)
     engine = os.readlink(f"/proc/{pid}/exe")
     check(f"Train clicked: the engine runs as process {pid}, {engine}", True)
     answers = []
     for _ in range(8):
+        next_photo = blender.find("step=1", x=0.84)
         answers.append(handled(blender, "camera", next_photo))
         time.sleep(0.7)
     clock, processor = (sorted(column) for column in zip(*answers, strict=True))

@@ -26,11 +26,14 @@ def folder(path: Path) -> str:
     return os.path.join(path, "")
 
 
-def test_import_starts_beside_the_last_project(blender: ModuleType, project: Path) -> None:
+@pytest.mark.parametrize("chosen", [".", "sparse", "sparse/0", "images"])
+def test_import_starts_beside_the_last_project(
+    blender: ModuleType, project: Path, chosen: str
+) -> None:
     from roigs_addon.operators import folders
 
     assert folders.for_import("") == ""
-    imported(blender, project / "sparse" / "0")
+    imported(blender, project / chosen)
     assert folders.for_import("") == folder(project.parent)
 
 
