@@ -15,7 +15,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from .engine.run_settings import STEPS
+from .engine.training_steps import PRESET_STEPS
 
 KINDS = (
     ("NONE", "None", "Not an object of ROI-GS"),
@@ -39,13 +39,13 @@ METHODS = (
     ("random", "Random", "Random photos, for comparison"),
 )
 PRESETS = (
-    ("draft", "Draft", f"{STEPS['draft']:,} steps: minutes on a CPU"),
-    ("standard", "Standard", f"{STEPS['standard']:,} steps"),
+    ("draft", "Draft", f"{sum(PRESET_STEPS['draft']):,} steps: minutes on a CPU"),
+    ("standard", "Standard", f"{sum(PRESET_STEPS['standard']):,} steps"),
     (
         "paper",
         "Paper",
-        f"{STEPS['paper']:,} steps, boxes one by one, photos chosen by the paper's Gaussian"
-        " process",
+        f"{sum(PRESET_STEPS['paper']):,} steps, boxes one by one, photos chosen by the paper's"
+        " Gaussian process",
     ),
 )
 STRATEGIES = (

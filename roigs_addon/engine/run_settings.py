@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..shared import EngineError, files, run_files, text
+from .training_steps import PRESET_STEPS
 
-STEPS = {"draft": 5_000, "standard": 15_000, "paper": 50_000}
-"""Preset -> training steps."""
 NAMED = 2
 """Photos that are named."""
 BOX_SETTINGS = ("method", "count")
@@ -124,7 +123,7 @@ def title(settings: RunSettings) -> str:
 
 def work(settings: RunSettings) -> float | None:
     """The work of a training, in pixels times steps; None if it is not known."""
-    steps = STEPS.get(settings.preset or "")
+    steps = PRESET_STEPS.get(settings.preset or "")
     if steps is None or settings.max_side is None:
         return None
-    return steps * (settings.steps_factor or 1.0) * settings.max_side**2
+    return sum(steps) * (settings.steps_factor or 1.0) * settings.max_side**2

@@ -1,4 +1,4 @@
-"""Another result in the same objects, to compare: places, visibility and view stay."""
+"""Another result in the same objects, to compare: places, visibility, view and edits stay."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..properties import object_props
-from . import compositor, lookup, splats
+from . import compositor, edits, lookup, splats
 
 SEEN = ("view", "render")
 """Words for what a parked object was seen in."""
@@ -28,8 +28,10 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
         AddonError: a file is missing or damaged.
     """
     files = splats.result_files(folder)
+    for item in lookup.splats(scene):
+        edits.put_aside(item)
     for part, file in files.items():
-        splats.show_file(scene, part, file)
+        edits.take_back(splats.show_file(scene, part, file))
     for item in lookup.splats(scene):
         props = object_props(item)
         current = files.get((props.level, props.roi))

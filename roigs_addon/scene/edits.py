@@ -8,7 +8,9 @@ Blender gives no access to attributes, so edits are drawn when it is left.
 
 from __future__ import annotations
 
+import os
 import zlib
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,6 +26,9 @@ from .splat_attributes import SHAPE, cloud_of, hidden, values
 
 MARK = "roigs_imported"
 """Custom property of a mesh: `_state` of the points that were imported."""
+
+ASIDE = "roigs_edits_of"
+"""Custom property of a mesh that no object shows now: the file whose points it holds, edited."""
 
 PREFIX = "roigs-edited-"
 """Of the files with edits."""
@@ -64,6 +69,34 @@ def file_of(item: bpy.types.Object) -> str:
         except AddonError as error:
             problem, _files[uid] = str(error), ""
     return _files.get(uid) or own
+
+
+def put_aside(item: bpy.types.Object) -> None:
+    """Keep an object's points in the .blend, if they were edited, while it shows other ones."""
+    mesh = item.data
+    if isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, _state(mesh)):
+        mesh[ASIDE] = object_props(item).ply
+        mesh.use_fake_user = True
+
+
+def take_back(item: bpy.types.Object) -> None:
+    """Give an object the edited points of its file that were put aside, if there are any."""
+    for mesh in bpy.data.meshes:
+        if mesh.get(ASIDE) == object_props(item).ply:
+            fresh, item.data = item.data, mesh
+            mesh.use_fake_user = False
+            del mesh[ASIDE]
+            if fresh is not None and not fresh.users:
+                bpy.data.batch_remove([fresh])
+            return
+
+
+def follow(moved: Callable[[Path], Path | None]) -> None:
+    """Points that were put aside follow their file; `moved` says where a missing one is now."""
+    for mesh in bpy.data.meshes:
+        file = mesh.get(ASIDE)
+        if file and not os.path.isfile(file) and (now := moved(Path(file))) is not None:
+            mesh[ASIDE] = str(now)
 
 
 def look_again(item: bpy.types.Object) -> None:

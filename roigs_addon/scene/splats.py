@@ -105,6 +105,7 @@ def follow(scene: bpy.types.Scene, folder: Path) -> None:
         now = now or result_files(folder).get((props.level, props.roi))  # the box was renamed
         if now is not None and now.is_file():
             props.ply = str(now)
+    edits.follow(lambda file: where_it_is_now(folder, file))
 
 
 def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:

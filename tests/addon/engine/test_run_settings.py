@@ -8,14 +8,9 @@ from pathlib import Path
 import pytest
 
 from roigs_addon.engine import report, run_settings
-from roigs_addon.engine.run_settings import IN_WORDS, STEPS, RunSettings
-from roigs_engine.run.presets import PRESETS, preset
+from roigs_addon.engine.run_settings import IN_WORDS, RunSettings
 
 OPTIONS = {"scene": "/a/garden", "preset": "draft", "max_side": 640, "seed": 1, "count": 8}
-
-
-def test_the_steps_are_the_presets() -> None:
-    assert {name: preset(name).total_steps for name in PRESETS} == STEPS
 
 
 def test_every_setting_has_words() -> None:

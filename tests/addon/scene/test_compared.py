@@ -40,6 +40,28 @@ def test_a_and_b(blender: ModuleType, two) -> None:
         assert tuple(item.location) == (1, 2, 3)
 
 
+def test_edits_wait_for_their_result(blender: ModuleType, two) -> None:
+    item = two[0].objects["thing Gaussians"]
+    count = len(item.data.vertices)
+    blender.ops.roigs.select_gaussians(name=item.name)
+    blender.ops.object.mode_set(mode="EDIT")
+    blender.ops.mesh.select_all(action="DESELECT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    item.data.vertices[0].select = True
+    blender.ops.object.mode_set(mode="EDIT")
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    assert len(item.data.vertices) == count - 1
+    for _ in range(2):
+        blender.ops.roigs.compare_results()
+        assert len(item.data.vertices) == count
+        blender.ops.roigs.compare_results()
+        assert len(item.data.vertices) == count - 1
+    meshes = len(blender.data.meshes)
+    blender.ops.roigs.compare_results()
+    assert len(blender.data.meshes) == meshes + 1, "nothing is lost, and nothing piles up"
+
+
 def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
     from roigs_addon.facts import run_facts
 
