@@ -34,6 +34,12 @@ def stage_in_words(stage: str) -> str:
     return words.get(stage, stage)
 
 
+def warning_in_words(text: str) -> str:
+    """'whole scene: …' for a warning 'scene: …' of a stage; other warnings stay as they are."""
+    stage, colon, rest = text.partition(": ")
+    return f"{stage_in_words(stage)}{colon}{rest}"
+
+
 def log_file(folder: Path) -> Path:
     """Where the engine's words go."""
     return folder / LOG

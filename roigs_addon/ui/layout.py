@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import blender
-from ..engine.own_files import stage_in_words
+from ..engine.own_files import stage_in_words, warning_in_words
 from ..jobs import current
 from ..jobs.state import JobState
 from ..operators import train
@@ -79,7 +79,7 @@ def job(layout: bpy.types.UILayout, title: str) -> bool:
     if current.busy():
         progress(layout, state)
     for text in state.warnings:
-        wrong(layout, text)
+        wrong(layout, warning_in_words(text))
     if current.busy():
         return True
     if state.error:

@@ -22,7 +22,7 @@ FEWEST_PHOTOS = 8  # with fewer photos, none is judged
 # An outlier is DEVIATIONS standard deviations above the median, estimated from the median deviation
 # (Iglewicz and Hoaglin 1993 use 3.5; photos differ more), and at least TIMES the median.
 DEVIATIONS, TIMES = 6.0, 1.5
-NAMED = 5  # how many of them a warning names
+NAMED = 3  # how many of them a warning names
 HINT = (
     "Check the photos named in warnings, and the model's scale. The last good checkpoint is kept;"
     " the same command resumes from it."

@@ -74,6 +74,16 @@ class Afternoon:
             self.blender.press(key)
             self.blender.pause(0.4)
 
+    def close_render(self) -> None:
+        """Close the window of the render with Escape, and go back to the 3D view."""
+        where = self.blender.screen.place_of("Render").split("+")
+        width, height = map(int, where[0].split("x"))
+        centre = int(where[1]) + width // 2, int(where[2]) + height // 2
+        self.blender.screen.do("mousemove", *map(str, centre))
+        self.blender.pause(0.5)
+        self.blender.press("Escape")
+        self.blender.until("len(manager().windows) == 1")
+
     def typed(self, *words: str) -> None:
         """A transform: a key, an axis, a number and Enter."""
         *keys, number = words
@@ -204,10 +214,11 @@ def artwork(story: Afternoon) -> None:
     renders = story.folder / "renders"
 
     def move() -> None:
-        before = story.ask(f"{vase}.matrix_world.translation[0]")
+        place = f"{vase}.matrix_world.translation[1]"
+        before = story.ask(place)
         story.button(f'name="{name}"', 0.2)
-        story.typed("g", "x", "0.25")
-        blender.until(f"abs({vase}.matrix_world.translation[0] - {before} - 0.25) < 1e-3")
+        story.typed("g", "y", "0.25")
+        blender.until(f"abs({place} - {before} - 0.25) < 1e-3")
 
     def mesh() -> None:
         story.keys("shift+a")
@@ -249,11 +260,9 @@ def artwork(story: Afternoon) -> None:
     story.step("move", move)
     story.step("mesh", mesh)
     story.step("f12", f12, mouse=False)
-    blender.press("Escape")
-    blender.pause(1.0)
+    story.close_render()
     story.step("animation", animation, mouse=False)
-    blender.press("Escape")
-    blender.pause(1.0)
+    story.close_render()
 
 
 def second_training(story: Afternoon, side: int) -> None:
@@ -279,7 +288,7 @@ def next_day(story: Afternoon) -> None:
     def reopen() -> None:
         show_tab(blender)
         expect(story.ask(TRAINED), "the result is gone")
-        place = story.ask(f"bpy.data.objects['{VASE} Gaussians'].location[0]")
+        place = story.ask(f"bpy.data.objects['{VASE} Gaussians'].matrix_world.translation[1]")
         expect(abs(float(str(place))) > 0.2, "the vase was moved back")
         blender.find("roigs.load_results")
 

@@ -166,7 +166,7 @@ class Blender:
     def until(self, code: str, seconds: float = 60.0) -> float:
         """Wait until an expression is true; returns the seconds that it took."""
         start = time.monotonic()
-        while not self.ask(code):
+        while not self.ask(code, max(60.0, seconds)):
             if time.monotonic() - start > seconds:
                 raise WindowError(f"Not so within {seconds} s: {code}")
             time.sleep(0.05)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from roigs_addon.engine import run_status
-from roigs_addon.engine.own_files import stage_in_words
+from roigs_addon.engine.own_files import stage_in_words, warning_in_words
 from roigs_addon.engine.run_status import RunStatus
 from roigs_engine.formats.run_files import MANIFEST
 from tests.addon.scenes import ROOT
@@ -57,3 +57,8 @@ def test_a_running_engine_is_told_from_a_leftover_lock(tmp_path: Path) -> None:
         assert run_status.read(tmp_path).holder == engine.pid
         engine.stdin.close()
     assert run_status.read(tmp_path).holder == 0
+
+
+def test_warnings_name_stages_in_words() -> None:
+    assert warning_in_words("joint: 1 photo: 'a: b'") == "all boxes: 1 photo: 'a: b'"
+    assert warning_in_words("Few photos see 'vase'.") == "Few photos see 'vase'."
