@@ -24,6 +24,7 @@ KERNEL_STAGES = {
     "roigs_project": "project",
     "roigs_bin": "bin",
     "roigs_render": "raster",
+    "roigs_median_depth": "raster",
     "roigs_render_backward": "raster backward",
     "roigs_project_backward": "update",
     "roigs_project_backward_adam": "update",
@@ -139,23 +140,27 @@ class StepBenchmark:
         )
         return {**watch.taken, "rest": (wall, cpu)}
 
-    def _render_times(self, pose: torch.Tensor, options: dict[str, bool]) -> Times:
+    def _render_times(self, pose: torch.Tensor, options: dict[str, Any]) -> Times:
         watch = Stopwatch()
         with kernel_calls(watch.kernel), watch.stage("render"), torch.no_grad():
             self.photos.render(self.model, pose, **options)
         return watch.taken
 
 
-def optional_outputs() -> dict[str, dict[str, bool]]:
-    """Name -> arguments: no optional output of `rasterize`, each alone, pairs, ..., all."""
+def optional_outputs() -> dict[str, dict[str, Any]]:
+    """Name -> arguments: no optional output of `rasterize`, each alone, pairs, ..., all.
+
+    The median depth is alone only.
+    """
     names = [name for name in inspect.signature(rasterize).parameters if name.startswith("with_")]
     sets = [chosen for n in range(len(names) + 1) for chosen in combinations(names, n)]
-    return {
+    found: dict[str, dict[str, Any]] = {
         " + ".join(name.removeprefix("with_") for name in chosen) or "plain": dict.fromkeys(
             chosen, True
         )
         for chosen in sets
     }
+    return {**found, "median depth": {"with_depth": "median"}}
 
 
 def forget_peak_memory() -> None:

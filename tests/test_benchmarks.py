@@ -94,9 +94,11 @@ def test_extras_are_what_rasterize_offers(tiny: StepBenchmark) -> None:
     assert options["plain"] == {}
     assert options["depth"] == {"with_depth": True}
     assert options["depth + max_weight"] == {"with_depth": True, "with_max_weight": True}
+    assert options["median depth"] == {"with_depth": "median"}
     times = tiny.extras_times()
     assert all(set(t) == set(options) for t in times)
-    assert set(times[0]["plain"]) == {"render", "project", "bin", "raster"}
+    for name in ("plain", "median depth"):
+        assert set(times[0][name]) == {"render", "project", "bin", "raster"}
 
 
 def test_peak(tmp_path: Path) -> None:

@@ -88,6 +88,7 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "roigs_project": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Camera, visible
     "roigs_bin": (_COUNT, [_ADDRESS]),
     "roigs_render": (_COUNT, [_ADDRESS] * 2),  # view, Outputs
+    "roigs_median_depth": (None, [_ADDRESS] * 3),  # view, alpha, depth
     "roigs_pair_evaluations": (_COUNT, [_ADDRESS]),
     "roigs_render_backward": (_COUNT, [_ADDRESS] * 3),  # view, image, its gradient
     "roigs_project_backward": (None, [_ADDRESS] * 4),  # view, Gaussians, Gradients, grad2d

@@ -4,7 +4,8 @@
 //
 //     roigs_project, roigs_bin, roigs_render, [roigs_render_backward, roigs_project_backward]
 //
-// with roigs_project_backward_adam in the last place when training.
+// with roigs_project_backward_adam in the last place when training. roigs_median_depth may follow
+// roigs_render.
 //
 // A View keeps what the stages hand on to each other, and its memory from one frame to the next:
 // fresh memory costs a page fault for every 4 KiB, which is more than some stages take. Calls on
@@ -71,7 +72,7 @@ struct Camera {
 struct Outputs {
     float* image;       // (3, H, W)
     float* alpha;       // (H, W)
-    float* depth;       // (H, W)
+    float* depth;       // (H, W), the mean
     float* max_weight;  // (N,), raised where this view has a larger weight
     float* weight_sum;  // (N,), this view's weights are added, each times its pixel's weight:
     const float* pixel_weights;  // (H, W), read; null: 1 everywhere
@@ -97,6 +98,10 @@ ROIGS_API int64_t roigs_bin(roigs::View* view);
 
 // Blends.
 ROIGS_API int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs);
+
+// Writes each pixel's median depth to `depth` (H, W), which holds zeros. `alpha` is what roigs_render
+// wrote.
+ROIGS_API void roigs_median_depth(roigs::View* view, const float* alpha, float* depth);
 
 // How many Gaussian and pixel pairs the last roigs_render of this view has evaluated: the lanes of
 // all block visits. For measurements.

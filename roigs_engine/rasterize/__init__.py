@@ -31,11 +31,13 @@ from torch import Tensor
 from ..errors import EngineError
 from .inputs import (
     BackwardStep,
+    Depth,
     RenderInputs,
     RenderOutput,
     background_colour,
     check_backward_step,
     check_inputs,
+    checked_depth,
     checked_max_slope,
     checked_pixel_weights,
     used_sh_degree,
@@ -62,7 +64,7 @@ def rasterize(
     raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
     max_slope: float | None = None,  # none farther beside the image; None: all
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
-    with_depth: bool = False,  # also return the mean depth
+    with_depth: Depth = False,  # also return the mean depth, or with "median" the median (not cuda)
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
     with_weight_sum: bool = False,  # also return the sum of its weights: no caller today (*)
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1 (*)
@@ -97,7 +99,7 @@ def rasterize(
         raw=raw,
         max_slope=checked_max_slope(max_slope),
         background=background_colour(background, means),
-        with_depth=with_depth,
+        with_depth=checked_depth(with_depth),
         with_max_weight=with_max_weight,
         with_weight_sum=with_weight_sum,
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),

@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .inputs import BackwardStep, RenderInputs, RenderOutput, centre_bounds
+from .inputs import BackwardStep, Depth, RenderInputs, RenderOutput, centre_bounds
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 
@@ -91,7 +91,7 @@ class _Cameras:
     sh_degree: int
     raw: bool
     tile_mask: Tensor | None  # kept alive: the structures point to it
-    with_depth: bool
+    with_depth: Depth
     with_max_weight: bool
     with_weight_sum: bool
     pixel_weights: Tensor | None
@@ -180,7 +180,8 @@ class _Rasterize(torch.autograd.Function):
         size = (cameras.height, cameras.width)
         image = torch.empty(views, 3, *size, dtype=torch.float32)
         alpha = torch.empty(views, *size, dtype=torch.float32)
-        depth = torch.empty_like(alpha) if cameras.with_depth else None
+        mean = torch.empty_like(alpha) if cameras.with_depth is True else None
+        median = torch.zeros_like(alpha) if cameras.with_depth == "median" else None
         visible = torch.zeros(views, count, dtype=torch.bool)
         grad2d = torch.zeros(views, count, dtype=torch.float32)
         max_weight = torch.zeros(count, dtype=torch.float32) if cameras.with_max_weight else None
@@ -195,17 +196,20 @@ class _Rasterize(torch.autograd.Function):
             outputs = bindings.Outputs(
                 pointer(image[c]),
                 pointer(alpha[c]),
-                None if depth is None else pointer(depth[c]),
+                None if mean is None else pointer(mean[c]),
                 pointer(max_weight),
                 pointer(weight_sum),
                 None if pixel_weights is None else pointer(pixel_weights[c]),
             )
             view.call("roigs_render", ctypes.byref(outputs))
+            if median is not None:
+                view.call("roigs_median_depth", pointer(alpha[c]), pointer(median[c]))
             if any(ctx.needs_input_grad):
                 ctx.lease.views.append(view)
             else:
                 view.give_back()
         ctx.save_for_backward(image, *parameters)
+        depth = median if mean is None else mean
         statistics = (alpha, visible, grad2d, depth, max_weight, weight_sum)
         ctx.mark_non_differentiable(*(t for t in statistics if t is not None))
         ctx.set_materialize_grads(False)

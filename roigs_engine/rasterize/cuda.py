@@ -50,10 +50,12 @@ def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`.
 
     Raises:
-        KernelError: tensors of another type, or gsplat cannot be used.
+        KernelError: tensors of another type, median depth, or gsplat cannot be used.
     """
     if any(p.dtype != torch.float32 for p in inputs.parameters):
         raise KernelError("rasterize: the cuda backend takes float32 tensors only.")
+    if inputs.with_depth == "median":
+        raise KernelError("rasterize: the cuda backend has no median depth: gsplat has none.")
     means = inputs.means.detach()
     cameras, count = len(inputs.viewmats), len(means)
     zeros = torch.zeros(cameras, count, device=means.device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
@@ -40,6 +40,10 @@ SH_SIZES = (1, 4, 9, 16)
 """Numbers of SH coefficients per colour for degrees 0 to 3."""
 
 
+Depth = bool | Literal["median"]
+"""Whether to return a depth, and which: True is the mean."""
+
+
 class BackwardStep(Protocol):
     """An optimizer step that the backward pass takes instead of returning gradients.
 
@@ -69,7 +73,9 @@ class RenderOutput:
         visible: (C, N) bool, True if the Gaussian reaches an active tile.
         grad2d: (C, N) float32, zeros until `backward()` has run; then |dL / d(projected centre)|
             with x scaled by width / 2 and y by height / 2: 3DGS's criterion for densification.
-        depth: (C, H, W) mean camera depth sum(w z) / sum(w), 0 where no Gaussian is; or None.
+        depth: (C, H, W) camera depth, 0 where no Gaussian is: the mean sum(w z) / sum(w), or the
+            median, the depth of the Gaussian at which the weights w, added front to back, reach
+            half of their sum; or None.
         max_weight: (N,) largest weight alpha * T of the Gaussian in any pixel; or None.
         weight_sum: (N,) sum of its weights over all cameras' pixels, each times the pixel's
             `pixel_weights` if these are given; or None.
@@ -97,7 +103,7 @@ class RenderInputs:
     raw: bool
     max_slope: float | None
     background: Tensor  # (3,)
-    with_depth: bool
+    with_depth: Depth
     with_max_weight: bool
     with_weight_sum: bool
     pixel_weights: Tensor | None  # (C, H, W)
@@ -203,6 +209,13 @@ def checked_pixel_weights(
             f"rasterize: pixel_weights has shape {tuple(pixel_weights.shape)}, expected {shape}."
         )
     return pixel_weights.detach().to(like)
+
+
+def checked_depth(with_depth: Depth) -> Depth:
+    """Which depth; EngineError if there is no such one."""
+    if isinstance(with_depth, str) and with_depth != "median":
+        raise EngineError(f"rasterize: with_depth is {with_depth!r}, not a bool or 'median'.")
+    return with_depth if with_depth == "median" else bool(with_depth)
 
 
 def checked_max_slope(max_slope: float | None) -> float | None:

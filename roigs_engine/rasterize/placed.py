@@ -58,7 +58,9 @@ class Layer:
     Attributes:
         image: (H, W, 3) sRGB values from 0 to 1, not multiplied by alpha.
         alpha: (H, W) from 0 to 1.
-        depth: (H, W) mean depth along the camera's axis, world units; NOTHING where nothing is.
+        depth: (H, W) along the camera's axis, world units; NOTHING where nothing is. The median: a
+            mean would lie between an object that lets a little through and what is behind it, and
+            would put a mesh between the two in front. On CUDA it is the mean: gsplat has no median.
     """
 
     image: Tensor
@@ -88,7 +90,11 @@ def render_placed(
     drawn["means"] = torch.from_numpy((centres * scale).astype(np.float32))
     drawn["log_scales"] = drawn["log_scales"] + float(np.log(scale))
     output = rasterize_view(
-        Gaussians(**drawn).to(device), camera, np.eye(4), max_slope=MAX_SLOPE, with_depth=True
+        Gaussians(**drawn).to(device),
+        camera,
+        np.eye(4),
+        max_slope=MAX_SLOPE,
+        with_depth="median" if device.type == "cpu" else True,
     )
     assert output.depth is not None
     alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()

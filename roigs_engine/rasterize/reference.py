@@ -234,7 +234,10 @@ def blend(
         with torch.no_grad():
             total = 1 - left
             alpha[place] = total
-            depth[place] = weights @ splats.depth / torch.where(total > 0, total, 1.0)
+            if inputs.with_depth == "median":
+                depth[place] = median_depth(weights, total, splats.depth)
+            else:
+                depth[place] = weights @ splats.depth / torch.where(total > 0, total, 1.0)
             counts = torch.ones_like(left)
             if inputs.pixel_weights is not None:
                 counts = inputs.pixel_weights[camera][place]
@@ -255,6 +258,13 @@ def blending_weights(splats: ProjectedGaussians, pixels: Tensor) -> tuple[Tensor
     behind = torch.cumprod(1 - a, dim=1)
     before = torch.cat([behind.new_ones(len(behind), 1), behind], dim=1)
     return a * before[:, :-1], before[:, -1]
+
+
+def median_depth(weights: Tensor, total: Tensor, depth: Tensor) -> Tensor:
+    """(P,) depth of the splat at which a pixel's weights (P, V) reach half of `total` (P,)."""
+    reached = torch.searchsorted(weights.cumsum(dim=1), total[:, None] / 2)[:, 0]
+    at = torch.cat([depth, depth.new_zeros(1)])[reached]  # no splat reaches half where V is 0
+    return torch.where(total > 0, at, 0.0)
 
 
 def record_grad2d(splats: ProjectedGaussians, grad2d: Tensor, width: int, height: int) -> None:

@@ -114,10 +114,8 @@ def bmesh_delete(edit, chosen: np.ndarray) -> None:
     bmesh.ops.delete(edit, geom=gone, context="VERTS")
 
 
-def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:
-    bpy, (scene, f12) = blender, shot
-    whole = f12()
-    camera = scene.camera.matrix_world
+def black_plane(bpy: ModuleType, camera):
+    """A plane that faces the camera."""
     bpy.ops.mesh.primitive_plane_add(size=1000)
     plane = bpy.context.object
     plane.rotation_euler = camera.to_euler()
@@ -130,6 +128,14 @@ def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:
     emission.inputs["Color"].default_value = 0, 0, 0, 1
     black.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
     plane.data.materials.append(black)
+    return plane
+
+
+def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:
+    bpy, (scene, f12) = blender, shot
+    whole = f12()
+    camera = scene.camera.matrix_world
+    plane = black_plane(bpy, camera)
     plane.location = camera @ bpy_vector(0, 0, -0.01 - scene.camera.data.clip_start)
     assert f12("in front")[..., :3].max() == 0
     plane.location = camera @ bpy_vector(0, 0, -90)
@@ -137,6 +143,28 @@ def test_meshes_cover_by_depth(blender: ModuleType, shot) -> None:
     assert behind[..., 3].min() == 1
     straight, alpha = whole[..., :3], whole[..., 3:]
     assert psnr(behind[..., :3], srgb(linear(straight) * alpha)) > 40
+
+
+def test_a_mesh_behind_an_object_stays_behind_it(blender: ModuleType, run, shot) -> None:
+    """Also where the object lets a little of a far wall through."""
+    bpy, (scene, f12) = blender, shot
+    camera = scene.camera.matrix_world
+    to_model = scene.objects["Background"].matrix_world.inverted() @ camera
+    distances = np.array([2.0, 90.0])
+    balls = {
+        "means": np.array([to_model @ bpy_vector(0, 0, -d) for d in distances]),
+        "quats": np.array([[1.0, 0, 0, 0]] * 2),
+        "log_scales": np.repeat(np.log(2 * distances)[:, None], 3, axis=1),
+        "logit_opacities": np.log([9.0, 999.0]),
+        "sh": np.array([[[1.0, 0, 0]], [[0, 0, 1.0]]]),
+    }
+    write_ply(run[1] / "background.ply", {name: a.astype(np.float32) for name, a in balls.items()})
+    bpy.ops.roigs.load_results()
+    only(scene, "Background")
+    alone = f12("alone")
+    assert alone[..., 3].min() > 0.98 and alone[..., 0].min() > 0.5
+    black_plane(bpy, camera).location = camera @ bpy_vector(0, 0, -5)
+    assert psnr(f12("behind")[..., :3], alone[..., :3]) > 35
 
 
 def linear(values: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from torch import Tensor
 from roigs_engine.errors import EngineError
 from roigs_engine.kernels import library
 from roigs_engine.rasterize import RenderOutput, cpu, rasterize
+from roigs_engine.rasterize.inputs import Depth
 from tests.engine.rasterize_cases import BACKGROUND, NAMES, cameras, gaussians
 
 SIZE = (61, 43)
@@ -139,8 +140,10 @@ def test_same_bits_at_any_number_of_threads() -> None:
             inputs = [p.clone().requires_grad_() for p in parameters]
             output = render(inputs, with_max_weight=True, with_depth=True)
             output.image.square().sum().backward()
+            median = render(parameters, with_depth="median").depth
             assert output.depth is not None and output.max_weight is not None
-            tensors = [output.image, output.depth, output.max_weight, output.grad2d]
+            assert median is not None
+            tensors = [output.image, output.depth, median, output.max_weight, output.grad2d]
             results.append([*tensors, *(p.grad for p in inputs if p.grad is not None)])
     finally:
         library.set_threads(None)
@@ -166,7 +169,8 @@ def test_views_are_used_again() -> None:
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
-def test_nothing_to_draw(backend: str) -> None:
+@pytest.mark.parametrize("with_depth", [True, "median"])
+def test_nothing_to_draw(backend: str, with_depth: Depth) -> None:
     behind = leaves()
     with torch.no_grad():
         behind[0][:, 2] -= 100.0
@@ -174,7 +178,7 @@ def test_nothing_to_draw(backend: str) -> None:
         output = render(
             parameters,
             background=BACKGROUND,
-            with_depth=True,
+            with_depth=with_depth,
             with_max_weight=True,
             backend=backend,
         )
@@ -262,6 +266,8 @@ def test_wrong_options() -> None:
     parameters = gaussians(9, coefficients=4)
     with pytest.raises(EngineError, match="sh_degree 2"):
         render(parameters, sh_degree=2)
+    with pytest.raises(EngineError, match="'nearest', not a bool or 'median'"):
+        render(parameters, with_depth="nearest")
     with pytest.raises(EngineError, match="backend"):
         render(parameters, backend="fast")
     with pytest.raises(EngineError, match="background"):

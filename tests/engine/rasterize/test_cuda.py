@@ -109,6 +109,11 @@ def test_weights_without_triton_say_what_to_install(monkeypatch: pytest.MonkeyPa
         rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, with_max_weight=True, backend="cuda")
 
 
+def test_a_median_depth_is_refused() -> None:
+    with pytest.raises(KernelError, match="no median depth"):
+        rasterize(*gaussians(3), *cameras(*SIZE), *SIZE, with_depth="median", backend="cuda")
+
+
 def test_every_call_fits_the_documented_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     """All arguments are passed by name, and these names are those of `library.CALLS`."""
     passed: dict[str, set[str]] = {}

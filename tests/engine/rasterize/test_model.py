@@ -22,7 +22,7 @@ def on_the_axis(
     opacities: list[float],
     colours: list[list[float]],
     sigma: float = 0.1,
-    **options: Tensor | bool,
+    **options: Tensor | bool | str,
 ) -> RenderOutput:
     """Balls on the optical axis, seen by a camera with the principal point in pixel (8, 8)."""
     n = len(depths)
@@ -76,6 +76,33 @@ def test_blending_is_front_to_back_whatever_the_order_of_the_rows(backend: str) 
     mean_depth = (0.6 * 2.0 + 0.2 * 3.0) / 0.8
     assert math.isclose(float(output.depth[0, 8, 8]), mean_depth, rel_tol=1e-5)
     torch.testing.assert_close(output.max_weight, torch.tensor([0.2, 0.6]), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    ("opacities", "median"),
+    [
+        ([0.9, 0.99, 0.99], 2.0),  # lets 10 % through
+        ([0.3, 0.3, 0.9], 3.0),  # weights 0.3, 0.21, 0.441
+        ([0.3, 0.3, 0.99], 3.0),
+        ([0.3, 0.1, 0.99], 9.0),
+        ([0.2, 0.0, 0.1], 2.0),  # most light comes from behind
+        ([0.02, 0.0, 0.1], 9.0),
+        ([0.0, 0.0, 0.02], 9.0),
+        ([0.0, 0.0, 0.0], 0.0),
+    ],
+)
+def test_median_depth(backend: str, opacities: list[float], median: float) -> None:
+    """That of the Gaussian with which half of what the pixel shows is reached."""
+    output = on_the_axis(
+        backend,
+        depths=[9.0, 2.0, 3.0],
+        opacities=[opacities[2], *opacities[:2]],
+        colours=[[1.0, 1.0, 1.0]] * 3,
+        with_depth="median",
+    )
+    assert output.depth is not None
+    assert float(output.depth[0, 8, 8]) == median
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

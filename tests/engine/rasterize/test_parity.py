@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from roigs_engine.rasterize import rasterize
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
@@ -78,6 +79,24 @@ def test_shapes_from_dots_to_needles(isa: str) -> None:
     limits = gradient_errors(single, double)
     for name, error in errors.items():
         assert error < limits[name] + GRADIENT_TOLERANCE, (name, errors, limits)
+
+
+@pytest.mark.parametrize(("count", "size"), [(150, 0.05), (150, 0.13), (1200, 0.13), (1200, 0.5)])
+@pytest.mark.parametrize("mask", [None, (10, 3, 40, 30)])
+def test_median_depth(
+    isa: str, count: int, size: float, mask: tuple[int, int, int, int] | None
+) -> None:
+    """Next to it, nothing changes."""
+    parameters = gaussians(count, coefficients=1, size=size)
+    scene = (*cameras(61, 43), 61, 43)
+    ours, truth, errors = render_both(parameters, *scene, mask=mask, with_depth="median")
+    assert ours.depth is not None and truth.depth is not None
+    other = (ours.depth - truth.depth).abs() > IMAGE_TOLERANCE
+    assert float(other.double().mean()) < 1e-3  # rounding may pick the Gaussian next to it
+    assert torch.equal(ours.depth > 0, ours.alpha > 0)
+    assert max(errors.values()) < GRADIENT_TOLERANCE, errors
+    plain = rasterize(*parameters, *scene, mask=mask)
+    assert torch.equal(ours.image, plain.image) and torch.equal(ours.alpha, plain.alpha)
 
 
 @pytest.mark.parametrize("region", [(10, 3, 40, 30), (0, 0, 1, 1), (-50, 20, 500, 21)])

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
+from roigs_engine.rasterize.inputs import MAX_SLOPE
 from roigs_engine.rasterize.placed import NOTHING, Layer, PlacedModel, render_placed
-from roigs_engine.rasterize.view import render_view
+from roigs_engine.rasterize.view import rasterize_view, render_view
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
 POSE = np.eye(4)
@@ -50,12 +51,13 @@ TURN = Rotation.from_euler("xyz", [40, 130, -70], degrees=True).as_matrix()
 
 def test_where_it_was_trained_it_is_the_usual_picture() -> None:
     layer = render_placed([placed(cloud())], CAMERA, POSE)
-    usual = render_view(cloud(), CAMERA, POSE, with_depth=True)
+    usual = render_view(cloud(), CAMERA, POSE)
     assert usual.image.std() > 0.05
     torch.testing.assert_close(on_black(layer), usual.image, atol=2e-3, rtol=0)
     covered = layer.alpha > 0
-    assert usual.depth is not None
-    torch.testing.assert_close(layer.depth[covered], usual.depth[covered], atol=1e-3, rtol=0)
+    depth = rasterize_view(cloud(), CAMERA, POSE, max_slope=MAX_SLOPE, with_depth="median").depth
+    assert depth is not None
+    torch.testing.assert_close(layer.depth[covered], depth[0][covered], atol=1e-3, rtol=0)
     assert (layer.depth[~covered] == NOTHING).all()
 
 
@@ -95,16 +97,29 @@ def test_a_mirror_image_is_mirrored() -> None:
     torch.testing.assert_close(on_black(mirrored), on_black(plain).flip(1), atol=2e-3, rtol=0)
 
 
-def test_the_nearer_model_covers_the_other() -> None:
-    wall = {
+def wall(z: float, opacity: float = 0.99999, seed: int = 0) -> PlacedModel:
+    """Covers the picture, at z + 4 before the camera."""
+    gaussian = {
         "means": np.zeros((1, 3)),
         "log_scales": np.log([[50.0, 50.0, 0.01]]),
         "quats": np.array([[1.0, 0, 0, 0]]),
-        "logit_opacities": np.array([12.0]),
+        "logit_opacities": np.log([opacity / (1 - opacity)]),
     }
-    back, front = (
-        placed(cloud(1, seed=s, **wall), affine(np.eye(3), (0, 0, z))) for s, z in ((1, 1), (2, -1))
-    )
+    return placed(cloud(1, seed=seed, **gaussian), affine(np.eye(3), (0, 0, z)))
+
+
+def test_a_mesh_behind_an_object_that_lets_light_through_stays_behind_it() -> None:
+    """The compositor puts a mesh in front where its depth is less than the layer's."""
+    object_, far, mesh = wall(-1.0, opacity=0.9), wall(26.0, seed=1), 5.0
+    layer = render_placed([far, object_], CAMERA, POSE)
+    assert float(layer.alpha.min()) > 0.99
+    assert float(layer.depth.max()) < mesh
+    thin = render_placed([far, wall(-1.0, opacity=0.4)], CAMERA, POSE)
+    assert float(thin.depth.min()) > mesh
+
+
+def test_the_nearer_model_covers_the_other() -> None:
+    back, front = wall(1.0, seed=1), wall(-1.0, seed=2)
     both = render_placed([back, front], CAMERA, POSE)
     alone = render_placed([front], CAMERA, POSE)
     torch.testing.assert_close(both.image, alone.image, atol=1e-2, rtol=0)
