@@ -22,6 +22,6 @@ def test_a_slow_picture_is_coarse_until_the_view_rests() -> None:
 
 def test_a_quick_coarse_picture_shows_that_the_full_one_is_quick() -> None:
     assert full_seconds(0.7, 1, None) == full_seconds(0.7, 1, 3.0) == 0.7
-    assert full_seconds(0.001, 3, 0.7) == 0.009
+    assert full_seconds(0.0625, 2, 0.7) == 0.25
     assert full_seconds(0.3, 3, 0.7) == 0.7
     assert full_seconds(0.3, 3, None) is None
