@@ -8,13 +8,15 @@
 | `view` | from where; where in it the camera's picture is |
 | `shaders` | the GPU programs, from `shaders/` |
 | `targets` | images on the GPU: the splats' own, and the scene's depth |
+| `pace` | how coarsely a view is drawn while it changes |
 | `painter` | keeps the sets and orders on the GPU, and draws them |
 | `handler` | what Blender calls for each viewport |
 | `draw` | the Gaussians in the viewport |
 | `points` | the sparse points in their colours |
 | `marks` | boxes, chosen and excluded cameras as coloured lines |
 
-The first two need numpy alone. Nothing of `gpu` is built before the first image is drawn.
+`sorting`, `packing` and `pace` need no Blender. Nothing of `gpu` is built before the first image is
+drawn.
 """
 
 from __future__ import annotations

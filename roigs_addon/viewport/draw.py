@@ -15,6 +15,9 @@ from .view import View, camera_frame
 POLL = 0.02
 """Seconds between two looks at the threads."""
 
+REST = 0.2
+"""Seconds without a change after which a view that was drawn coarsely is drawn in full."""
+
 _painter: Painter | None = None
 
 
@@ -42,13 +45,17 @@ def _draw_region(context: bpy.types.Context) -> None:
     size = (region.width, region.height)
     frame = camera_frame(context, data.window_matrix, size)
     depth = targets.bound_depth(*size) if surfaces_are_visible(context) else None
-    painter().draw(
+    coarse = painter().draw(
         objects,
         View(data.view_matrix, data.window_matrix, size, frame),
         key=region.as_pointer(),
         depth=depth,
         linear_target=True,
+        rested=not moving.running,
     )
+    if coarse:
+        moving.stop()
+        moving.start()
     if painter().pending(region.as_pointer()):
         timer.start()
 
@@ -65,6 +72,15 @@ def _poll() -> bool:
 timer = Timer(_poll, POLL)
 """Draws the viewports again when the threads are done."""
 
+
+def _rest() -> bool:
+    redraw()
+    return False
+
+
+moving = Timer(_rest, REST)
+"""Runs until a view that was drawn coarsely has not changed for a while; then draws it in full."""
+
 _handler = ViewHandler(_draw_region, "Gaussians cannot be drawn here")
 
 
@@ -78,6 +94,7 @@ def unregister() -> None:
     global _painter
     _handler.stop()
     timer.stop()
+    moving.stop()
     if _painter is not None:
         _painter.close()
         _painter = None

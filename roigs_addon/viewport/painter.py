@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..worker import Worker
-from . import shaders, targets
+from . import pace, shaders, targets
 from .objects import FileKey, SplatObject
 from .packing import PackedSet, pack, pack_order
 from .sorting import Segment, SortingView, back_to_front
-from .view import View, whole
+from .view import Frame, View, whole
 
 Files = tuple[FileKey, ...]
 Float32 = NDArray[np.float32]
@@ -71,6 +71,19 @@ class Order:
         return cls(gaussians, view, count, targets.texture(texels, "R32F"))
 
 
+@dataclass(eq=False)
+class Picture:
+    """What a viewport shows."""
+
+    target: targets.SplatPicture
+    shows: Hashable
+    """Everything that the picture depends on."""
+    pixel: int
+    """Pixels of the view across one of the picture's; 1 in a full picture."""
+    seconds: float | None
+    """What a full picture of this viewport takes; None: unknown."""
+
+
 class Painter:
     """Draws splat objects, all in one order.
 
@@ -86,7 +99,7 @@ class Painter:
         self._clouds: dict[FileKey, SplatCloud] = {}
         self._broken: set[FileKey] = set()
         self._orders: OrderedDict[Hashable, Order] = OrderedDict()
-        self._picture = targets.SplatPicture()
+        self._pictures: dict[Hashable, Picture] = {}
         self._tools: Tools | None = None
 
     def draw(
@@ -95,52 +108,46 @@ class Painter:
         view: View,
         *,
         key: Hashable,
-        depth: gpu.types.GPUTexture | None = None,
+        depth: targets.Depth | None = None,
         linear_target: bool = False,
+        rested: bool = True,
         wait: bool = False,
-    ) -> None:
+    ) -> bool:
         """Draw over the bound framebuffer.
+
+        If a full picture takes long, a view that has changed is drawn coarsely; then this is true,
+        and the view should be drawn again once it rests.
 
         Args:
             objects: all there are, hidden or not.
             view: from where, and how large.
             key: which viewport this is.
-            depth: of what hides splats, 0 to 1 per pixel; None: nothing does.
+            depth: of what hides splats; None: nothing does.
             linear_target: whether the framebuffer converts linear light to sRGB when written.
-            wait: whether to wait for files and sorting.
+            rested: whether a coarse picture of the same shall be replaced by a full one.
+            wait: whether to wait for files and sorting, and draw in full.
         """
         self._update_set(objects, wait)
         order = self._update_order(objects, view.matrix, key, wait)
         if order is None or not order.count:
-            return
+            return False
         tools = self._tools = self._tools or Tools()
         depth = depth or tools.no_depth
-        files = order.gaussians.files
-        matrices = targets.texture(object_texels(files, objects, view), "RGBA32F")
-        with self._picture.cleared(*view.size).bind():
-            gpu.state.depth_test_set("NONE")
-            gpu.state.depth_mask_set(False)
-            gpu.state.blend_set("ALPHA_PREMULT")
-            shader = tools.splat
-            shader.bind()
-            shader.uniform_float("projection", view.projection)
-            shader.uniform_float("frame", view.frame or whole(view.size))
-            shader.uniform_float("view_size", view.size)
-            shader.uniform_int("sh_texels", order.gaussians.sh_texels)
-            shader.uniform_sampler("order", order.texture)
-            shader.uniform_sampler("geometry", order.gaussians.geometry)
-            shader.uniform_sampler("colours", order.gaussians.colours)
-            shader.uniform_sampler("objects", matrices)
-            shader.uniform_sampler("scene_depth", depth)
-            tools.quad.draw_instanced(shader, instance_count=order.count)
+        before = self._pictures.get(key)
+        picture = self._update_picture(order, objects, view, key, depth, rested=rested, wait=wait)
         shader = tools.composite
         shader.bind()
         shader.uniform_int("origin", targets.viewport_origin())
+        shader.uniform_float("view_size", view.size)
         shader.uniform_bool("linear_target", [linear_target])
-        shader.uniform_sampler("picture", self._picture.texture)
-        shader.uniform_sampler("scene_depth", depth)
+        shader.uniform_sampler("picture", picture.target.texture)
+        shader.uniform_sampler("scene_depth", depth.texture)
+        gpu.state.depth_test_set("NONE")
+        gpu.state.depth_mask_set(False)
+        gpu.state.blend_set("ALPHA_PREMULT")
         tools.quad.draw(shader)
         gpu.state.blend_set("NONE")
+        return picture is not before and picture.pixel > 1
 
     def pending(self, key: Hashable) -> bool:
         """Whether that viewport will look better when it is drawn again."""
@@ -156,13 +163,14 @@ class Painter:
         self._set, self._asked = None, ()
         self._clouds, self._broken, self.problems = {}, set(), {}
         self._orders.clear()
+        self._pictures.clear()
 
     def close(self) -> None:
         """Free everything and end the threads."""
         self.forget()
         self._reader.close()
         self._sorter.close()
-        self._picture, self._tools = targets.SplatPicture(), None
+        self._tools = None
 
     def _update_set(self, objects: Sequence[SplatObject], wait: bool) -> None:
         """Have the visible objects' files on the GPU; those of hidden objects may stay."""
@@ -229,18 +237,87 @@ class Painter:
         while len(self._orders) > VIEWS:
             old, _ = self._orders.popitem(last=False)
             self._sorter.forget(old)
+            self._pictures.pop(old, None)
         return self._orders.get(key)
+
+    def _update_picture(
+        self,
+        order: Order,
+        objects: Sequence[SplatObject],
+        view: View,
+        key: Hashable,
+        depth: targets.Depth,
+        *,
+        rested: bool,
+        wait: bool,
+    ) -> Picture:
+        """The picture of a viewport; drawn anew only if it would be another one."""
+        frame = view.frame or whole(view.size)
+        objects_there = object_texels(order.gaussians.files, objects, view)
+        clip = np.array(view.projection).tobytes()
+        shows = (order, objects_there.tobytes(), clip, frame, view.size, depth.mark)
+        held = self._pictures.get(key)
+        same = held is not None and held.shows == shows
+        seconds = held.seconds if held and not wait else None
+        pixel = pace.pixel(seconds, held.pixel if held and same else None, rested)
+        if held and same and held.pixel == pixel:
+            return held
+        size = (-(-view.size[0] // pixel), -(-view.size[1] // pixel))
+        target = held.target if held and held.target.size == size else targets.SplatPicture(*size)
+        start = targets.drawn()
+        with target.cleared().bind():
+            self._blend(order, view, frame, size, depth, targets.texture(objects_there, "RGBA32F"))
+            taken = targets.drawn() - start
+        self._pictures[key] = Picture(
+            target, shows, pixel, pace.full_seconds(taken, pixel, seconds)
+        )
+        return self._pictures[key]
+
+    def _blend(
+        self,
+        order: Order,
+        view: View,
+        frame: Frame,
+        size: tuple[int, int],
+        depth: targets.Depth,
+        objects: gpu.types.GPUTexture,
+    ) -> None:
+        """Blend Gaussians into the bound framebuffer of that size."""
+        assert self._tools is not None
+        gpu.state.depth_test_set("NONE")
+        gpu.state.depth_mask_set(False)
+        gpu.state.blend_set("ALPHA_PREMULT")
+        shader = self._tools.splat(depth is not self._tools.no_depth)
+        shader.bind()
+        shader.uniform_float("projection", view.projection)
+        shader.uniform_float("frame", frame)
+        shader.uniform_float("view_size", view.size)
+        shader.uniform_int("sh_texels", order.gaussians.sh_texels)
+        shader.uniform_sampler("order", order.texture)
+        shader.uniform_sampler("geometry", order.gaussians.geometry)
+        shader.uniform_sampler("colours", order.gaussians.colours)
+        shader.uniform_sampler("objects", objects)
+        if depth is not self._tools.no_depth:
+            shader.uniform_float("pixel", (view.size[0] / size[0], view.size[1] / size[1]))
+            shader.uniform_sampler("scene_depth", depth.texture)
+        self._tools.quad.draw_instanced(shader, instance_count=order.count)
 
 
 class Tools:
     """What every image needs, made with the first one."""
 
     def __init__(self) -> None:
-        self.splat = shaders.splat_shader()
+        self._splat: dict[bool, shaders.Shader] = {}
         self.composite = shaders.composite_shader()
         self.no_depth = targets.no_depth()
         corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
-        self.quad = batch_for_shader(self.splat, "TRI_STRIP", {"corner": corners})
+        self.quad = batch_for_shader(self.splat(False), "TRI_STRIP", {"corner": corners})
+
+    def splat(self, depth: bool) -> shaders.Shader:
+        """Draws Gaussians, with a scene's depth or without."""
+        if depth not in self._splat:
+            self._splat[depth] = shaders.splat_shader(depth)
+        return self._splat[depth]
 
 
 def read_set(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import time
+import zlib
+from collections.abc import Hashable
+from dataclasses import dataclass
 from typing import Any
 
 import gpu
@@ -28,22 +32,28 @@ class SplatPicture:
     with 8 bits.
     """
 
-    def __init__(self) -> None:
-        self.texture: Any = None
-        self._framebuffer: Any = None
+    def __init__(self, width: int, height: int) -> None:
+        self.size = (width, height)
+        self.texture = TYPES.GPUTexture(self.size, format="RGBA16F")
+        self._framebuffer = TYPES.GPUFrameBuffer(color_slots=self.texture)
 
-    def cleared(self, width: int, height: int) -> Any:
-        """The framebuffer in that size, transparent."""
-        if self.texture is None or (self.texture.width, self.texture.height) != (width, height):
-            self.texture = TYPES.GPUTexture((width, height), format="RGBA16F")
-            self._framebuffer = TYPES.GPUFrameBuffer(color_slots=self.texture)
+    def cleared(self) -> Any:
+        """The framebuffer, transparent."""
         with self._framebuffer.bind():
             self._framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
         return self._framebuffer
 
 
-def bound_depth(width: int, height: int) -> gpu.types.GPUTexture:
-    """A copy of the bound framebuffer's depth, 0 (near) to 1.
+@dataclass(frozen=True, eq=False)
+class Depth:
+    """Of what hides splats, 0 (near) to 1 per pixel; depths with the same mark are the same."""
+
+    texture: gpu.types.GPUTexture
+    mark: Hashable
+
+
+def bound_depth(width: int, height: int) -> Depth:
+    """A copy of the bound framebuffer's depth.
 
     Python cannot access the depth texture itself, so the copy goes through main memory.
     """
@@ -51,8 +61,14 @@ def bound_depth(width: int, height: int) -> gpu.types.GPUTexture:
     x, y = viewport_origin()
     data = bound.read_depth(x, y, width, height)
     data.dimensions = width * height
-    made: gpu.types.GPUTexture = TYPES.GPUTexture((width, height), format="R32F", data=data)
-    return made
+    made = TYPES.GPUTexture((width, height), format="R32F", data=data)
+    return Depth(made, zlib.crc32(data))
+
+
+def drawn() -> float:
+    """Wait until the GPU has drawn everything, as reading a pixel does; the time then, seconds."""
+    STATE.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, "FLOAT")
+    return time.perf_counter()
 
 
 def viewport_origin() -> tuple[int, int]:
@@ -61,6 +77,6 @@ def viewport_origin() -> tuple[int, int]:
     return x, y
 
 
-def no_depth() -> gpu.types.GPUTexture:
+def no_depth() -> Depth:
     """Stands for a depth of 1, the farthest, everywhere."""
-    return texture(np.ones((1, 1), np.float32), "R32F")
+    return Depth(texture(np.ones((1, 1), np.float32), "R32F"), None)

@@ -22,8 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from roigs_addon import properties
 from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_addon.scene import clouds
-from roigs_addon.viewport import draw, points, targets
+from roigs_addon.viewport import draw, pace, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects
+from roigs_addon.viewport.painter import Painter
 from roigs_addon.viewport.view import View
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
@@ -144,7 +145,7 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
         offscreen = gpu.types.GPUOffScreen(SIDE, SIDE, format="RGBA32F")
         with offscreen.bind():
             gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
-            held = None if depth is None else targets.texture(depth, "R32F")
+            held = None if depth is None else targets.Depth(targets.texture(depth, "R32F"), name)
             size = (SIDE, SIDE)
             draw.painter().draw(marked([a]), View(view, clip, size), key=0, depth=held, wait=True)
             data = offscreen.texture_color.read()
@@ -156,6 +157,57 @@ def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     assert (pictures["wall"][:, half:] == pictures["free"][:, half:]).all()
     covered, free = pictures["wall"][:, :half, 3], pictures["free"][:, :half, 3]
     assert (covered <= free + 1e-3).all() and 0.3 < covered.sum() / free.sum() < 0.95
+
+
+def check_coarse(a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """A slow view is coarse while it changes, then exactly what it was; the same is not redrawn."""
+    focal = 0.4 * SIDE * DISTANCE
+    camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2}
+    clip = perspective({**camera, "cy": SIDE / 2}, 0.1, 100)
+    painter, blended = Painter(), []
+    blend = painter._blend
+    painter._blend = lambda *given: blended.append(given[3]) or blend(*given)
+
+    def look(
+        x: float, depth: float | None = None, **how: bool
+    ) -> tuple[np.ndarray, bool, list[tuple[int, int]]]:
+        blended.clear()
+        view = View(Matrix.Translation((x, 0, -DISTANCE)) @ TURN, clip, (SIDE, SIDE))
+        offscreen = gpu.types.GPUOffScreen(SIDE, SIDE, format="RGBA32F")
+        held = depth and targets.Depth(
+            targets.texture(np.full((SIDE, SIDE), depth, np.float32), "R32F"), depth
+        )
+        with offscreen.bind():
+            gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
+            coarse = painter.draw(marked([a]), view, key=0, depth=held or None, **how)
+            data = offscreen.texture_color.read()
+        data.dimensions = SIDE * SIDE * 4
+        offscreen.free()
+        return np.array(data).reshape(SIDE, SIDE, 4), coarse, list(blended)
+
+    full, whole = {x: look(x, wait=True)[0] for x in (0.0, 0.3)}, (SIDE, SIDE)
+    look(0.0, wait=True)
+    quick = pace.QUICK
+    try:
+        again = look(0.0)
+        assert not again[2] and (again[0] == full[0.0]).all()
+        pace.QUICK = 100.0
+        for x in (0.3, 0.0):  # on a fast GPU
+            got, coarse, drawn = look(x, rested=False)
+            assert (got == full[x]).all() and not coarse and drawn == [whole]
+        pace.QUICK = 1e-9
+        got, coarse, drawn = look(0.3)
+        assert coarse and drawn == [(SIDE // 3, SIDE // 3)]
+        assert 20 < psnr(got, full[0.3]) < 60, psnr(got, full[0.3])
+        got, coarse, drawn = look(0.3, rested=False)
+        assert not coarse and not drawn and psnr(got, full[0.3]) < 60
+        got, coarse, drawn = look(0.3)
+        assert (got == full[0.3]).all() and not coarse and drawn == [whole]
+        assert look(0.3, depth=0.5)[2] and not look(0.3, depth=0.5, rested=False)[2]
+        assert look(0.3, depth=0.9)[2], "another depth, the same picture"
+    finally:
+        pace.QUICK = quick
+        painter.close()
 
 
 def check_points(_a: bpy.types.Object, _b: bpy.types.Object) -> None:

@@ -7,10 +7,26 @@ vec3 linear_light(vec3 shown)
   return pow(clamp(shown, 0.0, 1.0), vec3(2.2));
 }
 
+// The picture at a pixel of the region; one with fewer pixels is interpolated.
+vec4 picture_at(ivec2 pixel)
+{
+  ivec2 size = textureSize(picture, 0), last = size - 1;
+  if (size == ivec2(view_size)) {
+    return texelFetch(picture, pixel, 0);
+  }
+  vec2 place = (vec2(pixel) + 0.5) * vec2(size) / view_size - 0.5;
+  ivec2 low = ivec2(floor(place));
+  vec2 part = place - vec2(low);
+  ivec2 a = clamp(low, ivec2(0), last), b = clamp(low + 1, ivec2(0), last);
+  vec4 below = mix(texelFetch(picture, a, 0), texelFetch(picture, ivec2(b.x, a.y), 0), part.x);
+  vec4 above = mix(texelFetch(picture, ivec2(a.x, b.y), 0), texelFetch(picture, b, 0), part.x);
+  return mix(below, above, part.y);
+}
+
 void main()
 {
   ivec2 pixel = ivec2(gl_FragCoord.xy) - origin;
-  vec4 value = texelFetch(picture, pixel, 0);
+  vec4 value = picture_at(pixel);
   if (value.a == 0.0) {
     discard;
   }
