@@ -276,9 +276,11 @@ def second_training(story: Afternoon, side: int) -> None:
         story.until_idle()
         earlier = f"{ADDON.format('facts.run_facts')}.earlier(bpy.context.scene)"
         blender.until(f"len({earlier}) == 1", 30)
-        story.keys("ctrl+s")
 
     story.step("second-training", again)
+    story.keys("ctrl+s")
+    blender.until("not bpy.data.is_dirty")
+    blender.quit()
 
 
 def next_day(story: Afternoon) -> None:

@@ -136,6 +136,14 @@ class Blender:
         self.process.kill()
         self.process.wait()
 
+    def quit(self) -> None:
+        """Quit it with Ctrl-Q, as a user does; the file must be saved."""
+        self.press("ctrl+q")
+        try:
+            self.process.wait(60)
+        except subprocess.TimeoutExpired:
+            raise WindowError("Blender did not quit at Ctrl-Q") from None
+
     def ask(self, code: str, seconds: float = 60.0) -> Any:
         """What an expression gives inside Blender; statements give None.
 
