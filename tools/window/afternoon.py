@@ -248,8 +248,8 @@ def artwork(story: Afternoon) -> None:
         blender.until(f"{monkey}.animation_data is not None")
         story.keys("shift+Right")
         blender.until(f"bpy.context.scene.frame_current == {FRAMES}")
-        story.typed("g", "x", "0.3")
-        blender.until(f"{monkey}.location[0] > {MONKEY[0] + 0.2}")
+        story.typed("g", "y", "-0.3")
+        blender.until(f"{monkey}.location[1] < {MONKEY[1] - 0.2}")
         story.keys("i")
         story.keys("ctrl+F12")
         blender.until(f"__import__('pathlib').Path({str(renders)!r}).is_dir()", 120)
@@ -276,6 +276,7 @@ def second_training(story: Afternoon, side: int) -> None:
         story.until_idle()
         earlier = f"{ADDON.format('facts.run_facts')}.earlier(bpy.context.scene)"
         blender.until(f"len({earlier}) == 1", 30)
+        blender.scroll(40)
 
     story.step("second-training", again)
     story.keys("ctrl+s")
@@ -292,7 +293,7 @@ def next_day(story: Afternoon) -> None:
         expect(story.ask(TRAINED), "the result is gone")
         place = story.ask(f"bpy.data.objects['{VASE} Gaussians'].matrix_world.translation[1]")
         expect(abs(float(str(place))) > 0.2, "the vase was moved back")
-        blender.find("roigs.load_results")
+        blender.scroll(40)
 
     story.step("reopen", reopen)
 
