@@ -36,6 +36,11 @@ bpy.context.preferences.view.smooth_view = 0
 bpy.context.preferences.filepaths.use_auto_save_temporary_files = False
 bpy.context.preferences.system.use_online_access = False
 """
+INSTALL = """
+keys = manager().keyconfigs.addon.keymaps.new("Window")
+keys.keymap_items.new("extensions.package_install_files", "F8", "PRESS")
+"""
+"""A key for Preferences > Get Extensions > Install from Disk."""
 OURS = "[o for o in bpy.context.scene.objects if o.roigs.kind == {!r}]"
 ADDON = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.{}']"
 TRAINED = f"{ADDON.format('facts.run_facts')}.run(bpy.context.scene).result"
@@ -128,7 +133,8 @@ def before_training(story: Afternoon, archive: Path, side: int) -> None:
     blender = story.blender
 
     def install() -> None:
-        story.ask("call('extensions.package_install_files', 'INVOKE_DEFAULT')")
+        story.ask(INSTALL)
+        story.keys("Escape", "F8")
         blender.choose(archive)
         blender.until("hasattr(bpy.types.Scene, 'roigs')", 120)
         show_tab(blender)

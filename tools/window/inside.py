@@ -41,11 +41,11 @@ def view() -> dict[str, Any]:
     return {"window": window, "area": area, "region": part(area, "WINDOW")}
 
 
-def call(operator: str, *how: str, **values: object) -> None:
-    """Run an operator over the 3D view, to its end unless `how` says otherwise."""
+def call(operator: str, **values: object) -> None:
+    """Run an operator over the 3D view, to its end."""
     group, name = operator.split(".")
     with bpy.context.temp_override(**view()):
-        getattr(getattr(bpy.ops, group), name)(*how, **values)
+        getattr(getattr(bpy.ops, group), name)(**values)
 
 
 def part(area: bpy.types.Area, kind: str) -> bpy.types.Region:
