@@ -39,7 +39,7 @@ def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     """Make the scene render what this camera's photo shows, with its resolution and pixel aspect.
 
     Its photo is loaded as the camera's background only now: loading a thousand photos at import
-    would fill the memory.
+    would fill the memory. For the same reason the photos behind other cameras are freed.
     """
     photo = lookup.photo_record(item)
     scene.camera = item
@@ -50,6 +50,18 @@ def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     render.resolution_x, render.resolution_y = k.width, k.height
     render.pixel_aspect_x, render.pixel_aspect_y = lens.aspect_x, lens.aspect_y
     show_background(camera_of(item), photo)
+    _free_others(scene, camera_of(item))
+
+
+def _free_others(scene: bpy.types.Scene, shown: bpy.types.Camera) -> None:
+    """Free the pixels of other cameras' photos; Blender reads a photo again when it draws it."""
+    kept = {background.image for background in shown.background_images}
+    for camera in lookup.of_kind(scene, "CAMERA"):
+        for background in camera_of(camera).background_images:
+            image = background.image
+            if image is not None and image not in kept and not image.is_dirty:
+                image.buffers_free()
+                image.gl_free()
 
 
 def show_background(data: bpy.types.Camera, photo: Photo) -> None:

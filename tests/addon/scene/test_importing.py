@@ -97,6 +97,26 @@ def test_looking_through_a_photo(blender: ModuleType, addon: ModuleType, project
         bpy.ops.roigs.look_through(photo="photo 9.png")
 
 
+def test_only_the_photo_that_is_looked_through_is_in_memory(
+    blender: ModuleType, addon: ModuleType, project: Path
+) -> None:
+    bpy, scene = blender, imported(blender, project)
+
+    def image(photo: str):
+        bpy.ops.roigs.look_through(photo=photo)
+        (background,) = scene.camera.data.background_images
+        assert len(background.image.pixels) and background.image.has_data
+        return background.image
+
+    first = image("photo 3.png")
+    second = image("photo 4.png")
+    assert second.has_data and not first.has_data
+    assert image("photo 3.png") == first and not second.has_data
+    first.pixels[0] = 0.5  # painted on
+    image("photo 4.png")
+    assert first.is_dirty and first.has_data
+
+
 def test_the_photo_at_hand(blender: ModuleType, addon: ModuleType, project: Path) -> None:
     """The button between the arrows looks through the photo that it names."""
     from roigs_addon.scene import lookup
