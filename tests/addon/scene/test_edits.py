@@ -171,6 +171,15 @@ def test_new_results_end_edit_mode(blender: ModuleType, background) -> None:
     assert_rows(drawn(background), slice(None))
 
 
+def test_selecting_something_else_ends_edit_mode(blender: ModuleType, background) -> None:
+    """Otherwise the edits would not be drawn, and the next Tab would edit the box."""
+    choose(blender, background, range(10))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.roigs.select_roi(name="thing")
+    assert background.mode == "OBJECT"
+    assert_rows(drawn(background), slice(10, None))
+
+
 def test_new_results_leave_edited_copies_alone(blender: ModuleType, background) -> None:
     """Such a copy, or a part that was separated, is not what was trained."""
     blender.ops.object.duplicate()
