@@ -6,7 +6,7 @@ be of any kind. The functions here say where that is not so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 
 import bpy
@@ -97,6 +97,20 @@ def delete(item: bpy.types.Object) -> None:
     bpy.data.objects.remove(item)
     if data is not None and not data.users:
         bpy.data.batch_remove([data])
+
+
+def leave_edit_mode(items: Iterable[bpy.types.Object]) -> None:
+    """Put objects whose data is about to be replaced into object mode, in all windows.
+
+    In another mode Blender holds a copy of the data, and would write it into the new one.
+    """
+    if all(item.mode == "OBJECT" for item in items):
+        return
+    places: list[bpy.types.Window | None] = [*windows()]
+    for window in places or [None]:
+        with bpy.context.temp_override(window=window):
+            if bpy.context.mode != "OBJECT":
+                bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def persistent(handler: Handler) -> Handler:

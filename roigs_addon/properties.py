@@ -79,6 +79,12 @@ class RoigsExcludedPhoto(bpy.types.PropertyGroup):
     """A photo that is not used; `name` is the photo's."""
 
 
+class RoigsEditedMesh(bpy.types.PropertyGroup):
+    """Edited points of a result that is not shown."""
+
+    mesh: PointerProperty(type=bpy.types.Mesh)
+
+
 class RoigsObject(bpy.types.PropertyGroup):
     """What an object is to the add-on. Only the fields of its kind are used."""
 
@@ -93,6 +99,9 @@ class RoigsObject(bpy.types.PropertyGroup):
     roi: StringProperty(description="Gaussians: name of their box")
     parked: StringProperty(
         description="Gaussians: not in the result that is shown; how they were seen before"
+    )
+    aside: CollectionProperty(
+        type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
     )
 
 
@@ -188,7 +197,7 @@ def object_props(item: bpy.types.Object) -> RoigsObject:
 # Blender's stubs know neither what add-ons add to its types nor what this returns.
 OWNERS: Any = bpy.types
 DEFINE: Any = PointerProperty
-CLASSES = (RoigsPhotoItem, RoigsExcludedPhoto, RoigsObject, RoigsScene)
+CLASSES = (RoigsPhotoItem, RoigsExcludedPhoto, RoigsEditedMesh, RoigsObject, RoigsScene)
 
 
 def register() -> None:

@@ -23,8 +23,8 @@ from .engine.frame_engine import FrameEngine
 from .engine.python import FOR_TRAINING
 from .errors import AddonError
 from .jobs import options_files
-from .scene import compositor
-from .scene.frame_request import frame_request, picture
+from .scene import compositor, edits
+from .scene.frame_request import frame_request, picture, shown
 from .shared import EngineError, frame_requests
 
 NAME = "roigs-splats"
@@ -79,7 +79,7 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
         if _engine is None or not _engine.alive():
             _end_engine()
             _engine = _started()
-        return _engine.draw(request)
+        return _engine.draw(request) or edits.problem(shown(scene))
     finally:
         compositor.reload(scene)
 

@@ -12,7 +12,8 @@ Bounds = tuple[Vectors, Vectors]
 """Lower and upper corner."""
 
 FEWEST = 10
-CELLS = 24  # along the longest side, in which points are counted
+CELLS = 24  # along the longest side, in which points are counted; fewer for few points
+PER_CELL = 2.25  # points per cell, if they all lay on one face of the cube of cells
 SPARSE = 0.1  # of the usual number of points around a point: with fewer it is an outlier
 MARGIN = 0.02  # of the size, added at each side
 AROUND = 2.0  # the floor is looked for this far around the box, in half sides
@@ -35,7 +36,8 @@ def tight(points: Vectors) -> Bounds | None:
 def _is_dense(points: Vectors) -> NDArray[np.bool_]:
     """Whether the cell of each point and those around it have many points."""
     low = points.min(axis=0)
-    side = max(float(np.ptp(points, axis=0).max()) / CELLS, 1e-12)
+    count = min(CELLS, max(2, int(np.sqrt(len(points) / PER_CELL))))
+    side = max(float(np.ptp(points, axis=0).max()) / count, 1e-12)
     cells = ((points - low) / side).astype(int) + 1
     counts = np.zeros(cells.max(axis=0) + 2, int)
     np.add.at(counts, tuple(cells.T), 1)

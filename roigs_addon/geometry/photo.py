@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,7 @@ class Photo:
         return json.dumps(record, ensure_ascii=False)
 
     @classmethod
+    @lru_cache(maxsize=1 << 14)  # panels and views ask for all photos, again and again
     def from_json(cls, text: str) -> Photo | None:
         """The photo of a record, or None if the record is not valid."""
         try:

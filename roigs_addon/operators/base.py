@@ -40,7 +40,12 @@ def available(cls: type[bpy.types.Operator], reason: str) -> bool:
 
 
 def select_only(context: bpy.types.Context, item: bpy.types.Object) -> None:
-    """Select an object and nothing else, unless its collection is excluded from the view layer."""
+    """Select an object and nothing else, unless its collection is excluded from the view layer.
+
+    Edit mode ends before: Blender would keep it for an object that is no longer the active one.
+    """
+    if context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
     for other in context.selected_objects:
         other.select_set(False)
     with suppress(RuntimeError):

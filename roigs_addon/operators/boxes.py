@@ -43,8 +43,6 @@ class AddRoi(bpy.types.Operator):
         if place is None:
             half = rois.default_size(scene)
             place = scene.cursor.location.copy(), mathutils.Vector((half, half, half))
-        if context.mode != "OBJECT":
-            bpy.ops.object.mode_set(mode="OBJECT")
         _select(context, rois.new_roi(scene, *place))
         return {"FINISHED"}
 

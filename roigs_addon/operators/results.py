@@ -132,8 +132,6 @@ class SelectGaussians(bpy.types.Operator):
         item = next(found, None)
         if item is None:
             return failed(self, f"There are no Gaussians '{self.name}'.")
-        if context.mode != "OBJECT":
-            bpy.ops.object.mode_set(mode="OBJECT")
         select_only(context, item)
         return {"FINISHED"}
 

@@ -30,7 +30,7 @@ class Shape:
     Attributes:
         half: half its sides in the world.
         location, scale: the object's own.
-        basis: rotation and scale, as `matrix_basis` has them.
+        basis: rotation and scale below the parent, after constraints.
     """
 
     half: Vectors
@@ -42,11 +42,14 @@ class Shape:
     def of(cls, roi: bpy.types.Object) -> Shape:
         """The box as it is."""
         sides = np.linalg.norm(lookup.matrix_world(roi)[:3, :3], axis=0)
+        basis = roi.matrix_basis
+        if roi.constraints:
+            basis = roi.matrix_parent_inverse.inverted_safe() @ roi.matrix_local
         return cls(
             half=np.asarray(sides * roi.empty_display_size),
             location=roi.location.copy(),
             scale=roi.scale.copy(),
-            basis=roi.matrix_basis.to_3x3(),
+            basis=basis.to_3x3(),
         )
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 
+from ..blender import leave_edit_mode
 from ..properties import object_props
 from . import compositor, edits, lookup, splats
 
@@ -22,23 +23,24 @@ def shown_result(scene: bpy.types.Scene) -> Path | None:
 def switch(scene: bpy.types.Scene, folder: Path) -> None:
     """Show the result of a run folder, or an archived one.
 
-    What it does not have is parked: hidden until a result is shown that has it.
+    What it does not have, such as edited copies, is parked: hidden until a result is shown that
+    has it.
 
     Raises:
         AddonError: a file is missing or damaged.
     """
+    leave_edit_mode(lookup.splats(scene))
     files = splats.result_files(folder)
     for item in lookup.splats(scene):
         edits.put_aside(item)
     for part, file in files.items():
-        edits.take_back(splats.show_file(scene, part, file))
+        for item in splats.show_file(scene, part, file):
+            edits.take_back(item)
     for item in lookup.splats(scene):
         props = object_props(item)
-        current = files.get((props.level, props.roi))
-        if current is not None:
-            props.ply = str(current)
+        if props.ply == str(files.get((props.level, props.roi), "")):
             _unpark(scene, item)
-        elif props.level in ("ROI", "SCENE"):
+        elif props.level != "PREVIEW":
             _park(scene, item)
     compositor.link(scene)
 

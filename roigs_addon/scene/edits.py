@@ -8,15 +8,14 @@ Blender gives no access to attributes, so edits are drawn when it is left.
 
 from __future__ import annotations
 
-import os
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 import bpy
 
-from ..blender import persistent
+from ..blender import mesh_of, persistent
 from ..errors import AddonError
 from ..geometry.splat_cloud import write_splats
 from ..properties import object_props
@@ -27,14 +26,14 @@ from .splat_attributes import SHAPE, cloud_of, hidden, values
 MARK = "roigs_imported"
 """Custom property of a mesh: `_state` of the points that were imported."""
 
-ASIDE = "roigs_edits_of"
-"""Custom property of a mesh that no object shows now: the file whose points it holds, edited."""
-
 PREFIX = "roigs-edited-"
 """Of the files with edits."""
 
-_files: dict[int, str] = {}
-"""Mesh, by its number in this session -> its file with edits; empty: it has none."""
+_files: dict[int, str | None] = {}
+"""Mesh, by its number in this session -> its file with edits.
+
+Empty: no Gaussians are left. None: it has no edits, or they cannot be written.
+"""
 
 _written: dict[int, str] = {}
 """Mesh -> `_state` of the points in its file with edits."""
@@ -42,8 +41,8 @@ _written: dict[int, str] = {}
 _changed: set[int] = set()
 """Meshes that may have been edited since their file was written."""
 
-problem = ""
-"""Why edits are not drawn, in one line; empty if they are."""
+_problems: dict[int, str] = {}
+"""Mesh -> why its edits are not drawn, in one line."""
 
 
 def mark_imported(mesh: bpy.types.Mesh) -> None:
@@ -53,50 +52,74 @@ def mark_imported(mesh: bpy.types.Mesh) -> None:
 
 def file_of(item: bpy.types.Object) -> str:
     """The PLY of what an object shows: its own, or one with its edits; empty if nothing is left."""
-    global problem
     own: str = object_props(item).ply
     mesh = item.data
     if not own or not isinstance(mesh, bpy.types.Mesh) or mesh.get(MARK) is None:
         return own
-    if not mesh.vertices:
-        return ""
     uid = mesh.session_uid
     if (uid not in _files or uid in _changed) and not mesh.is_editmode:
-        problem = ""
-        _changed.discard(uid)
-        try:
-            _files[uid] = _file(mesh)
-        except AddonError as error:
-            problem, _files[uid] = str(error), ""
-    return _files.get(uid) or own
+        _look(mesh, uid)
+    edited = _files.get(uid)
+    return own if edited is None else edited
+
+
+def problem(items: Iterable[bpy.types.Object]) -> str:
+    """Why edits of these objects are not drawn, in one line; empty if they are."""
+    data = (item.data for item in items)
+    return next((_problems[d.session_uid] for d in data if d and d.session_uid in _problems), "")
+
+
+def _look(mesh: bpy.types.Mesh, uid: int) -> None:
+    """Bring the file with a mesh's edits up to date."""
+    _changed.discard(uid)
+    _problems.pop(uid, None)
+    try:
+        _files[uid] = _file(mesh, uid)
+    except AddonError as error:
+        _problems[uid], _files[uid] = str(error), None
+
+
+def is_edited(item: bpy.types.Object) -> bool:
+    """Whether an object's points are no longer those that were imported."""
+    mesh = item.data
+    return isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, _state(mesh))
 
 
 def put_aside(item: bpy.types.Object) -> None:
-    """Keep an object's points in the .blend, if they were edited, while it shows other ones."""
-    mesh = item.data
-    if isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, _state(mesh)):
-        mesh[ASIDE] = object_props(item).ply
-        mesh.use_fake_user = True
+    """Keep an object's points, if they were edited, while it shows those of another result."""
+    if is_edited(item):
+        object_props(item).aside.add().mesh = mesh_of(item)
 
 
 def take_back(item: bpy.types.Object) -> None:
-    """Give an object the edited points of its file that were put aside, if there are any."""
-    for mesh in bpy.data.meshes:
-        if mesh.get(ASIDE) == object_props(item).ply:
-            fresh, item.data = item.data, mesh
-            mesh.use_fake_user = False
-            del mesh[ASIDE]
-            if fresh is not None and not fresh.users:
-                bpy.data.batch_remove([fresh])
-            return
+    """Give an object its edits of the result that it shows now, if any were put aside."""
+    fresh, edited = item.data, _take_aside(item)
+    if edited is not None:
+        item.data = edited
+        if fresh is not None and not fresh.users:
+            bpy.data.batch_remove([fresh])
 
 
-def follow(moved: Callable[[Path], Path | None]) -> None:
-    """Points that were put aside follow their file; `moved` says where a missing one is now."""
-    for mesh in bpy.data.meshes:
-        file = mesh.get(ASIDE)
-        if file and not os.path.isfile(file) and (now := moved(Path(file))) is not None:
-            mesh[ASIDE] = str(now)
+def drop_aside(item: bpy.types.Object) -> None:
+    """Forget the edits of the result that an object shows now."""
+    edited = _take_aside(item)
+    if edited is not None and not edited.users:
+        bpy.data.batch_remove([edited])
+
+
+def _take_aside(item: bpy.types.Object) -> bpy.types.Mesh | None:
+    """Remove what was put aside of the result that an object shows now, and return it.
+
+    Edits belong to the points that they were made of, wherever their file is by now.
+    """
+    aside, mark = object_props(item).aside, item.data.get(MARK) if item.data else None
+    found = None
+    for at in reversed(range(len(aside))):
+        mesh = aside[at].mesh
+        if mesh is None or mesh.get(MARK) == mark:
+            found = mesh or found
+            aside.remove(at)
+    return found
 
 
 def look_again(item: bpy.types.Object) -> None:
@@ -105,20 +128,20 @@ def look_again(item: bpy.types.Object) -> None:
         _changed.add(item.data.session_uid)
 
 
-def _file(mesh: bpy.types.Mesh) -> str:
-    """The file with a mesh's edits, written if it is not there; empty if it has none.
+def _file(mesh: bpy.types.Mesh, uid: int) -> str | None:
+    """The file with a mesh's edits, written if it is not there, as `_files` has it.
 
     Raises:
         AddonError: it cannot be written, or the points are no Gaussians any more.
     """
-    uid, state = mesh.session_uid, _state(mesh)
+    state = _state(mesh)
     # The same name for all edits of a mesh: while it is read again, its last state is drawn.
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
     if state == mesh[MARK]:
         _written.pop(uid, None)
         with suppress(OSError):
             path.unlink(missing_ok=True)
-        return ""
+        return None
     if state == _written.get(uid) and path.is_file():
         return str(path)
     cloud = cloud_of(mesh)
@@ -126,6 +149,8 @@ def _file(mesh: bpy.types.Mesh) -> str:
         raise AddonError(
             f"'{mesh.name}' is drawn as it was imported: its points lack attributes of Gaussians."
         )
+    if not len(cloud):
+        return ""
     try:
         write_splats(path, cloud)
     except (EngineError, OSError) as error:
@@ -161,9 +186,15 @@ def _after_undo(*_: object) -> None:
 
 @persistent
 def _after_load(*_: object) -> None:
-    _files.clear()
-    _written.clear()
-    _changed.clear()
+    _forget()
+    for item in bpy.data.objects:
+        if item.mode != "OBJECT":  # saved so; it gets into that mode only after this
+            file_of(item)
+
+
+def _forget() -> None:
+    for known in (_files, _written, _changed, _problems):
+        known.clear()
 
 
 HANDLERS = (
@@ -184,4 +215,4 @@ def unregister() -> None:
     """Follow none."""
     for event, handler in HANDLERS:
         getattr(bpy.app.handlers, event).remove(handler)
-    _after_load()
+    _forget()

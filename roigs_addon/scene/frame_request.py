@@ -41,7 +41,8 @@ def frame_request(
     if not models or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)
-    if camera_of(camera).type != "PERSP":
+    # Blender lets any object be the camera.
+    if camera.type != "CAMERA" or camera_of(camera).type != "PERSP":
         raise AddonError("The render lacks the Gaussians: the camera is not a perspective camera.")
     matrix = lookup.matrix_world(camera)
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:

@@ -70,13 +70,22 @@ def is_photo_camera(item: bpy.types.Object) -> bool:
 
 
 def named_cameras(scene: bpy.types.Scene, photos: set[str]) -> list[bpy.types.Object]:
-    """The camera objects of some photos, found fast: by name.
+    """The camera objects of some photos, found fast if they are still named after their photos.
 
-    Objects are named after their photos; only long names and duplicates differ.
+    Others have long names, are in a copied scene, or were renamed.
     """
     objects = scene.objects
-    found = [objects[name] for name in photos if name in objects]
-    return [item for item in found if is_photo_camera(item)]
+    found = [objects[n] for n in photos if n in objects and _shows(objects[n], n)]
+    if len(found) == len(photos):
+        return found
+    every = cameras(scene)
+    return [every[name] for name in photos if name in every]
+
+
+def _shows(item: bpy.types.Object, name: str) -> bool:
+    """Whether an object is the camera of the photo of that name."""
+    photo = photo_record(item) if is_photo_camera(item) else None
+    return photo is not None and photo.name == name
 
 
 def points(scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -42,9 +42,11 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> SplatCloud | None:
-    """The Gaussians of a mesh, without points that are hidden in edit mode.
+    """The Gaussians of a mesh, without points that are hidden in edit mode or have no size.
 
-    None if an attribute is missing, as after joining with another mesh or applying a modifier.
+    Those without a size were added to the mesh, as by joining with another one.
+
+    None if an attribute is missing, as after joining into another mesh or applying a modifier.
     """
     shape = [values(mesh, name) for name in SHAPE]
     scales, quats, radiance = shape
@@ -54,9 +56,10 @@ def cloud_of(mesh: bpy.types.Mesh) -> SplatCloud | None:
     while len(sh) < 16 and (band := values(mesh, _sh_name(len(sh)))) is not None:
         sh.append(band)
     degree = int(np.sqrt(len(sh)))  # whole bands only
-    there = ~hidden(mesh)
+    means = clouds.positions_of(mesh)
+    there = ~hidden(mesh) & scales.any(axis=1) & np.isfinite(means).all(axis=1)
     return SplatCloud(
-        means=clouds.positions_of(mesh)[there],
+        means=means[there],
         quats=quats[there],
         scales=scales[there],
         opacities=radiance[there, 3],

@@ -12,11 +12,12 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 
-from ..blender import delete, mesh_of
+from ..blender import delete, leave_edit_mode, mesh_of
 from ..engine.earlier_results import where_it_is_now
 from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
@@ -42,16 +43,17 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     Raises:
         AddonError: a file is missing or damaged.
     """
+    leave_edit_mode(lookup.splats(scene))
     remove_preview(scene)
     _hide_sparse(scene)
     files = result_files(folder)
-    shown = [show_file(scene, *key) for key in files.items()]
+    shown = [item for key in files.items() for item in show_file(scene, *key)]
     for item in lookup.splats(scene):
         props = object_props(item)
         file = files.get((props.level, props.roi))
         props.parked = ""
         if file is not None:
-            props.ply = str(file)
+            edits.drop_aside(item)
         elif props.level in ("ROI", "SCENE"):
             delete(item)
     compositor.link(scene)
@@ -81,7 +83,7 @@ def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
     """Show the model that is being trained; earlier results are hidden meanwhile."""
-    item = _of(scene, "PREVIEW", "")
+    item = next(iter(_of(scene, "PREVIEW", "")), None)
     if item is None:
         item = _new_object(
             scene, "ROI-GS Preview", clouds.new_points("Preview", np.zeros((0, 3), np.float32))
@@ -105,7 +107,6 @@ def follow(scene: bpy.types.Scene, folder: Path) -> None:
         now = now or result_files(folder).get((props.level, props.roi))  # the box was renamed
         if now is not None and now.is_file():
             props.ply = str(now)
-    edits.follow(lambda file: where_it_is_now(folder, file))
 
 
 def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
@@ -163,12 +164,15 @@ def hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
             item.hide_set(hidden, view_layer=layer)
 
 
-def _of(scene: bpy.types.Scene, level: str, roi: str) -> bpy.types.Object | None:
-    for item in lookup.splats(scene):
-        props = object_props(item)
-        if props.level == level and props.roi == roi:
-            return item
-    return None
+def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
+    """The object of a part, and copies of it.
+
+    Copies that were edited are objects of their own, as parts that were separated are.
+    """
+    kinds = ((item, object_props(item)) for item in lookup.splats(scene))
+    found = [item for item, props in kinds if props.level == level and props.roi == roi]
+    first = found[0].data if found else None
+    return [item for item in found if item.data == first or not edits.is_edited(item)]
 
 
 def _name(level: str, roi: str) -> str:
@@ -176,31 +180,41 @@ def _name(level: str, roi: str) -> str:
     return {"SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}.get(level, "Background")
 
 
-def show_file(scene: bpy.types.Scene, part: Part, path: Path) -> bpy.types.Object:
-    """Show a file as this part of the result; an object that there is already keeps its place.
+def show_file(scene: bpy.types.Scene, part: Part, path: Path) -> list[bpy.types.Object]:
+    """Show a file as this part of the result, in the objects that there are already, or in one.
 
     Raises:
         AddonError: the file is missing or damaged.
     """
     (level, roi), name = part, _name(*part)
     fresh = native_splats.import_splats(path) or _points(name, path)
-    old = _of(scene, level, roi)
-    if old is not None and old.type != fresh.type:  # made by a Blender with other kinds of splats
-        bpy.data.objects.remove(old)
-        old = None
-    if old is None:
-        item = _new_object(scene, name, fresh)
-        hide(scene, item, level == "SCENE")
-        item.hide_render = level == "SCENE"
-    else:  # keeps its name, place and whatever the user did with it
-        item, before = old, old.data
-        item.data = fresh.data
-        bpy.data.objects.remove(fresh)
-        if before is not None and not before.users:
-            bpy.data.batch_remove([before])
-    props = object_props(item)
-    props.level, props.roi, props.ply = level, roi, str(path)
-    return item
+    shown = _of(scene, level, roi)
+    for other in [item for item in shown if item.type != fresh.type]:
+        shown.remove(other)  # made by a Blender with other kinds of splats
+        bpy.data.objects.remove(other)
+    if shown:  # they keep their names, places and whatever the user did with them
+        _give_data(shown, fresh)
+    else:
+        shown = [_new_object(scene, name, fresh)]
+        hide(scene, fresh, level == "SCENE")
+        fresh.hide_render = level == "SCENE"
+    for item in shown:
+        props = object_props(item)
+        props.level, props.roi, props.ply = level, roi, str(path)
+    return shown
+
+
+def _give_data(items: list[bpy.types.Object], source: bpy.types.Object) -> None:
+    """Give objects the data of `source`, which is removed; those that share data share the new."""
+    given: dict[Any, Any] = {}
+    fresh: Any = source.data
+    for item in items:
+        if item.data not in given:
+            given[item.data] = fresh.copy() if given else fresh
+    for item in items:
+        item.data = given[item.data]
+    bpy.data.objects.remove(source)
+    bpy.data.batch_remove([old for old in given if old is not None and not old.users])
 
 
 def _points(name: str, path: Path) -> bpy.types.Object:

@@ -33,10 +33,12 @@ def register() -> None:
 
 def problems() -> dict[str, str]:
     """Path -> why it cannot be drawn; path "" for what concerns all of them."""
+    import bpy
+
     from ..scene import edits
     from . import draw, marks, points
 
-    own = points.problem() or marks.problem() or edits.problem
+    own = points.problem() or marks.problem() or edits.problem(bpy.data.objects)
     return {**({"": own} if own else {}), **draw.problems()}
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import bpy
 from mathutils import Matrix
 
-from ..blender import scene_of, view_3d_of
+from ..blender import region_view_of, scene_of, view_3d_of
 
 Frame = tuple[float, float, float, float]
 """Left, bottom, right and top in pixels of the region, from its lower left corner."""
@@ -49,7 +49,8 @@ def camera_frame(context: bpy.types.Context, projection: Matrix, size: tuple[int
         size: of the region, width and height in pixels.
     """
     space, scene = view_3d_of(context), scene_of(context)
-    if space is None or space.region_3d is None or space.region_3d.view_perspective != "CAMERA":
+    # Of the region: in a quad view, only one of four may look through the camera.
+    if space is None or region_view_of(context).view_perspective != "CAMERA":
         return whole(size)
     item = space.camera if space.use_local_camera else scene.camera
     if item is None or not isinstance(item.data, bpy.types.Camera) or item.data.type != "PERSP":

@@ -24,6 +24,21 @@ def test_all_points_of_a_thing_are_in() -> None:
     assert ((thing >= low) & (thing <= high)).all(axis=1).mean() > 0.98
 
 
+@pytest.mark.parametrize("count", [20, 50, 200, 1000, 5000])
+def test_fitting_again_takes_no_more_away(count: int) -> None:
+    """Few points are far from each other, and are no outliers for that."""
+    random = np.random.default_rng(count)
+    thing = random.normal(size=(count, 3))
+    thing /= np.linalg.norm(thing, axis=1)[:, None]
+    low, high = tight(thing)
+    assert ((thing >= low) & (thing <= high)).all(axis=1).mean() > 0.98
+    for _ in range(3):
+        inside = thing[((thing >= low) & (thing <= high)).all(axis=1)]
+        again = tight(inside)
+        np.testing.assert_allclose(again, (low, high), atol=0.02)
+        low, high = again
+
+
 def test_flat_things_get_some_depth() -> None:
     sheet = RANDOM.uniform(-1, 1, (500, 3)) * (1, 1, 0)
     low, high = tight(sheet)

@@ -69,6 +69,20 @@ def test_fit(blender: ModuleType, table) -> None:
     lookup.box(table, blender.context.scene)  # still a box
 
 
+def test_a_box_that_a_constraint_turns(blender: ModuleType, table) -> None:
+    target = blender.data.objects.new("target", None)
+    blender.context.scene.collection.objects.link(target)
+    target.rotation_euler = 0, 0, np.pi / 2
+    constraint = table.constraints.new("COPY_ROTATION")
+    constraint.target = target
+    table.location.x += 0.3
+    blender.context.view_layer.update()
+    blender.ops.roigs.fit_box()
+    low, high = bounds(blender, table)
+    np.testing.assert_allclose(low, (-0.3, -0.2, -0.45), atol=0.1)
+    np.testing.assert_allclose(high, (0.3, 0.2, 0.5), atol=0.1)
+
+
 def test_fit_to_vertices_selected_in_edit_mode(blender: ModuleType, table) -> None:
     bpy = blender
     cloud = next(o for o in bpy.context.scene.objects if o.roigs.kind == "POINTS")

@@ -8,7 +8,10 @@ from types import ModuleType
 
 import pytest
 
+from roigs_engine.formats.splat_ply import read_ply
 from tests.addon.scene.test_earlier_results import PARTS, archive, files
+from tests.addon.scene.test_edits import choose, cut
+from tests.addon.splat_cases import random_ply
 
 pytestmark = pytest.mark.blender
 
@@ -21,6 +24,8 @@ def two(blender: ModuleType, run):
     for part in PARTS:
         copy = shutil.copytree if (older / part).is_dir() else shutil.copy
         copy(older / part, folder / part)
+    for seed, path in enumerate(sorted(older.rglob("*.ply"))):  # as many, but other Gaussians
+        random_ply(path, len(read_ply(path)["means"]), seed=70 + seed)
     blender.ops.roigs.load_results()
     return scene, folder, older
 
@@ -60,6 +65,75 @@ def test_edits_wait_for_their_result(blender: ModuleType, two) -> None:
     meshes = len(blender.data.meshes)
     blender.ops.roigs.compare_results()
     assert len(blender.data.meshes) == meshes + 1, "nothing is lost, and nothing piles up"
+
+
+def count(item) -> int:
+    return len(item.data.vertices)
+
+
+def test_edits_come_back_to_linked_copies(blender: ModuleType, two) -> None:
+    item = two[0].objects["Background"]
+    every = count(item)
+    blender.ops.roigs.select_gaussians(name=item.name)
+    blender.ops.object.duplicate(linked=True)
+    copy = blender.context.active_object
+    cut(blender, item, range(2))
+    for _ in range(2):
+        blender.ops.roigs.compare_results()
+        assert copy.data == item.data and count(item) == every
+        blender.ops.roigs.compare_results()
+        assert copy.data == item.data and count(item) == every - 2
+
+
+def test_edited_copies_are_shown_with_their_result(blender: ModuleType, two) -> None:
+    item = two[0].objects["Background"]
+    every = count(item)
+    blender.ops.roigs.select_gaussians(name=item.name)
+    blender.ops.object.duplicate()
+    copy = blender.context.active_object
+    cut(blender, copy, range(10))
+    for _ in range(2):
+        blender.ops.roigs.compare_results()
+        assert copy.hide_get() and copy.hide_render and not item.hide_get()
+        blender.ops.roigs.compare_results()
+        assert not copy.hide_get() and not copy.hide_render and count(copy) == every - 10
+
+
+def test_a_loaded_result_has_no_edits_of_before(blender: ModuleType, two) -> None:
+    item = two[0].objects["Background"]
+    every, meshes = count(item), len(blender.data.meshes)
+    cut(blender, item, range(2))
+    blender.ops.roigs.compare_results()
+    blender.ops.roigs.load_results()
+    assert len(blender.data.meshes) == meshes
+    cut(blender, item, range(5))
+    blender.ops.roigs.compare_results()
+    blender.ops.roigs.compare_results()
+    assert count(item) == every - 5
+
+
+def test_edits_do_not_come_back_to_another_training(blender: ModuleType, two) -> None:
+    scene, folder, _ = two
+    item = scene.objects["Background"]
+    cut(blender, item, range(2))
+    blender.ops.roigs.compare_results()
+    random_ply(folder / "background.ply", 77, seed=9)
+    blender.ops.roigs.load_results()
+    blender.ops.roigs.compare_results()
+    blender.ops.roigs.compare_results()
+    assert count(item) == 77
+
+
+def test_comparing_ends_edit_mode_and_keeps_its_edits(blender: ModuleType, two) -> None:
+    item = two[0].objects["Background"]
+    every = count(item)
+    blender.ops.roigs.select_gaussians(name=item.name)
+    choose(blender, item, range(3))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.roigs.compare_results()
+    assert item.mode == "OBJECT" and count(item) == every
+    blender.ops.roigs.compare_results()
+    assert count(item) == every - 3
 
 
 def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:

@@ -43,6 +43,14 @@ def drawn(item) -> dict[str, np.ndarray]:
     return read_ply(found.file.path)
 
 
+def cut(bpy: ModuleType, item, chosen) -> None:
+    """Delete points of an object."""
+    bpy.ops.roigs.select_gaussians(name=item.name)
+    choose(bpy, item, chosen)
+    bpy.ops.mesh.delete(type="VERT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
 def assert_rows(got: dict[str, np.ndarray], rows: object) -> None:
     """These rows of the file that was imported."""
     for name, values in random_arrays(30, seed=4).items():
@@ -112,6 +120,19 @@ def test_edits_are_saved_with_the_file(blender: ModuleType, background, tmp_path
     assert_rows(drawn(blender.data.objects["Background"]), slice(25, None))
 
 
+def test_a_file_saved_in_edit_mode_shows_its_edits(
+    blender: ModuleType, background, tmp_path: Path
+) -> None:
+    """Also rendered by `blender -b`, where nobody leaves edit mode."""
+    choose(blender, background, range(25))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "edited.blend"))
+    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "edited.blend"))
+    item = blender.data.objects["Background"]
+    assert item.mode == "EDIT"
+    assert_rows(drawn(item), slice(25, None))
+
+
 def test_copies_have_edits_of_their_own(blender: ModuleType, background) -> None:
     blender.ops.object.duplicate()
     copy = blender.context.active_object
@@ -139,6 +160,77 @@ def test_new_results_are_drawn_whole(blender: ModuleType, background) -> None:
     blender.ops.object.mode_set(mode="OBJECT")
     blender.ops.roigs.load_results()
     assert_rows(drawn(background), slice(None))
+
+
+def test_new_results_end_edit_mode(blender: ModuleType, background) -> None:
+    """Otherwise Blender would write the old points into the new mesh."""
+    choose(blender, background, range(10))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.roigs.load_results()
+    assert background.mode == "OBJECT"
+    assert_rows(drawn(background), slice(None))
+
+
+def test_selecting_something_else_ends_edit_mode(blender: ModuleType, background) -> None:
+    """Otherwise the edits would not be drawn, and the next Tab would edit the box."""
+    choose(blender, background, range(10))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.roigs.select_roi(name="thing")
+    assert background.mode == "OBJECT"
+    assert_rows(drawn(background), slice(10, None))
+
+
+def test_new_results_leave_edited_copies_alone(blender: ModuleType, background) -> None:
+    """Such a copy, or a part that was separated, is not what was trained."""
+    blender.ops.object.duplicate()
+    part = blender.context.active_object
+    cut(blender, part, range(5))
+    blender.ops.roigs.load_results()
+    assert_rows(drawn(part), slice(5, None))
+    assert_rows(drawn(background), slice(None))
+
+
+def test_new_results_are_shown_by_linked_copies(blender: ModuleType, background) -> None:
+    blender.ops.object.duplicate(linked=True)
+    copy = blender.context.active_object
+    cut(blender, copy, range(5))
+    blender.ops.roigs.load_results()
+    assert copy.data == background.data
+    assert_rows(drawn(copy), slice(None))
+
+
+def test_nothing_is_drawn_when_all_is_hidden(blender: ModuleType, background) -> None:
+    choose(blender, background, range(30))
+    blender.ops.mesh.hide()
+    blender.ops.object.mode_set(mode="OBJECT")
+    from roigs_addon.viewport.objects import marked
+
+    assert not marked([background])
+
+
+def test_joined_points_of_other_meshes_are_no_gaussians(blender: ModuleType, background) -> None:
+    """They have no shape: they would be drawn as opaque specks."""
+    blender.ops.mesh.primitive_cube_add()
+    background.select_set(True)
+    blender.context.view_layer.objects.active = background
+    blender.ops.object.join()
+    assert len(background.data.vertices) == 38
+    assert_rows(drawn(background), slice(None))
+
+
+def test_each_problem_stays_until_it_is_solved(blender: ModuleType, background) -> None:
+    from roigs_addon import viewport
+    from roigs_addon.scene import edits
+    from roigs_addon.viewport.objects import marked
+
+    background.data.attributes.remove(background.data.attributes["scale"])
+    cut(blender, background, range(5))
+    for item in blender.context.scene.objects:
+        edits.look_again(item)
+    marked(blender.context.scene.objects)
+    assert "lack attributes" in viewport.problems()[""]
+    blender.data.objects.remove(background)
+    assert not viewport.problems()
 
 
 def test_points_without_shapes_are_drawn_as_they_were(blender: ModuleType, background) -> None:

@@ -52,6 +52,20 @@ def test_the_engine_is_told_and_the_panels_say(
     assert told(scene, tmp_path / "run") == [] and tuple(camera.color) == (1, 1, 1, 1)
 
 
+def test_cameras_are_found_whatever_they_are_called(
+    blender: ModuleType, addon: ModuleType, project: Path
+) -> None:
+    from roigs_addon.scene import lookup
+
+    scene = imported(blender, project)
+    every = lookup.cameras(scene)
+    every["photo 1.png"].name = "mine"
+    every["photo 2.png"].name, every["photo 3.png"].name = "other", "photo 2.png"
+    photos = {"photo 1.png", "photo 2.png", "photo 5.png", "gone.png"}
+    found = lookup.named_cameras(scene, photos)
+    assert set(found) == {every[f"photo {number}.png"] for number in (1, 2, 5)}
+
+
 def test_hidden_cameras_are_used(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

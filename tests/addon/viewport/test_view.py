@@ -27,7 +27,7 @@ def view(blender: ModuleType) -> SimpleNamespace:
     scene.camera = space.camera = blender.data.objects["A"]
     scene.render.resolution_x, scene.render.resolution_y = 640, 480
     space.region_3d.view_perspective = "CAMERA"
-    return SimpleNamespace(space_data=space, scene=scene)
+    return SimpleNamespace(space_data=space, region_data=space.region_3d, scene=scene)
 
 
 def window_matrix(blender: ModuleType, camera: object, place: tuple[float, ...]) -> object:
@@ -65,7 +65,7 @@ def test_the_local_camera_of_a_view(blender: ModuleType, view: SimpleNamespace) 
     assert_allclose(camera_frame(view, projection, SIZE), (0, 0, 800, 500), atol=0.05)
 
 
-@pytest.mark.parametrize("kind", ["free", "no camera", "empty", "orthographic"])
+@pytest.mark.parametrize("kind", ["free", "quarter", "no camera", "empty", "orthographic"])
 def test_other_views_are_frames_as_a_whole(
     blender: ModuleType, view: SimpleNamespace, kind: str
 ) -> None:
@@ -74,6 +74,8 @@ def test_other_views_are_frames_as_a_whole(
     projection = window_matrix(blender, view.scene.camera, (0.25, -0.5, 0.5, 0.2))
     if kind == "free":
         view.space_data.region_3d.view_perspective = "PERSP"
+    elif kind == "quarter":  # of a quad view, beside the one through the camera
+        view.region_data = SimpleNamespace(view_perspective="ORTHO")
     elif kind == "no camera":
         view.scene.camera = None
     elif kind == "empty":
