@@ -31,10 +31,11 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
     """
     leave_edit_mode(lookup.splats(scene))
     files = splats.result_files(folder)
+    fresh = splats.read_files(files)
     for item in lookup.splats(scene):
         edits.put_aside(item)
     for part, file in files.items():
-        for item in splats.show_file(scene, part, file):
+        for item in splats.show(scene, part, file, fresh[part]):
             edits.take_back(item)
     for item in lookup.splats(scene):
         props = object_props(item)

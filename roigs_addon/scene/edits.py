@@ -4,6 +4,10 @@ An object's Gaussians are drawn from its file, which is fast. Once its points ar
 that were imported, they are written to a file of their own, in Blender's temporary folder, and
 drawn from there. The .blend keeps the points, so nothing is lost with that folder. In edit mode
 Blender gives no access to attributes, so edits are drawn when it is left.
+
+What turns or scales all points at once, such as **Object ▸ Apply**, moves them but
+not their shapes. So each point keeps where it was imported: the map of all points is found by it,
+and drawn like a transformation of the object.
 """
 
 from __future__ import annotations
@@ -14,9 +18,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ..blender import mesh_of, persistent
 from ..errors import AddonError
+from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import write_splats
 from ..properties import object_props
 from ..shared import EngineError
@@ -34,6 +40,9 @@ _files: dict[int, str | None] = {}
 
 Empty: no Gaussians are left. None: it has no edits, or they cannot be written.
 """
+
+_applied: dict[int, Matrix] = {}
+"""Mesh -> the map that all of its points went through; its file is as it was before."""
 
 _written: dict[int, str] = {}
 """Mesh -> `_state` of the points in its file with edits."""
@@ -61,6 +70,12 @@ def file_of(item: bpy.types.Object) -> str:
         _look(mesh, uid)
     edited = _files.get(uid)
     return own if edited is None else edited
+
+
+def frame_of(item: bpy.types.Object) -> Matrix:
+    """(4, 4) from the frame of `file_of` to the object's."""
+    applied = _applied.get(item.data.session_uid) if item.data else None
+    return np.eye(4) if applied is None else applied
 
 
 def problem(items: Iterable[bpy.types.Object]) -> str:
@@ -139,16 +154,19 @@ def _file(mesh: bpy.types.Mesh, uid: int) -> str | None:
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
     if state == mesh[MARK]:
         _written.pop(uid, None)
+        _applied.pop(uid, None)
         with suppress(OSError):
             path.unlink(missing_ok=True)
         return None
     if state == _written.get(uid) and path.is_file():
         return str(path)
-    cloud = cloud_of(mesh)
-    if cloud is None:
+    _applied.pop(uid, None)
+    found = cloud_of(mesh)
+    if found is None:
         raise AddonError(
             f"'{mesh.name}' is drawn as it was imported: its points lack attributes of Gaussians."
         )
+    cloud, _applied[uid] = found
     if not len(cloud):
         return ""
     try:
@@ -193,7 +211,7 @@ def _after_load(*_: object) -> None:
 
 
 def _forget() -> None:
-    for known in (_files, _written, _changed, _problems):
+    for known in (_files, _written, _changed, _problems, _applied):
         known.clear()
 
 

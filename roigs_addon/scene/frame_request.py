@@ -37,7 +37,7 @@ def frame_request(
             continue
         edits.look_again(item)
         if ply := edits.file_of(item):
-            models.append({"ply": ply, "matrix": matrix.tolist()})
+            models.append({"ply": ply, "matrix": (matrix @ edits.frame_of(item)).tolist()})
     if not models or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)

@@ -8,6 +8,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.common_map import common_map
+from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import SH_C0, SplatCloud
 from . import clouds
 
@@ -19,6 +21,10 @@ Float32 = NDArray[np.float32]
 WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}
 SHAPE = ("scale", "rotation", "radiance:base")
 """Attributes that every Gaussian has; opacity is the last number of the third."""
+
+
+PLACE = "imported"
+"""Attribute: where a point was imported."""
 
 
 def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
@@ -34,6 +40,7 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         "scale": ("FLOAT_VECTOR", cloud.scales),
         "rotation": ("QUATERNION", cloud.quats),
         "radiance:base": ("FLOAT_COLOR", radiance),  # four numbers, in any Blender
+        PLACE: ("FLOAT_VECTOR", cloud.means),
     }
     for index in range(1, cloud.sh.shape[1]):
         columns[_sh_name(index)] = ("FLOAT_VECTOR", cloud.sh[:, index])
@@ -41,10 +48,11 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         clouds.set_attribute(mesh, name, kind, values)
 
 
-def cloud_of(mesh: bpy.types.Mesh) -> SplatCloud | None:
-    """The Gaussians of a mesh, without points that are hidden in edit mode or have no size.
+def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
+    """The Gaussians of a mesh, before the map that all went through, and that map (4, 4).
 
-    Those without a size were added to the mesh, as by joining with another one.
+    Without points that are hidden in edit mode or have no size. Those without a size were added to
+    the mesh, as by joining with another one.
 
     None if an attribute is missing, as after joining into another mesh or applying a modifier.
     """
@@ -58,13 +66,17 @@ def cloud_of(mesh: bpy.types.Mesh) -> SplatCloud | None:
     degree = int(np.sqrt(len(sh)))  # whole bands only
     means = clouds.positions_of(mesh)
     there = ~hidden(mesh) & scales.any(axis=1) & np.isfinite(means).all(axis=1)
-    return SplatCloud(
-        means=means[there],
+    imported = values(mesh, PLACE)
+    applied = common_map(imported[there], means[there]) if imported is not None else np.eye(4)
+    back = np.linalg.inv(applied)
+    cloud = SplatCloud(
+        means=(means[there] @ back[:3, :3].T + back[:3, 3]).astype(np.float32),
         quats=quats[there],
         scales=scales[there],
         opacities=radiance[there, 3],
         sh=np.stack(sh[: degree**2], axis=1)[there],
     )
+    return cloud, applied
 
 
 def values(mesh: bpy.types.Mesh, name: str) -> Float32 | None:

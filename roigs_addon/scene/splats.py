@@ -47,7 +47,8 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     remove_preview(scene)
     _hide_sparse(scene)
     files = result_files(folder)
-    shown = [item for key in files.items() for item in show_file(scene, *key)]
+    fresh = read_files(files)
+    shown = [item for part, file in files.items() for item in show(scene, part, file, fresh[part])]
     for item in lookup.splats(scene):
         props = object_props(item)
         file = files.get((props.level, props.roi))
@@ -180,14 +181,33 @@ def _name(level: str, roi: str) -> str:
     return {"SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}.get(level, "Background")
 
 
-def show_file(scene: bpy.types.Scene, part: Part, path: Path) -> list[bpy.types.Object]:
-    """Show a file as this part of the result, in the objects that there are already, or in one.
+def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:
+    """New objects of files, all or none: no part of one result is shown beside another result's.
 
     Raises:
-        AddonError: the file is missing or damaged.
+        AddonError: a file is missing or damaged.
+    """
+    made: dict[Part, bpy.types.Object] = {}
+    try:
+        for part, path in files.items():
+            made[part] = native_splats.import_splats(path) or _points(_name(*part), path)
+    except AddonError:
+        for item in made.values():
+            delete(item)
+        raise
+    return made
+
+
+def show(
+    scene: bpy.types.Scene, part: Part, path: Path, fresh: bpy.types.Object
+) -> list[bpy.types.Object]:
+    """Show a file as this part of the result, in the objects that there are already, or in `fresh`.
+
+    Args:
+        scene, part, path: where, and what.
+        fresh: a new object of the file.
     """
     (level, roi), name = part, _name(*part)
-    fresh = native_splats.import_splats(path) or _points(name, path)
     shown = _of(scene, level, roi)
     for other in [item for item in shown if item.type != fresh.type]:
         shown.remove(other)  # made by a Blender with other kinds of splats

@@ -36,7 +36,7 @@ class SplatObject:
     """An object of the scene that stands for a PLY."""
 
     file: FileKey
-    matrix: Matrix  # object -> world
+    matrix: Matrix  # the file's frame -> world
     visible: bool
 
 
@@ -65,7 +65,7 @@ def marked(
         found.append(
             SplatObject(
                 FileKey(path, state.st_mtime_ns, state.st_size),
-                item.matrix_world.copy(),
+                item.matrix_world @ Matrix(edits.frame_of(item).tolist()),
                 not props.as_points and seen(item, space),
             )
         )

@@ -99,6 +99,16 @@ def test_edits_are_rendered(blender: ModuleType, run, shot, engine, tmp_path: Pa
     assert psnr(mine[..., :3] * mine[..., 3:], own) > 40
 
 
+def test_applied_transformations_change_no_picture(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    item = scene.objects["Background"]
+    item.rotation_euler, item.scale = (0.4, 0.2, 1.1), (-0.8, 0.5, 1.3)
+    before = f12("before")
+    blender.ops.roigs.select_gaussians(name="Background")
+    blender.ops.object.transform_apply(location=True, rotation=True, scale=True)
+    assert psnr(f12("applied"), before) > 40
+
+
 def bmesh_of(item):
     import bmesh
 

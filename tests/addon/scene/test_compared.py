@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -134,6 +135,21 @@ def test_comparing_ends_edit_mode_and_keeps_its_edits(blender: ModuleType, two) 
     assert item.mode == "OBJECT" and count(item) == every
     blender.ops.roigs.compare_results()
     assert count(item) == every - 3
+
+
+@pytest.mark.parametrize("load", [True, False])
+def test_of_a_damaged_result_nothing_is_shown(blender: ModuleType, two, load: bool) -> None:
+    scene, _, older = two
+    cut(blender, scene.objects["Background"], range(2))
+    before = {o.name: count(o) for o in scene.objects if o.type == "MESH"}
+    (older / "rois" / "thing.ply").write_bytes(b"ply")
+    objects, meshes = len(blender.data.objects), len(blender.data.meshes)
+    show = partial(blender.ops.roigs.load_results, earlier=older.name)
+    with pytest.raises(RuntimeError, match=r"thing\.ply"):
+        (show if load else blender.ops.roigs.compare_results)()
+    assert {o.name: count(o) for o in scene.objects if o.type == "MESH"} == before
+    assert all(older not in file.parents for file in files(scene))
+    assert (len(blender.data.objects), len(blender.data.meshes)) == (objects, meshes)
 
 
 def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:

@@ -233,6 +233,41 @@ def test_each_problem_stays_until_it_is_solved(blender: ModuleType, background) 
     assert not viewport.problems()
 
 
+@pytest.mark.parametrize("way", ["apply", "edit mode"])
+def test_what_turns_all_points_turns_their_shapes(
+    blender: ModuleType, background, tmp_path: Path, way: str
+) -> None:
+    """As before Object > Apply, and as if the object had been scaled instead of its points."""
+    from mathutils import Matrix
+
+    from roigs_addon.viewport.objects import marked
+
+    background.matrix_basis = before = Matrix.LocRotScale((1, 2, 3), None, (-1, 2, 2)) @ (
+        Matrix.Rotation(0.7, 4, "X")
+    )
+    blender.context.view_layer.update()
+    if way == "apply":
+        expected = background.matrix_world.copy()
+        blender.ops.object.transform_apply(location=True, rotation=True, scale=True)
+        assert not np.allclose(background.matrix_world, expected)
+    else:
+        expected = background.matrix_world @ before
+        choose(blender, background, range(30))
+        blender.ops.object.mode_set(mode="OBJECT")
+        background.data.transform(before)
+    cut(blender, background, range(5))
+    background.data.vertices[0].co.x += 9
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "applied.blend"))
+    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "applied.blend"))
+    (found,) = marked([blender.data.objects["Background"]])
+    np.testing.assert_allclose(found.matrix, expected, atol=1e-4)
+    got = read_ply(found.file.path)
+    for name, values in random_arrays(30, seed=4).items():
+        rows = slice(6 if name == "means" else 5, None)
+        if name != "quats":
+            np.testing.assert_allclose(got[name][-len(values[rows]) :], values[rows], atol=1e-4)
+
+
 def test_points_without_shapes_are_drawn_as_they_were(blender: ModuleType, background) -> None:
     from roigs_addon import viewport
     from roigs_addon.scene import edits
