@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import argparse
 
-from ..reconstruction.reconstruct import reconstruct
-from ..reconstruction.settings import CAMERA_MODELS, CAMERAS, PAIRS, Settings
+from ..reconstruction.settings import (
+    CAMERA_MODELS,
+    CAMERAS,
+    FEW_PHOTOS,
+    MANY,
+    PAIRS,
+    USUAL,
+    Settings,
+)
 from .console import Console
 from .options import add_threads_option
 from .values import PATH, integer
@@ -50,10 +57,11 @@ def add_method_options(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--features",
-        type=integer(64, MOST_FEATURES),
+        type=integer(64, MOST_FEATURES, zero=True),
         default=default.features,
         metavar="N",
-        help=f"most features of a photo (default: {default.features})",
+        help=f"most features of a photo (default: 0, which is {USUAL}, and {MANY} of up to"
+        f" {FEW_PHOTOS} photos)",
     )
     group.add_argument(
         "--pairs",
@@ -89,6 +97,8 @@ def add_method_options(group: argparse._ArgumentGroup) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Reconstruct the photos."""
+    from ..reconstruction.reconstruct import reconstruct  # needs Pillow, which others do not
+
     settings = Settings(
         max_side=args.max_side,
         features=args.features,

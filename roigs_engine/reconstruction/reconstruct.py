@@ -69,7 +69,7 @@ def find_features(
         "groups": groups,
         "threads": max(1, min(threads, fitting)),
         "max_side": settings.max_side,
-        "features": settings.features,
+        "features": settings.most_features(len(photos)),
         "camera_model": settings.camera_model,
         "masks": settings.masks,
     }

@@ -9,6 +9,8 @@ PAIRS = ("auto", "all", "similar", "ordered")
 CAMERAS = ("auto", "one", "each")
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 
+FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
+
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -16,7 +18,8 @@ class Settings:
 
     Attributes:
         max_side: px; features are found in photos of at most this longest side.
-        features: most features of a photo; COLMAP may find up to twice as many.
+        features: most features of a photo; COLMAP may find up to twice as many. 0: `most_features`
+            decides.
         pairs: which photos are matched, one of `PAIRS`.
         neighbours: photos that each photo is matched with, unless all pairs are.
         cameras: which photos share a camera, one of `CAMERAS`. auto: those of one size, device,
@@ -28,13 +31,20 @@ class Settings:
     """
 
     max_side: int = 1600
-    features: int = 2048
+    features: int = 0
     pairs: str = "auto"
     neighbours: int = 30
     cameras: str = "auto"
     camera_model: str = "SIMPLE_RADIAL"
     masks: str = ""
     seed: int = 0
+
+    def most_features(self, photos: int) -> int:
+        """The most features of a photo in a set of so many photos.
+
+        Few photos overlap little and have few pairs: there, more features find more, and cost less.
+        """
+        return self.features or (MANY if photos <= FEW_PHOTOS else USUAL)
 
     def of_features(self) -> dict[str, Any]:
         """The values that features depend on; if they change, the database starts again."""

@@ -13,9 +13,12 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..colmap.library import pycolmap_module
 from ..errors import EngineError
 from .database import show_spaces, spaces_hidden
+from .placing import placement
 
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
@@ -106,7 +109,8 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
 
 
 def _written(model: Any, folder: Path) -> dict[str, Any]:
-    """Write a model, and return what it is as plain values."""
+    """Place a model and write it; returns what it is as plain values."""
+    _place(model)
     folder.mkdir()
     model.write_binary(str(folder))
     images = [model.images[key] for key in sorted(model.reg_image_ids())]
@@ -117,6 +121,24 @@ def _written(model: Any, folder: Path) -> dict[str, Any]:
         "error": model.compute_mean_reprojection_error(),
         "track": model.compute_mean_track_length(),
     }
+
+
+def _place(model: Any) -> None:
+    """Put the model where `placing` says."""
+    images = [model.images[key] for key in model.reg_image_ids()]
+    points = {key: point.xyz for key, point in model.points3D.items()}
+    poses = np.tile(np.eye(4), (len(images), 1, 1))
+    distances = []
+    for pose, image in zip(poses, images, strict=True):
+        pose[:3] = image.cam_from_world().matrix()
+        seen = [points[spot.point3D_id] for spot in image.points2D if spot.has_point3D()]
+        if seen:
+            eye = image.projection_center()
+            distances.append(float(np.median(np.linalg.norm(np.array(seen) - eye, axis=1))))
+    if distances:
+        place = placement(poses, np.array(list(points.values())), float(np.median(distances)))
+        matrix = np.column_stack([place.scale * place.rotation, place.translation])
+        model.transform(colmap_module().Sim3d(matrix))
 
 
 REPLIES = 1  # the standard output that the parent reads, once `main` has moved it
