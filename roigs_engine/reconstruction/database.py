@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ from ..errors import SceneError
 HIDDEN = {" ": "\x1f", "#": "\x1e"}
 PAIR_BASE = 2147483647  # COLMAP's: a pair's id is smaller id * base + larger id
 FEWEST_INLIERS = 15  # matches of a pair that COLMAP's mapper uses
+PANORAMIC = (5, 6)  # COLMAP's kinds of a pair: the camera only turned (or saw a plane)
+STILL = (7,)  # what matches stands still in the picture, as a watermark or a background
 Pair = tuple[str, str]
 
 
@@ -74,6 +77,13 @@ def matched_pairs(database: Path) -> dict[Pair, int]:
         one, other = sorted(names[key] for key in divmod(pair, PAIR_BASE))
         found[one, other] = int(matches)
     return found
+
+
+def pair_kinds(database: Path) -> Counter[int]:
+    """How often verified pairs are of each kind: `PANORAMIC`, `STILL`, or another of COLMAP's."""
+    query = "SELECT config, COUNT(*) FROM two_view_geometries WHERE rows >= ? GROUP BY config"
+    with _opened(database) as file:
+        return Counter(dict(file.execute(query, (FEWEST_INLIERS,))))
 
 
 def largest_features(database: Path, most: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:

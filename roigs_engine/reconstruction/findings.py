@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..formats.text import counted, printable
-from .checks import blurred, named, small, warnings_of
+from .checks import blurred, foreign, named, small, warnings_of
 from .database import FEWEST_INLIERS, Pair
 from .look import Found
 from .mapping import Mapped
@@ -17,6 +17,7 @@ NOTHING = "No two photos could be placed: their matches are too few, or all are 
 FEW_FEATURES = 200
 HIGH_ERROR = 1.5  # px
 FEW_POINTS = 100  # that a photo observes
+WEAK = 0.2  # of the registered photos: if more have few points, it is a warning
 SHARE = 0.9  # of the photos: if fewer are registered, it is a warning
 
 
@@ -30,6 +31,7 @@ class Reconstruction:
         matched: two names -> number of verified matches.
         models: the largest first; that is the result. Empty: no two photos could be placed.
         seconds: wall-clock of each step.
+        warnings: what the matches tell, see `warnings_of_matches`.
     """
 
     found: Found
@@ -37,6 +39,7 @@ class Reconstruction:
     matched: Mapping[Pair, int]
     models: list[Mapped]
     seconds: Mapping[str, float]
+    warnings: Sequence[str] = ()
 
     @property
     def missing(self) -> list[str]:
@@ -52,8 +55,10 @@ class Reconstruction:
 def reason(result: Reconstruction, name: str) -> str:
     """Why a photo was not registered."""
     features = result.features.get(name, 0)
+    if features == 0 and name in foreign(result.found.photos):
+        return "pycolmap cannot read its format; convert it to JPEG or PNG"
     if features == 0:
-        return "no features: pycolmap cannot read it, or it shows nothing"
+        return "no features: it shows nothing, or pycolmap cannot read it"
     if features < FEW_FEATURES:
         return f"few features ({features})"
     partners = {
@@ -90,6 +95,10 @@ def findings(result: Reconstruction) -> list[tuple[str, str]]:
     for number, model in enumerate(others, start=2):
         text = f"{counted(len(model.photos), 'photo')} form a model of their own (model {number}):"
         told.append(("warning", f"{text} {named(sorted(model.photos))}."))
+    weak = sum(points < FEW_POINTS for points in best.photos.values())
+    if weak:
+        text = f"{counted(weak, 'photo')} with fewer than {FEW_POINTS} points: cameras may be off."
+        told.append(("warning" if weak > WEAK * len(best.photos) else "info", text))
     if best.error > HIGH_ERROR:
         told.append(("warning", f"The reprojection error is high: {best.error:.1f} px."))
     return told
@@ -108,7 +117,7 @@ def _summary(result: Reconstruction) -> str:
 def as_markdown(result: Reconstruction) -> str:
     """The findings as a document."""
     lines = ["# Reconstruction", "", _summary(result), ""]
-    lines += [f"- {text}" for text in warnings_of(result.found)]
+    lines += [f"- {text}" for text in (*warnings_of(result.found), *result.warnings)]
     if result.models:
         lines += [f"- {text}" for _, text in findings(result)[1:]]
     lines += ["", "| | |", "|---|---|"]

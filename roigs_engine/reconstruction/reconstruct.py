@@ -18,7 +18,7 @@ from ..formats.files import write_text
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
 from . import pairs
-from .checks import warnings_of
+from .checks import warnings_of, warnings_of_matches
 from .child import run_task
 from .database import (
     Pair,
@@ -27,6 +27,7 @@ from .database import (
     feature_counts,
     largest_features,
     matched_pairs,
+    pair_kinds,
     pair_line,
 )
 from .findings import NOTHING, Reconstruction, as_markdown, findings
@@ -152,6 +153,10 @@ def solve(
     with _timed(seconds, MATCHING):
         wanted = choose_pairs(folder, names, settings, context)
         match(folder, wanted, settings, threads, context)
+    matched = matched_pairs(folder.database)
+    warnings = warnings_of_matches(names, matched, pair_kinds(folder.database))
+    for text in warnings:
+        context.warn(text)
     with _timed(seconds, MAPPING):
         models = map_models(folder, len(names), task, context)
     missing = set(names) - models[0].photos.keys() if models else set()
@@ -167,6 +172,7 @@ def solve(
         matched=matched_pairs(folder.database),
         models=models,
         seconds=seconds,
+        warnings=warnings,
     )
 
 
