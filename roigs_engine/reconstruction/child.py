@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import shutil
 import subprocess
 import sys
 import threading
@@ -17,6 +18,7 @@ from ..context import Context
 from ..errors import EngineError, SceneError
 
 POLL_SECONDS = 0.25
+FULL = 16 << 20  # bytes; SQLite may fail with less
 ROOT = Path(__file__).resolve().parents[2]
 WORKER = f"{__package__}.worker"
 
@@ -92,10 +94,7 @@ def _result(
             poll(last)
             continue
         if line is None:
-            raise SceneError(
-                f"pycolmap ended without a result (exit status {child.wait()}).",
-                f"Check the free memory and disk space, then give the command again. Log: {log}",
-            )
+            raise _ended(child.wait(), log)
         record = _record(line)
         if "error" in record:
             raise (EngineError if record.get("hint") else SceneError)(
@@ -105,6 +104,18 @@ def _result(
             return record["result"]
         last = record or last
         poll(last)
+
+
+def _ended(status: int, log: Path) -> SceneError:
+    """The error for a child that ended without a result: pycolmap aborts when a disk is full."""
+    if shutil.disk_usage(log.parent).free < FULL:
+        return SceneError(
+            f"The disk of {log.parent} is full.", "Free some space and give the command again."
+        )
+    return SceneError(
+        f"pycolmap ended without a result (exit status {status}).",
+        f"Check the free memory, then give the command again. Log: {log}",
+    )
 
 
 def _record(line: bytes) -> dict[str, Any]:

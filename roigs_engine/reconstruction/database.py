@@ -17,8 +17,10 @@ from ..errors import SceneError
 HIDDEN = {" ": "\x1f", "#": "\x1e"}
 PAIR_BASE = 2147483647  # COLMAP's: a pair's id is smaller id * base + larger id
 FEWEST_INLIERS = 15  # matches of a pair that COLMAP's mapper uses
-PANORAMIC = (5, 6)  # COLMAP's kinds of a pair: the camera only turned (or saw a plane)
-STILL = (7,)  # what matches stands still in the picture, as a watermark or a background
+# COLMAP's kinds of a pair: the camera only turned, or saw a plane, which cannot always be told
+# apart; and what matches stands still in the picture, as a watermark or a background.
+PANORAMIC = (5, 6)
+STILL = (7,)
 Pair = tuple[str, str]
 
 

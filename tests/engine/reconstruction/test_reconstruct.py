@@ -138,6 +138,9 @@ def test_pycolmap_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("roigs_engine.reconstruction.child.WORKER", "this")
     with pytest.raises(SceneError, match="ended without a result"):
         run_task({}, tmp_path / "log.txt", QUIET)
+    monkeypatch.setattr("roigs_engine.reconstruction.child.FULL", 1 << 60)
+    with pytest.raises(SceneError, match=r"The disk of .* is full"):
+        run_task({}, tmp_path / "log.txt", QUIET)
 
 
 def test_a_damaged_database_is_one_line(tmp_path: Path) -> None:
