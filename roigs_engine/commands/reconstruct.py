@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from ..errors import ConfigError
 from ..reconstruction.settings import (
     CAMERA_MODELS,
     CAMERAS,
@@ -109,6 +110,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         masks=str(args.masks.absolute()) if args.masks else "",
         seed=args.seed,
     )
+    if args.masks and not args.masks.is_dir():
+        raise ConfigError(f"{args.masks} is not a folder.", "Give --masks the folder of the masks.")
     console.log_later()
     model = reconstruct(
         args.photos, args.out, settings, args.threads, console.context, console.log_to

@@ -73,7 +73,7 @@ def reason(result: Reconstruction, name: str) -> str:
             return f"in model {number}, which is not connected with the largest"
     placed = {other for other in partners if other in result.registered}
     if not result.models:
-        return f"{counted(len(partners), 'photo')} match it, at best {max(partners.values())} times"
+        return f"matched with {counted(len(partners), 'photo')}, but their places stay unknown"
     if not placed:
         return f"it matches only photos that were not registered ({named(sorted(partners), 2)})"
     best = max(placed, key=lambda other: partners[other])

@@ -26,7 +26,7 @@ class Settings:
             lens and focal length.
         camera_model: COLMAP's name of the lens model.
         masks: folder of masks, `NAME.png` for the photo NAME; features are found only where a mask
-            is not black. Empty: none.
+            is not black, and everywhere in photos without one. Empty: none.
         seed: of all random numbers.
     """
 

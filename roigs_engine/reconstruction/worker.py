@@ -17,7 +17,7 @@ import numpy as np
 
 from ..colmap.library import pycolmap_module
 from ..errors import EngineError
-from .database import show_spaces, spaces_hidden
+from .database import camera_ids, show_spaces, spaces_hidden
 from .placing import placement
 
 Task = dict[str, Any]
@@ -44,18 +44,33 @@ def extract(colmap: Any, task: Task) -> None:
     options.sift.max_num_features = task["features"]
     reader = colmap.ImageReaderOptions()
     reader.camera_model = task["camera_model"]
-    reader.mask_path = task["masks"]
     for group in task["groups"]:
         reader.existing_camera_id = group["camera"]
-        colmap.extract_features(
-            task["database"],
-            task["photos"],
-            image_names=group["names"],
-            camera_mode=colmap.CameraMode.SINGLE,
-            reader_options=reader,
-            extraction_options=options,
-            device=colmap.Device.cpu,
-        )
+        for masks, names in _by_masks(group["names"], task["masks"]):
+            reader.mask_path = masks
+            colmap.extract_features(
+                task["database"],
+                task["photos"],
+                image_names=names,
+                camera_mode=colmap.CameraMode.SINGLE,
+                reader_options=reader,
+                extraction_options=options,
+                device=colmap.Device.cpu,
+            )
+            cameras = camera_ids(Path(task["database"]))
+            known = [cameras[name] for name in names if name in cameras]
+            reader.existing_camera_id = known[0] if known else reader.existing_camera_id
+
+
+def _by_masks(names: list[str], masks: str) -> list[tuple[str, list[str]]]:
+    """The photos with a mask and those without: pycolmap leaves out photos whose mask is missing.
+
+    Returns:
+        (folder of masks, names) of each part that has photos.
+    """
+    masked = [name for name in names if masks and Path(masks, f"{name}.png").is_file()]
+    rest = [name for name in names if name not in set(masked)]
+    return [(folder, part) for folder, part in ((masks, masked), ("", rest)) if part]
 
 
 def match(colmap: Any, task: Task) -> None:
@@ -88,7 +103,8 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
             setattr(part, key, value)
     out = Path(task["out"])
     out.mkdir(parents=True, exist_ok=True)
-    registered = 0
+    start = task.get("start", "")
+    registered = colmap.Reconstruction(start).num_reg_images() if start else 0
 
     def step() -> None:
         nonlocal registered
@@ -100,7 +116,7 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
         task["photos"],
         out,
         options,
-        input_path=task.get("start", ""),
+        input_path=start,
         initial_image_pair_callback=step,
         next_image_callback=step,
     )

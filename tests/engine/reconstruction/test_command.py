@@ -45,4 +45,6 @@ def test_what_cannot_be_used_is_one_line(
     assert "is not a folder" in refused(capsys, "reconstruct", tmp_path / "none", *out)
     (tmp_path / "empty").mkdir()
     assert "has no photos" in refused(capsys, "reconstruct", tmp_path / "empty", *out)
+    masks = ("--masks", tmp_path / "none")
+    assert "is not a folder" in refused(capsys, "reconstruct", tmp_path / "empty", *out, *masks)
     assert not (tmp_path / "scene").exists()

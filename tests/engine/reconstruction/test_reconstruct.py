@@ -7,9 +7,12 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
@@ -19,10 +22,12 @@ from roigs_engine.formats.events import Event, StageStarted
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
-from roigs_engine.reconstruction.reconstruct import reconstruct
+from roigs_engine.reconstruction.folder import Folder
+from roigs_engine.reconstruction.look import look_at
+from roigs_engine.reconstruction.reconstruct import choose_pairs, find_features, reconstruct
 from roigs_engine.reconstruction.settings import Settings
 from tests.engine.commands.command_line import ROOT
-from tests.engine.reconstruction.photo_sets import copy_photos, demo_photos, write_noise
+from tests.engine.reconstruction.photo_sets import DEMO, copy_photos, demo_photos, write_noise
 
 pytest.importorskip("pycolmap")
 
@@ -132,6 +137,47 @@ def test_photos_that_match_nothing_are_one_line_and_a_report(
     assert line.startswith("error: ")
     assert "No two photos could be placed" in line
     assert "no photo matches it" in (tmp_path / "scene/reconstruction.md").read_text("utf-8")
+
+
+def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
+    names = ["a.jpg", "b.jpg"]
+    folder = Folder(tmp_path / "scene")
+    copy_photos(folder.images, demo_photos("wide/*.jpg", 2), names)
+    mask = np.zeros((428, 640), dtype=np.uint8)
+    mask[:, 320:] = 255
+    (tmp_path / "masks").mkdir()
+    Image.fromarray(mask).save(tmp_path / "masks/b.jpg.png")
+    settings = replace(QUICK, masks=str(tmp_path / "masks"))
+    folder.work().mkdir()
+    found = look_at(folder.photos_of(folder.images), folder.work("photos.json"), QUIET)
+    find_features(folder, found.photos, settings, 1, QUIET)
+    with closing(sqlite3.connect(folder.database)) as file:
+        query = "SELECT name, cols, data, camera_id FROM images JOIN keypoints USING (image_id)"
+        rows = {name: rest for name, *rest in file.execute(query)}
+    left = {
+        name: np.frombuffer(data, dtype=np.float32).reshape(-1, columns)[:, 0].min()
+        for name, (columns, data, _) in rows.items()
+    }
+    assert left["a.jpg"] < 100 and left["b.jpg"] >= 320
+    assert len({camera for _, _, camera in rows.values()}) == 1
+
+
+@pytest.mark.parametrize(("kind", "least"), [("all", 21), ("similar", 12), ("ordered", 12)])
+def test_pairs_are_chosen(scene: Path, kind: str, least: int) -> None:
+    settings = replace(QUICK, pairs=kind, neighbours=2)
+    names = sorted(feature_counts(scene / "database.db"))
+    found = choose_pairs(Folder(scene), names, settings, QUIET)
+    assert least <= len(found) <= 21
+    assert all((names[k], names[k + 1]) in found for k in range(len(names) - 1))
+
+
+@pytest.mark.slow
+def test_the_demo_is_registered(tmp_path: Path) -> None:
+    reconstruct(DEMO, tmp_path / "scene", Settings(), None, QUIET)
+    model = load_colmap(tmp_path / "scene", pixels=False)
+    assert len(model.images) >= 89
+    heights = np.sort(model.points[:, 2])
+    assert abs(heights[len(heights) // 50]) < 0.05  # the floor
 
 
 def test_pycolmap_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
