@@ -38,7 +38,8 @@ from .settings import Settings
 from .similarity import LARGEST, similarities
 
 FEATURES, MATCHING, MAPPING = "features", "matching", "mapping"
-BYTES_PER_PIXEL = 220  # that SIFT takes for a pixel of the photo as it is searched, for a thread
+# Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.
+SEARCHED, DECODED = 320, 8
 REST_PAIRS = 20_000  # most pairs that are tried for photos that were not registered
 
 
@@ -61,20 +62,27 @@ def find_features(
             groups.append({"names": names, "camera": known[0] if known else -1})
     if not groups:
         return
-    side = min(settings.max_side, max(max(photo.size) for photo in photos))
-    fitting = machine_memory() // 2 // (BYTES_PER_PIXEL * side * side)
     task = {
         "work": "extract",
         "database": str(folder.database),
         "photos": str(folder.images),
         "groups": groups,
-        "threads": max(1, min(threads, fitting)),
+        "threads": threads_in_memory(photos, settings.max_side, threads),
         "max_side": settings.max_side,
         "features": settings.most_features(len(photos)),
         "camera_model": settings.camera_model,
         "masks": settings.masks,
     }
     _run(task, folder, FEATURES, "descriptors", len(photos), context)
+
+
+def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> int:
+    """So many threads, or as many as find features in half of the machine's memory."""
+    needed = []
+    for photo in photos:
+        pixels, shrink = photo.size[0] * photo.size[1], min(1.0, max_side / max(photo.size))
+        needed.append(SEARCHED * pixels * shrink**2 + DECODED * pixels)
+    return max(1, min(threads, int(machine_memory() / 2 / max(needed))))
 
 
 def match(

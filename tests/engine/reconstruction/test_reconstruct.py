@@ -23,8 +23,13 @@ from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.look import look_at
-from roigs_engine.reconstruction.reconstruct import choose_pairs, find_features, reconstruct
+from roigs_engine.reconstruction.look import Photo, look_at
+from roigs_engine.reconstruction.reconstruct import (
+    choose_pairs,
+    find_features,
+    reconstruct,
+    threads_in_memory,
+)
 from roigs_engine.reconstruction.settings import Settings
 from tests.engine.commands.command_line import ROOT
 from tests.engine.reconstruction.photo_sets import DEMO, copy_photos, demo_photos, write_noise
@@ -160,6 +165,16 @@ def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
     }
     assert left["a.jpg"] < 100 and left["b.jpg"] >= 320
     assert len({camera for _, _, camera in rows.values()}) == 1
+
+
+def test_threads_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    photo = Photo(name="a", path=Path("a"), digest="", size=(6000, 4000), device="", sharpness=1.0)
+    for gigabytes, threads in ((64, 16), (4, 2), (1, 1)):
+        memory = gigabytes << 30
+        monkeypatch.setattr(
+            "roigs_engine.reconstruction.reconstruct.machine_memory", lambda m=memory: m
+        )
+        assert threads_in_memory([photo], 1600, 16) == threads
 
 
 @pytest.mark.parametrize(("kind", "least"), [("all", 21), ("similar", 12), ("ordered", 12)])
