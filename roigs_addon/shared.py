@@ -22,6 +22,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         run_files,
         splat_ply,
         text,
+        upright,
     )
 else:
     from ..roigs_engine.errors import EngineError
@@ -37,6 +38,7 @@ else:
         run_files,
         splat_ply,
         text,
+        upright,
     )
 
 __all__ = [
@@ -52,4 +54,5 @@ __all__ = [
     "run_files",
     "splat_ply",
     "text",
+    "upright",
 ]

@@ -20,6 +20,7 @@ from .commands import (
     evaluate,
     export,
     inspect,
+    reconstruct,
     refine_cameras,
     render,
     render_frames,
@@ -37,6 +38,7 @@ from .formats.events import Done, Failed
 from .machine import is_memory_full
 
 COMMANDS: dict[str, ModuleType] = {
+    "reconstruct": reconstruct,
     "inspect": inspect,
     "export": export,
     "refine-cameras": refine_cameras,

@@ -27,6 +27,7 @@ ROOMS = (
     "model",
     "photos",
     "colmap",
+    "reconstruction",
     "selection",
     "kernels",
     "cuda",
@@ -43,7 +44,7 @@ SHARED = ("errors", "formats")
 # Entries that must work, up to their first use of anything else, without torch.
 TORCH_FREE = (
     *("", "cli", "colmap", "context", "formats", "kernels.build", "kernels.library", "photos"),
-    *("run.config", "run.presets", "selection"),
+    *("reconstruction", "run.config", "run.presets", "selection"),
 )
 # Where pycolmap may be imported.
 PYCOLMAP = {"colmap.library"}

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..blender import camera_of, mesh_of
 from ..errors import AddonError
 from ..geometry.photo import Photo
-from ..geometry.upright import levelled
 from ..properties import object_props, scene_props
+from ..shared import upright
 from . import cameras, clouds, lookup, start_cube
 
 ROOT_NAME = "COLMAP"
@@ -127,7 +127,7 @@ def _root(
         root = _new_root(scene, name)
     if fresh or not same_frame:
         poses = np.array([photo.pose for photo in photos]).reshape(-1, 4, 4)
-        root.matrix_world = Matrix(levelled(poses).tolist()).to_4x4()
+        root.matrix_world = Matrix(upright.levelled(poses).tolist()).to_4x4()
     return root
 
 

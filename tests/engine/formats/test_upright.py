@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roigs_addon.geometry.upright import levelled
+from roigs_engine.formats.upright import levelled
 from tests.poses import look_at
 
 UP = np.array([0.0, 0.0, 1.0])

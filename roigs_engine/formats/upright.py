@@ -1,4 +1,4 @@
-"""Which way is up in a COLMAP model, whose axes are arbitrary. Numpy only, no bpy.
+"""Which way is up in a COLMAP model, whose axes are arbitrary.
 
 People hold cameras level, but point them up and down. So the side of the picture is horizontal:
 up is the direction to which the photos' x axes (their y axes, in portraits) are most nearly at
@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .frames import Matrix
-
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 SPREAD = 0.05  # least eigenvalue, of 1 in sum, of directions that span a plane
 ROUND = 0.25  # the same of directions all around

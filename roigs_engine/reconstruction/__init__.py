@@ -1,0 +1,1 @@
+"""Structure from motion: a folder of photos becomes a COLMAP project."""

@@ -1,0 +1,135 @@
+"""Runs the worker: its progress, its errors, and how it is stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from ..context import Context
+from ..errors import EngineError, SceneError
+
+POLL_SECONDS = 0.25
+FULL = 16 << 20  # bytes; SQLite may fail with less
+ROOT = Path(__file__).resolve().parents[2]
+WORKER = f"{__package__}.worker"
+
+
+def run_task(
+    task: dict[str, Any],
+    log: Path,
+    context: Context,
+    poll: Callable[[dict[str, Any]], None] = lambda record: None,
+) -> Any:
+    """Do a task of `worker` in a child process, and return its result.
+
+    Args:
+        task: as JSON; `work` is its name.
+        log: file that gets what pycolmap says.
+        context: checked for cancellation four times a second; the child is killed then. SQLite
+            keeps the database whole.
+        poll: called as often, with the child's last record.
+
+    Raises:
+        SceneError: pycolmap failed.
+        EngineError: pycolmap is missing or too old, or cannot be started.
+        Stopped: on request.
+    """
+    with open(log, "ab") as messages:
+        child = _started(messages)
+        try:
+            return _result(child, task, log, context, poll)
+        finally:
+            child.kill()
+            child.wait()
+            for stream in (child.stdin, child.stdout):
+                if stream is not None:
+                    with suppress(OSError):
+                        stream.close()
+
+
+def _started(messages: Any) -> subprocess.Popen[bytes]:
+    """The child; a session of its own, so that Ctrl-C reaches this process alone."""
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+    return subprocess.Popen(
+        [sys.executable, "-m", WORKER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=messages,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        start_new_session=True,
+        creationflags=new_group,
+    )
+
+
+def _result(
+    child: subprocess.Popen[bytes],
+    task: dict[str, Any],
+    log: Path,
+    context: Context,
+    poll: Callable[[dict[str, Any]], None],
+) -> Any:
+    """Read the child's records until it ends."""
+    assert child.stdin is not None
+    lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(child, lines), daemon=True).start()
+    with suppress(OSError):  # it has ended; said below
+        child.stdin.write(json.dumps(task).encode() + b"\n")
+        child.stdin.flush()
+    last: dict[str, Any] = {}
+    while True:
+        context.check_cancelled()
+        try:
+            line = lines.get(timeout=POLL_SECONDS)
+        except queue.Empty:
+            poll(last)
+            continue
+        if line is None:
+            raise _ended(child.wait(), log)
+        record = _record(line)
+        if "error" in record:
+            raise (EngineError if record.get("hint") else SceneError)(
+                record["error"], record.get("hint", f"Log: {log}")
+            )
+        if "result" in record:
+            return record["result"]
+        last = record or last
+        poll(last)
+
+
+def _ended(status: int, log: Path) -> SceneError:
+    """The error for a child that ended without a result: pycolmap aborts when a disk is full."""
+    if shutil.disk_usage(log.parent).free < FULL:
+        return SceneError(
+            f"The disk of {log.parent} is full.", "Free some space and give the command again."
+        )
+    return SceneError(
+        f"pycolmap ended without a result (exit status {status}).",
+        f"Check the free memory, then give the command again. Log: {log}",
+    )
+
+
+def _record(line: bytes) -> dict[str, Any]:
+    """The record on a line; empty if it is none."""
+    with suppress(ValueError):
+        record = json.loads(line)
+        return record if isinstance(record, dict) else {}
+    return {}
+
+
+def _read(child: subprocess.Popen[bytes], lines: queue.SimpleQueue[bytes | None]) -> None:
+    """On a thread: the child's lines, then None."""
+    assert child.stdout is not None
+    with suppress(ValueError, OSError):  # closed
+        for line in child.stdout:
+            lines.put(line)
+    lines.put(None)

@@ -1,0 +1,134 @@
+"""What COLMAP's database holds, read beside pycolmap's own writing."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SceneError
+
+# COLMAP reads lists of pairs up to the first space, and leaves out lines that begin with #.
+HIDDEN = {" ": "\x1f", "#": "\x1e"}
+PAIR_BASE = 2147483647  # COLMAP's: a pair's id is smaller id * base + larger id
+FEWEST_INLIERS = 15  # matches of a pair that COLMAP's mapper uses
+# COLMAP's kinds of a pair: the camera only turned, or saw a plane, which cannot always be told
+# apart; and what matches stands still in the picture, as a watermark or a background.
+PANORAMIC = (5, 6)
+STILL = (7,)
+Pair = tuple[str, str]
+
+
+@contextmanager
+def _opened(database: Path) -> Iterator[sqlite3.Connection]:
+    """The database, to read; SceneError if it is damaged."""
+    address = f"{database.absolute().as_uri()}?mode=ro"
+    with _explained(database), closing(sqlite3.connect(address, uri=True)) as file:
+        yield file
+
+
+@contextmanager
+def _explained(database: Path) -> Iterator[None]:
+    """Turn SQLite's errors into one line."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise SceneError(
+            f"Cannot use {database} ({error}).",
+            "Free some space if the disk is full; else delete it and give the command again.",
+        ) from error
+
+
+def feature_counts(database: Path) -> dict[str, int]:
+    """Photo's name -> number of its features, of the photos whose features were looked for."""
+    query = "SELECT name, rows FROM images JOIN descriptors USING (image_id)"
+    with _opened(database) as file:
+        return dict(file.execute(query))
+
+
+def camera_ids(database: Path) -> dict[str, int]:
+    """Photo's name -> id of its camera."""
+    with _opened(database) as file:
+        return dict(file.execute("SELECT name, camera_id FROM images"))
+
+
+def count(database: Path, table: str) -> int:
+    """The number of rows of `descriptors` or `two_view_geometries`; 0 while there is no such table.
+
+    Does not raise: it is for progress.
+    """
+    try:
+        with _opened(database) as file:
+            return int(file.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0])
+    except SceneError:
+        return 0
+
+
+def matched_pairs(database: Path) -> dict[Pair, int]:
+    """Names of two photos, in order -> number of verified matches, of all pairs tried."""
+    with _opened(database) as file:
+        names = dict(file.execute("SELECT image_id, name FROM images"))
+        rows = file.execute("SELECT pair_id, rows FROM two_view_geometries").fetchall()
+    found = {}
+    for pair, matches in rows:
+        one, other = sorted(names[key] for key in divmod(pair, PAIR_BASE))
+        found[one, other] = int(matches)
+    return found
+
+
+def pair_kinds(database: Path) -> Counter[int]:
+    """How often verified pairs are of each kind: `PANORAMIC`, `STILL`, or another of COLMAP's."""
+    query = "SELECT config, COUNT(*) FROM two_view_geometries WHERE rows >= ? GROUP BY config"
+    with _opened(database) as file:
+        return Counter(dict(file.execute(query, (FEWEST_INLIERS,))))
+
+
+def largest_features(database: Path, most: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Each photo's name, and the (N, 128) descriptors of its features of the largest scales."""
+    query = (
+        "SELECT name, keypoints.rows, keypoints.cols, keypoints.data, descriptors.data"
+        " FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id)"
+        " ORDER BY name"
+    )
+    with _opened(database) as file:
+        for name, rows, columns, points, data in file.execute(query):
+            shape = np.frombuffer(points or b"", dtype=np.float32).reshape(rows, columns)[:, 2:6]
+            scale = np.abs(shape[:, 0] * shape[:, 3] - shape[:, 1] * shape[:, 2])
+            largest = np.argsort(-scale, kind="stable")[:most]
+            descriptors = np.frombuffer(data or b"", dtype=np.uint8).reshape(rows, 128)
+            yield name, descriptors[largest]
+
+
+def pair_line(pair: Pair) -> str:
+    """The line of a pair in a list for COLMAP, while spaces are hidden."""
+    one, other = ("".join(HIDDEN.get(letter, letter) for letter in name) for name in pair)
+    return f"{one} {other}\n"
+
+
+@contextmanager
+def spaces_hidden(database: Path) -> Iterator[None]:
+    """While the block runs, names in the database are as in `pair_line`."""
+    _rename(database, HIDDEN)
+    try:
+        yield
+    finally:
+        show_spaces(database)
+
+
+def show_spaces(database: Path) -> None:
+    """Undo what a killed process has left of `spaces_hidden`."""
+    if database.exists():
+        _rename(database, {hidden: letter for letter, hidden in HIDDEN.items()})
+
+
+def _rename(database: Path, letters: dict[str, str]) -> None:
+    with _explained(database), closing(sqlite3.connect(database, timeout=60)) as file, file:
+        if file.execute("SELECT 1 FROM sqlite_master WHERE name = 'images'").fetchone():
+            for old, new in letters.items():
+                query = "UPDATE images SET name = replace(name, ?, ?) WHERE instr(name, ?)"
+                file.execute(query, (old, new, old))

@@ -1,0 +1,160 @@
+"""What a reconstruction found: which photos were registered, which were not and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..formats.text import counted, printable
+from .checks import blurred, foreign, named, small, warnings_of
+from .database import FEWEST_INLIERS, Pair
+from .look import Found
+from .mapping import Mapped
+
+NOTHING = "No two photos could be placed: their matches are too few, or all are from one place."
+FEW_FEATURES = 200
+HIGH_ERROR = 1.5  # px
+FEW_POINTS = 100  # that a photo observes
+WEAK = 0.2  # of the registered photos: if more have few points, it is a warning
+SHARE = 0.9  # of the photos: if fewer are registered, it is a warning
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruction:
+    """What a reconstruction found.
+
+    Attributes:
+        found: the photos, and those that were left out.
+        features: name -> number of features.
+        matched: two names -> number of verified matches.
+        models: the largest first; that is the result. Empty: no two photos could be placed.
+        seconds: wall-clock of each step.
+        warnings: what the matches tell, see `warnings_of_matches`.
+    """
+
+    found: Found
+    features: Mapping[str, int]
+    matched: Mapping[Pair, int]
+    models: list[Mapped]
+    seconds: Mapping[str, float]
+    warnings: Sequence[str] = ()
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of the photos that the result does not have."""
+        return [p.name for p in self.found.photos if p.name not in self.registered]
+
+    @property
+    def registered(self) -> Mapping[str, int]:
+        """Name -> number of points that the photo observes, of the photos of the result."""
+        return self.models[0].photos if self.models else {}
+
+
+def reason(result: Reconstruction, name: str) -> str:
+    """Why a photo was not registered."""
+    features = result.features.get(name, 0)
+    if features == 0 and name in foreign(result.found.photos):
+        return "pycolmap cannot read its format; convert it to JPEG or PNG"
+    if features == 0:
+        return "no features: it shows nothing, or pycolmap cannot read it"
+    if features < FEW_FEATURES:
+        return f"few features ({features})"
+    partners = {
+        one if other == name else other: matches
+        for (one, other), matches in result.matched.items()
+        if name in (one, other) and matches >= FEWEST_INLIERS
+    }
+    if not partners:
+        return "no photo matches it"
+    for number, model in enumerate(result.models[1:], start=2):
+        if name in model.photos:
+            return f"in model {number}, which is not connected with the largest"
+    placed = {other for other in partners if other in result.registered}
+    if not result.models:
+        return f"matched with {counted(len(partners), 'photo')}, but their places stay unknown"
+    if not placed:
+        return f"it matches only photos that were not registered ({named(sorted(partners), 2)})"
+    best = max(placed, key=lambda other: partners[other])
+    return f"too few matches: {counted(len(placed), 'photo')}, at best {partners[best]} with {best}"
+
+
+def findings(result: Reconstruction) -> list[tuple[str, str]]:
+    """(level, sentence) of what to tell: 'info', or 'warning' where something should be done."""
+    best, total = result.models[0], len(result.found.photos)
+    told = [("info", _summary(result))]
+    missing = result.missing
+    if missing:
+        level = "warning" if len(best.photos) < SHARE * total else "info"
+        why = f"{printable(missing[0])}: {reason(result, missing[0])}"
+        told.append((level, f"{counted(len(missing), 'photo')} not registered. {why}."))
+    if len(best.photos) == 2:
+        told.append(("warning", "Only two photos could be placed. Take more, closer together."))
+    others = [model for model in result.models[1:] if len(model.photos) > 2]
+    for number, model in enumerate(others, start=2):
+        text = f"{counted(len(model.photos), 'photo')} form a model of their own (model {number}):"
+        told.append(("warning", f"{text} {named(sorted(model.photos))}."))
+    weak = sum(points < FEW_POINTS for points in best.photos.values())
+    if weak:
+        text = f"{counted(weak, 'photo')} with fewer than {FEW_POINTS} points: cameras may be off."
+        told.append(("warning" if weak > WEAK * len(best.photos) else "info", text))
+    if best.error > HIGH_ERROR:
+        told.append(("warning", f"The reprojection error is high: {best.error:.1f} px."))
+    return told
+
+
+def _summary(result: Reconstruction) -> str:
+    if not result.models:
+        return NOTHING
+    best, total = result.models[0], len(result.found.photos)
+    return (
+        f"{len(best.photos)} of {counted(total, 'photo')} registered,"
+        f" {counted(best.points, 'point')}, reprojection error {best.error:.2f} px."
+    )
+
+
+def as_markdown(result: Reconstruction) -> str:
+    """The findings as a document."""
+    lines = ["# Reconstruction", "", _summary(result), ""]
+    lines += [f"- {text}" for text in (*warnings_of(result.found), *result.warnings)]
+    if result.models:
+        lines += [f"- {text}" for _, text in findings(result)[1:]]
+    lines += ["", "| | |", "|---|---|"]
+    lines += [f"| photos registered | {len(result.registered)} of {len(result.found.photos)} |"]
+    lines += _figures(result) if result.models else []
+    lines += [f"| {step} | {seconds:.0f} s |" for step, seconds in result.seconds.items()]
+    lines += _rest(result) + _weak(result)
+    return "\n".join(map(printable, lines)) + "\n"
+
+
+def _figures(result: Reconstruction) -> list[str]:
+    """The rows of the result."""
+    best = result.models[0]
+    observed = list(best.photos.values())
+    return [
+        f"| points | {best.points} |",
+        f"| mean reprojection error | {best.error:.3f} px |",
+        f"| photos per point | {best.track:.1f} |",
+        f"| points per photo | {int(np.median(observed))} (median), {min(observed)} (least) |",
+        f"| models | {', '.join(str(len(model.photos)) for model in result.models)} photos |",
+    ]
+
+
+def _rest(result: Reconstruction) -> list[str]:
+    """The table of the photos that were not registered."""
+    if not result.missing:
+        return []
+    head = ["", "## Not registered", "", "| photo | why |", "|---|---|"]
+    notes = dict.fromkeys(blurred(result.found.photos), "blurred; ")
+    notes |= dict.fromkeys(small(result.found.photos), "small; ")
+    return head + [f"| {n} | {notes.get(n, '')}{reason(result, n)} |" for n in result.missing]
+
+
+def _weak(result: Reconstruction) -> list[str]:
+    """The table of the photos whose poses rest on little."""
+    few = {name: n for name, n in result.registered.items() if n < FEW_POINTS}
+    if not few:
+        return []
+    head = ["", f"## Fewer than {FEW_POINTS} points", "", "| photo | points |", "|---|---|"]
+    return head + [f"| {name} | {few[name]} |" for name in sorted(few, key=lambda n: few[n])]

@@ -1,0 +1,204 @@
+"""The folder of a reconstruction: a COLMAP project, and what is needed to resume.
+
+SCENE/images has the photos, SCENE/database.db COLMAP's database, SCENE/sparse/0 the model, and
+SCENE/reconstruction.md what was found. SCENE/reconstruction is the engine's own.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from ..errors import RunFolderError, SceneError
+from ..formats.files import cannot_write, own_folder, read_json, write_json
+from ..formats.lock import locked
+from ..formats.projects import PHOTO_FOLDERS, SPARSE, model_suffix
+from ..photos.files import PhotoFolder
+from .look import Photo
+from .settings import Settings
+
+IMAGES, DATABASE, WORK, REPORT = (
+    PHOTO_FOLDERS[0],
+    "database.db",
+    "reconstruction",
+    "reconstruction.md",
+)
+VERSION = 1  # of the record; increase it if features or matches of older engines are of no use
+
+
+class Folder:
+    """The places in a reconstruction's folder, and what its record says.
+
+    Attributes:
+        root: the folder.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @property
+    def images(self) -> Path:
+        """The photos."""
+        return self.root / IMAGES
+
+    @property
+    def database(self) -> Path:
+        """COLMAP's database."""
+        return self.root / DATABASE
+
+    @property
+    def model(self) -> Path:
+        """The result."""
+        return self.root / SPARSE / "0"
+
+    @property
+    def report(self) -> Path:
+        """What was found, to read."""
+        return self.root / REPORT
+
+    def work(self, *names: str) -> Path:
+        """A place of the engine's own."""
+        return own_folder(self.root, WORK).joinpath(*names)
+
+    @property
+    def log(self) -> Path:
+        """What pycolmap says."""
+        return self.work("log.txt")
+
+    @contextmanager
+    def held(self, warn: Callable[[str], None]) -> Iterator[None]:
+        """Keep other engines out while the block runs.
+
+        Raises:
+            RunFolderError: another engine is at work here, or the folder cannot be written.
+            SceneError: it has a model that this command did not make.
+        """
+        if model_suffix(self.model) and not self.work("state.json").exists():
+            raise SceneError(f"{self.root} has a model already.", "Give another --out.")
+        with locked(self.work(), warn):
+            yield
+
+    def begin(self, photos: list[Photo], settings: Settings) -> str:
+        """Prepare for these photos and settings; what is of use stays, and the rest begins again.
+
+        Returns:
+            What begins again, and why, as a sentence; empty: nothing, or this is the first time.
+        """
+        state = self._state()
+        features = settings.of_features()
+        digests = {photo.name: photo.digest for photo in photos}
+        known: dict[str, str] = state.get("photos", {})
+        why = ""
+        if self.database.exists():
+            if state.get("version") != VERSION or state.get("features") != features:
+                why = "The settings changed, so features are found again."
+            elif any(digests.get(name) != digest for name, digest in known.items()):
+                why = "Photos were changed or removed, so features are found again."
+        if why:
+            self.forget()
+        state = {"version": VERSION, "features": features, "photos": digests}
+        write_json(self.work("state.json"), state | {"done": self._done()})
+        return why
+
+    def forget(self) -> None:
+        """Remove the database and what was made of it, except results."""
+        for suffix in ("", "-wal", "-shm", "-journal"):
+            self.database.with_name(DATABASE + suffix).unlink(missing_ok=True)
+        for name in ("models", "snapshots"):
+            shutil.rmtree(self.work(name), ignore_errors=True)
+
+    def _done(self) -> Any:
+        return self._state().get("done")
+
+    def is_done(self, key: str) -> bool:
+        """Whether the model that is there was made with this key."""
+        return self._done() == key and model_suffix(self.model) is not None
+
+    def finish(self, key: str) -> None:
+        """Record that the model was made with this key."""
+        write_json(self.work("state.json"), self._state() | {"done": key})
+
+    def _state(self) -> dict[str, Any]:
+        try:
+            record = read_json(self.work("state.json"))
+        except RunFolderError:
+            return {}
+        return record if isinstance(record, dict) else {}
+
+    def take_model(self, source: Path) -> None:
+        """Make the model in `source` the result; an earlier result is kept beside it."""
+        own_folder(self.root, SPARSE)
+        try:
+            self.model.parent.mkdir(exist_ok=True)
+            if self.model.exists():
+                kept = self.work("earlier")
+                kept.mkdir(exist_ok=True)
+                self.model.rename(kept / str(len(list(kept.iterdir()))))
+            source.rename(self.model)
+        except OSError as error:
+            raise cannot_write(self.model, error) from error
+
+    def photos_of(self, source: Path) -> dict[str, Path]:
+        """Name -> file, of the photos below a folder; not those that this folder has of them.
+
+        Raises:
+            SceneError: there is none.
+        """
+        if not source.is_dir():
+            raise SceneError(f"{source} is not a folder.", "Give the folder of the photos.")
+        own = [Path(os.path.realpath(path)) for path in (self.images, self.root / WORK)]
+        here = Path(os.path.realpath(source))
+        skipped = [path for path in own if path != here and path.is_relative_to(here)]
+        photos = PhotoFolder(source)
+        found = {}
+        for name in photos.others([]):
+            path = source / name
+            if not any((here / name).is_relative_to(folder) for folder in skipped):
+                found[name] = path
+        if not found:
+            raise SceneError(f"{source} has no photos.", "Give the folder of the photos.")
+        return found
+
+    def take_photos(self, photos: list[Photo]) -> None:
+        """Put the photos into `images`: as second names of the files if possible, else as copies.
+
+        Raises:
+            SceneError: another photo of that name is there.
+            RunFolderError: it cannot be written.
+        """
+        for photo in photos:
+            target = own_folder(self.root, IMAGES) / photo.name
+            if os.path.lexists(target):
+                if not _same_bytes(photo.path, target):
+                    raise SceneError(
+                        f"{target} is another photo than {photo.path}.",
+                        "Remove it, or give another --out.",
+                    )
+                continue
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                _link_or_copy(photo.path, target)
+            except OSError as error:
+                raise cannot_write(target, error) from error
+
+
+def _same_bytes(one: Path, other: Path) -> bool:
+    with suppress(OSError):
+        if os.path.samefile(one, other):
+            return True
+        return one.stat().st_size == other.stat().st_size and one.read_bytes() == other.read_bytes()
+    return False
+
+
+def _link_or_copy(source: Path, target: Path) -> None:
+    """A hard link; a copy on file systems without, or between two."""
+    with suppress(OSError):
+        os.link(os.path.realpath(source), target)
+        return
+    partial = target.with_name(f".{target.name}.part")
+    shutil.copyfile(source, partial)
+    os.replace(partial, target)

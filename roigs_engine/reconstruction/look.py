@@ -1,0 +1,149 @@
+"""What photos tell before anything is matched: their size, camera and sharpness, and copies."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..context import Context
+from ..errors import SceneError
+from ..formats.events import StageStarted
+from ..photos.contents import Contents
+from ..photos.decode import decode
+from ..photos.headers import open_photo, photo_size
+from ..photos.parallel import decoding_bytes, in_parallel, threads_for
+
+STAGE = "look at photos"
+LOOK_SIDE = 1024  # px of the longest side, for the sharpness
+EXIF_IFD = 0x8769
+# EXIF tags: maker, model; then, in their own table, focal length, that of 35 mm film, lens.
+DEVICE_TAGS, LENS_TAGS = (0x010F, 0x0110), (0x920A, 0xA405, 0xA434)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """A photo that can be used.
+
+    Attributes:
+        name: below the folder, with `/`.
+        path: its file.
+        digest: hash of the file's bytes.
+        size: width and height, px, as in the file: orientation tags are ignored.
+        device: what tells its camera from others: maker, model, focal lengths and lens; "": nothing
+            is known.
+        sharpness: the share of fine detail in the photo's contrast; comparable among photos of one
+            set only.
+    """
+
+    name: str
+    path: Path
+    digest: str
+    size: tuple[int, int]
+    device: str
+    sharpness: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """The photos of a folder: those to use, and names of the others by the reason."""
+
+    photos: tuple[Photo, ...]
+    unreadable: tuple[str, ...]
+    copies: Mapping[str, str]
+    """Name -> name of the photo with the same bytes, which is used."""
+
+
+def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:
+    """Look at photos.
+
+    Args:
+        files: name -> file.
+        remembered: file that keeps what was found, see `photos.contents`.
+        context: gets the progress; checked for cancellation.
+
+    Raises:
+        SceneError: fewer than two can be used.
+        Stopped: on request.
+    """
+    contents = Contents(remembered).read(files, context)
+    whole = [name for name in sorted(files) if contents[name].whole]
+    first: dict[str, str] = {}
+    copies = {}
+    for name in whole:
+        digest = contents[name].digest
+        if first.setdefault(digest, name) != name:
+            copies[name] = first[digest]
+    kept = [name for name in whole if name not in copies]
+    unreadable = tuple(sorted(set(files) - set(whole)))
+    if len(kept) < 2:
+        raise SceneError(
+            f"A reconstruction needs at least two different photos; {len(kept)} can be used"
+            f" ({len(unreadable)} unreadable, {len(copies)} copies).",
+            "Add photos of the same place from other sides.",
+        )
+    photos = _look(kept, files, {name: contents[name].digest for name in kept}, context)
+    return Found(photos=tuple(photos), unreadable=unreadable, copies=copies)
+
+
+def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
+    """The photos that share a camera, see `Settings.cameras`; of one size in any case."""
+    groups: dict[object, list[Photo]] = defaultdict(list)
+    for photo in photos:
+        own = {"one": "", "each": photo.name, "auto": photo.device}[cameras]
+        groups[photo.size, own].append(photo)
+    return list(groups.values())
+
+
+def _look(
+    names: Sequence[str], files: Mapping[str, Path], digests: Mapping[str, str], context: Context
+) -> list[Photo]:
+    """The photos of these names, decoded once, small."""
+    context.emit(StageStarted(stage=STAGE, total=len(names)))
+    sizes = {name: photo_size(files[name]) or (1, 1) for name in names}
+    threads = threads_for(max(decoding_bytes(files[name], sizes[name]) for name in names))
+
+    def look(name: str) -> Photo:
+        return Photo(
+            name=name,
+            path=files[name],
+            digest=digests[name],
+            size=sizes[name],
+            device=_device(files[name]),
+            sharpness=_sharpness(files[name], sizes[name]),
+        )
+
+    found, started = [], time.monotonic()
+    with closing(in_parallel(look, names, threads, context)) as work:
+        for step, (_, job) in enumerate(work, start=1):
+            found.append(job.result())
+            context.progress(STAGE, step, len(names), started)
+    return found
+
+
+def _device(path: Path) -> str:
+    """The photo's camera by its EXIF data, see `Photo.device`."""
+    with suppress(Exception):  # Pillow's readers raise nearly anything on damaged files
+        with open_photo(path) as photo:
+            tags = photo.getexif()
+            lens = tags.get_ifd(EXIF_IFD)
+        known = [tags.get(tag) for tag in DEVICE_TAGS] + [lens.get(tag) for tag in LENS_TAGS]
+        return "; ".join(str(value).strip("\0 ") for value in known if value is not None)
+    return ""
+
+
+def _sharpness(path: Path, size: tuple[int, int]) -> float:
+    """See `Photo.sharpness`."""
+    factor = min(1.0, LOOK_SIDE / max(size))
+    small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
+    grey = decode(path, small).mean(axis=2, dtype=np.float32)
+    if min(grey.shape) < 3:
+        return 0.0
+    inner = grey[1:-1, 1:-1]
+    second = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4 * inner
+    return float(second.var() / max(float(grey.var()), 1.0))

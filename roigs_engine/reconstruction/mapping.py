@@ -1,0 +1,124 @@
+"""From matches to a model: maps, and then tries what is left once more with lower limits."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..context import Context
+from ..formats.events import StageStarted
+from .child import run_task
+from .folder import Folder
+
+STAGE = "mapping"
+FEWEST = 3  # photos of a model that is named
+Options = dict[str, dict[str, Any]]
+"""Values of pycolmap's options by the part that has them; "": the pipeline's own."""
+# First COLMAP's own limits; then, to begin at all, or to add photos to a model, lower ones.
+STRICT: Options = {"": {"min_model_size": FEWEST, "max_num_models": 10}, "mapper": {}}
+LOW_TO_ADD = {"abs_pose_min_num_inliers": 12, "abs_pose_min_inlier_ratio": 0.15}
+LOW_TO_BEGIN = {"init_min_num_inliers": 30, "init_min_tri_angle": 2.0}
+LOW: Options = {
+    "": {"min_num_matches": 10, "multiple_models": False},
+    "mapper": LOW_TO_ADD,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mapped:
+    """A model that was found.
+
+    Attributes:
+        folder: its files.
+        photos: name -> number of points that the photo observes.
+        points: their number.
+        error: mean reprojection error, px.
+        track: mean number of photos that observe a point.
+    """
+
+    folder: str
+    photos: dict[str, int]
+    points: int
+    error: float
+    track: float
+
+
+def map_models(
+    folder: Folder, total: int, settings: dict[str, Any], context: Context
+) -> list[Mapped]:
+    """The models, the largest first; empty: no two photos could be placed.
+
+    Args:
+        folder: with photos and a database.
+        total: number of photos.
+        settings: `seed` and `threads` of the task.
+        context: gets the progress; checked for cancellation.
+
+    Raises:
+        SceneError: pycolmap failed.
+        Stopped: on request; snapshots stay, from which the next call resumes.
+    """
+    out = folder.work("models")
+    shutil.rmtree(out, ignore_errors=True)
+    snapshots = folder.work("snapshots")
+    snapshots.mkdir(parents=True, exist_ok=True)
+    own = {"snapshot_path": str(snapshots), "snapshot_frames_freq": max(20, total // 10)}
+    options = STRICT | {"": STRICT[""] | own}
+    found = _map(folder, out / "first", options, settings, total, context, _snapshot(snapshots))
+    if not found:
+        options |= {"mapper": LOW_TO_BEGIN | LOW_TO_ADD}
+        found = _map(folder, out / "second", options, settings, total, context)
+    shutil.rmtree(snapshots, ignore_errors=True)
+    return found
+
+
+def map_rest(
+    folder: Folder, models: Sequence[Mapped], total: int, settings: dict[str, Any], context: Context
+) -> list[Mapped]:
+    """The models, the largest with more photos if lower limits bring any; see `map_models`."""
+    out, best = folder.work("models", "rest"), models[0]
+    shutil.rmtree(out, ignore_errors=True)
+    found = _map(folder, out, LOW, settings, total, context, best.folder)
+    if not found or len(found[0].photos) <= len(best.photos):
+        return list(models)
+    rest = [model for model in models[1:] if not model.photos.keys() <= found[0].photos.keys()]
+    return [found[0], *rest]
+
+
+def _map(
+    folder: Folder,
+    out: Path,
+    options: Options,
+    settings: dict[str, Any],
+    total: int,
+    context: Context,
+    start: str = "",
+) -> list[Mapped]:
+    context.emit(StageStarted(stage=STAGE, total=total))
+    began = time.monotonic()
+
+    def poll(record: dict[str, Any]) -> None:
+        done = min(record.get("registered", 0), total)
+        if done:
+            context.progress(STAGE, done, total, began)
+
+    task = {
+        "work": "map",
+        "database": str(folder.database),
+        "photos": str(folder.images),
+        "out": str(out),
+        "start": start,
+        "options": options,
+        **settings,
+    }
+    return [Mapped(**record) for record in run_task(task, folder.log, context, poll)]
+
+
+def _snapshot(folder: Path) -> str:
+    """The last but one snapshot, which is complete in any case; empty: there is none."""
+    found = sorted(path for path in folder.iterdir() if path.is_dir())
+    return str(found[-2]) if len(found) > 1 else ""

@@ -1,0 +1,250 @@
+"""From a folder of photos to a COLMAP project."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..context import Context
+from ..errors import SceneError
+from ..formats.events import Message, StageStarted
+from ..formats.files import write_text
+from ..formats.text import json_digest
+from ..machine import machine_memory, usable_cores
+from . import pairs
+from .checks import warnings_of, warnings_of_matches
+from .child import run_task
+from .database import (
+    Pair,
+    camera_ids,
+    count,
+    feature_counts,
+    largest_features,
+    matched_pairs,
+    pair_kinds,
+    pair_line,
+)
+from .findings import NOTHING, Reconstruction, as_markdown, findings
+from .folder import Folder
+from .look import Found, Photo, camera_groups, look_at
+from .mapping import map_models, map_rest
+from .settings import Settings
+from .similarity import LARGEST, similarities
+
+FEATURES, MATCHING, MAPPING = "features", "matching", "mapping"
+# Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.
+SEARCHED, DECODED = 320, 8
+REST_PAIRS = 20_000  # most pairs that are tried for photos that were not registered
+
+
+def find_features(
+    folder: Folder, photos: Sequence[Photo], settings: Settings, threads: int, context: Context
+) -> None:
+    """Find features of the photos that have none in the database yet.
+
+    Raises:
+        SceneError: pycolmap failed.
+        Stopped: on request; features of photos that are done stay.
+    """
+    there = feature_counts(folder.database) if folder.database.exists() else {}
+    cameras = camera_ids(folder.database) if folder.database.exists() else {}
+    groups = []
+    for group in camera_groups(photos, settings.cameras):
+        names = [photo.name for photo in group if photo.name not in there]
+        known = [cameras[photo.name] for photo in group if photo.name in cameras]
+        if names:
+            groups.append({"names": names, "camera": known[0] if known else -1})
+    if not groups:
+        return
+    task = {
+        "work": "extract",
+        "database": str(folder.database),
+        "photos": str(folder.images),
+        "groups": groups,
+        "threads": threads_in_memory(photos, settings.max_side, threads),
+        "max_side": settings.max_side,
+        "features": settings.most_features(len(photos)),
+        "camera_model": settings.camera_model,
+        "masks": settings.masks,
+    }
+    _run(task, folder, FEATURES, "descriptors", len(photos), context)
+
+
+def threads_in_memory(photos: Sequence[Photo], max_side: int, threads: int) -> int:
+    """So many threads, or as many as find features in half of the machine's memory."""
+    needed = []
+    for photo in photos:
+        pixels, shrink = photo.size[0] * photo.size[1], min(1.0, max_side / max(photo.size))
+        needed.append(SEARCHED * pixels * shrink**2 + DECODED * pixels)
+    return max(1, min(threads, int(machine_memory() / 2 / max(needed))))
+
+
+def match(
+    folder: Folder, wanted: Sequence[Pair], settings: Settings, threads: int, context: Context
+) -> None:
+    """Match the pairs that the database does not have yet.
+
+    Raises:
+        As `find_features`.
+    """
+    there = matched_pairs(folder.database)
+    missing = [pair for pair in wanted if pair not in there]
+    if not missing:
+        return
+    listed = folder.work("pairs.txt")
+    write_text(listed, "".join(map(pair_line, missing)), durable=False)
+    task = {
+        "work": "match",
+        "database": str(folder.database),
+        "pairs": str(listed),
+        "threads": threads,
+        "seed": settings.seed,
+    }
+    _run(task, folder, MATCHING, "two_view_geometries", len(there) + len(missing), context)
+
+
+def _run(
+    task: dict[str, Any], folder: Folder, stage: str, table: str, total: int, context: Context
+) -> None:
+    """Do a task whose progress is the number of rows of a table."""
+    context.emit(StageStarted(stage=stage, total=total))
+    began = time.monotonic()
+
+    def poll(record: dict[str, Any]) -> None:
+        done = min(count(folder.database, table), total)
+        if done:
+            context.progress(stage, done, total, began)
+
+    run_task(task, folder.log, context, poll)
+
+
+def choose_pairs(
+    folder: Folder, names: Sequence[str], settings: Settings, context: Context
+) -> list[Pair]:
+    """The pairs of photos to match first."""
+    kind = settings.pairs
+    if kind == "auto":
+        kind = "all" if len(names) <= pairs.FEW else "similar"
+    if kind == "all":
+        return pairs.all_pairs(names)
+    described = dict(largest_features(folder.database, LARGEST))
+    empty = np.zeros((0, 128), dtype=np.uint8)
+    photos = [described.get(name, empty) for name in names]
+    scores = similarities(photos, context, settings.seed)
+    if kind == "ordered":
+        near = pairs.in_order(names, pairs.OVERLAP, pairs.JUMPS)
+        return pairs.merged(near, pairs.most_similar(names, scores, pairs.LOOPS))
+    near = pairs.in_order(names, pairs.OVERLAP)
+    return pairs.merged(pairs.most_similar(names, scores, settings.neighbours), near)
+
+
+def solve(
+    folder: Folder, found: Found, settings: Settings, threads: int, context: Context
+) -> Reconstruction:
+    """Features, matches and models of photos that lie in the folder.
+
+    Raises:
+        SceneError: pycolmap failed.
+        Stopped: on request; what is done stays, and the next call resumes.
+    """
+    names = [photo.name for photo in found.photos]
+    seconds: dict[str, float] = {}
+    task = {"seed": settings.seed, "threads": threads}
+    with _timed(seconds, FEATURES):
+        find_features(folder, found.photos, settings, threads, context)
+    with _timed(seconds, MATCHING):
+        wanted = choose_pairs(folder, names, settings, context)
+        match(folder, wanted, settings, threads, context)
+    matched = matched_pairs(folder.database)
+    warnings = warnings_of_matches(names, matched, pair_kinds(folder.database))
+    for text in warnings:
+        context.warn(text)
+    with _timed(seconds, MAPPING):
+        models = map_models(folder, len(names), task, context)
+    missing = set(names) - models[0].photos.keys() if models else set()
+    if missing:
+        with _timed(seconds, MATCHING):
+            rest = [pair for pair in pairs.all_pairs(names) if missing & {*pair}]
+            match(folder, rest[:REST_PAIRS], settings, threads, context)
+        with _timed(seconds, MAPPING):
+            models = map_rest(folder, models, len(names), task, context)
+    return Reconstruction(
+        found=found,
+        features=feature_counts(folder.database),
+        matched=matched_pairs(folder.database),
+        models=models,
+        seconds=seconds,
+        warnings=warnings,
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
+    began = time.monotonic()
+    yield
+    seconds[step] = seconds.get(step, 0.0) + time.monotonic() - began
+
+
+def reconstruct(
+    source: Path,
+    out: Path,
+    settings: Settings,
+    threads: int | None,
+    context: Context,
+    ready: Callable[[Path], None] = lambda folder: None,
+) -> Path:
+    """Reconstruct the photos below the folder `source` as the COLMAP project `out`.
+
+    Args:
+        source: folder of the photos.
+        out: folder of the project; what an earlier call has left there is resumed.
+        settings: see there.
+        threads: of the CPU; None: all cores.
+        context: gets progress and messages; checked for cancellation.
+        ready: called with the folder for a log, once this process may write there.
+
+    Returns:
+        The folder of the model.
+
+    Raises:
+        SceneError: the photos cannot be used, or `out` has something else.
+        RunFolderError: `out` cannot be written, or another engine is at work there.
+        EngineError: pycolmap is missing or too old.
+        Stopped: on request; the next call resumes.
+    """
+    folder = Folder(out)
+    files = folder.photos_of(source)
+    with folder.held(context.warn):
+        ready(folder.work())
+        found = look_at(files, folder.work("photos.json"), context)
+        for text in warnings_of(found):
+            context.warn(text)
+        folder.take_photos(list(found.photos))
+        key = json_digest({"settings": asdict(settings), "photos": digests_of(found)})
+        if folder.is_done(key):
+            context.info(f"{folder.model} is up to date.")
+            return folder.model
+        restart = folder.begin(list(found.photos), settings)
+        if restart:
+            context.info(restart)
+        result = solve(folder, found, settings, threads or usable_cores(), context)
+        write_text(folder.report, as_markdown(result))
+        if not result.models:
+            hint = f"Take photos that overlap more, from different places. See {folder.report}."
+            raise SceneError(NOTHING, hint)
+        for level, text in findings(result):
+            context.emit(Message(text=text, level=level))
+        folder.take_model(Path(result.models[0].folder))
+        folder.finish(key)
+    return folder.model
+
+
+def digests_of(found: Found) -> dict[str, str]:
+    """Name -> digest of the photos to use."""
+    return {photo.name: photo.digest for photo in found.photos}

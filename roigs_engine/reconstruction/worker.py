@@ -1,0 +1,206 @@
+"""The child process that runs one of pycolmap's long calls: it can be killed at any time.
+
+`python -m roigs_engine.reconstruction.worker` reads a task, one line of JSON, from standard input,
+and ends when that is closed. Each line on standard output is JSON: `{"registered": 12}`,
+`{"result": ...}` or `{"error": "..."}`. pycolmap's own messages go to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..colmap.library import pycolmap_module
+from ..errors import EngineError
+from .database import camera_ids, show_spaces, spaces_hidden
+from .placing import placement
+
+Task = dict[str, Any]
+NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
+
+
+def colmap_module() -> Any:
+    """The module pycolmap; EngineError if it is missing or too old."""
+    colmap = pycolmap_module("Reconstructing photos")
+    if not all(hasattr(colmap, name) for name in NEEDED):
+        raise EngineError(
+            f"Reconstructing photos needs pycolmap 4.2; this is {colmap.__version__}.",
+            "Run: pip install --upgrade pycolmap",
+        )
+    return colmap
+
+
+def extract(colmap: Any, task: Task) -> None:
+    """Find the features of the photos; those that the database has are left out."""
+    options = colmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = task["threads"]
+    options.max_image_size = task["max_side"]
+    options.sift.max_num_features = task["features"]
+    reader = colmap.ImageReaderOptions()
+    reader.camera_model = task["camera_model"]
+    for group in task["groups"]:
+        reader.existing_camera_id = group["camera"]
+        for masks, names in _by_masks(group["names"], task["masks"]):
+            reader.mask_path = masks
+            colmap.extract_features(
+                task["database"],
+                task["photos"],
+                image_names=names,
+                camera_mode=colmap.CameraMode.SINGLE,
+                reader_options=reader,
+                extraction_options=options,
+                device=colmap.Device.cpu,
+            )
+            cameras = camera_ids(Path(task["database"]))
+            known = [cameras[name] for name in names if name in cameras]
+            reader.existing_camera_id = known[0] if known else reader.existing_camera_id
+
+
+def _by_masks(names: list[str], masks: str) -> list[tuple[str, list[str]]]:
+    """The photos with a mask and those without: pycolmap leaves out photos whose mask is missing.
+
+    Returns:
+        (folder of masks, names) of each part that has photos.
+    """
+    masked = [name for name in names if masks and Path(masks, f"{name}.png").is_file()]
+    rest = [name for name in names if name not in set(masked)]
+    return [(folder, part) for folder, part in ((masks, masked), ("", rest)) if part]
+
+
+def match(colmap: Any, task: Task) -> None:
+    """Match the pairs of a file; those that the database has are left out."""
+    options = colmap.FeatureMatchingOptions()
+    options.use_gpu = False
+    options.num_threads = task["threads"]
+    verification = colmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = task["seed"]
+    pairing = colmap.ImportedPairingOptions()
+    pairing.match_list_path = task["pairs"]
+    with spaces_hidden(Path(task["database"])):
+        colmap.match_image_pairs(
+            task["database"],
+            matching_options=options,
+            pairing_options=pairing,
+            verification_options=verification,
+            device=colmap.Device.cpu,
+        )
+
+
+def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
+    """Find cameras and points; the models as records, the largest first."""
+    options = colmap.IncrementalPipelineOptions()
+    options.random_seed = task["seed"]
+    options.num_threads = task["threads"]
+    for place, values in task["options"].items():
+        part = getattr(options, place) if place else options
+        for key, value in values.items():
+            setattr(part, key, value)
+    out = Path(task["out"])
+    out.mkdir(parents=True, exist_ok=True)
+    start = task.get("start", "")
+    registered = colmap.Reconstruction(start).num_reg_images() if start else 0
+
+    def step() -> None:
+        nonlocal registered
+        registered += 1
+        say({"registered": registered})
+
+    found = colmap.incremental_mapping(
+        task["database"],
+        task["photos"],
+        out,
+        options,
+        input_path=start,
+        initial_image_pair_callback=step,
+        next_image_callback=step,
+    )
+    records = [_written(model, out / f"model-{key}") for key, model in found.items()]
+    return sorted(records, key=lambda record: -len(record["photos"]))
+
+
+def _written(model: Any, folder: Path) -> dict[str, Any]:
+    """Place a model and write it; returns what it is as plain values."""
+    _place(model)
+    folder.mkdir()
+    model.write_binary(str(folder))
+    images = [model.images[key] for key in sorted(model.reg_image_ids())]
+    return {
+        "folder": str(folder),
+        "photos": {image.name: image.num_points3D for image in images},
+        "points": model.num_points3D(),
+        "error": model.compute_mean_reprojection_error(),
+        "track": model.compute_mean_track_length(),
+    }
+
+
+def _place(model: Any) -> None:
+    """Put the model where `placing` says."""
+    images = [model.images[key] for key in model.reg_image_ids()]
+    points = {key: point.xyz for key, point in model.points3D.items()}
+    poses = np.tile(np.eye(4), (len(images), 1, 1))
+    distances = []
+    for pose, image in zip(poses, images, strict=True):
+        pose[:3] = image.cam_from_world().matrix()
+        seen = [points[spot.point3D_id] for spot in image.points2D if spot.has_point3D()]
+        if seen:
+            eye = image.projection_center()
+            distances.append(float(np.median(np.linalg.norm(np.array(seen) - eye, axis=1))))
+    if distances:
+        place = placement(poses, np.array(list(points.values())), float(np.median(distances)))
+        matrix = np.column_stack([place.scale * place.rotation, place.translation])
+        model.transform(colmap_module().Sim3d(matrix))
+
+
+REPLIES = 1  # the standard output that the parent reads, once `main` has moved it
+WORK = {"extract": extract, "match": match, "map": map_photos}
+
+
+def say(record: dict[str, Any]) -> None:
+    """Write a line to the parent."""
+    os.write(REPLIES, json.dumps(record).encode() + b"\n")
+
+
+def _first_line() -> bytes:
+    """The first line of standard input; what follows is left to `_end_with_parent`."""
+    line = b""
+    while not line.endswith(b"\n"):
+        byte = os.read(0, 1)
+        if not byte:
+            break
+        line += byte
+    return line
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, whatever it does."""
+    while os.read(0, 4096):
+        pass
+    os._exit(1)
+
+
+def main() -> None:
+    """Do the task on standard input."""
+    global REPLIES
+    REPLIES = os.dup(1)
+    os.dup2(2, 1)  # what pycolmap prints goes to the log
+    task = json.loads(_first_line())
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        show_spaces(Path(task["database"]))
+        say({"result": WORK[task["work"]](colmap_module(), task)})
+    except EngineError as error:
+        say({"error": error.message, "hint": error.hint})
+    except Exception as error:  # pycolmap raises nearly anything
+        last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        say({"error": f"pycolmap failed ({last:.200})."})
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""The folder of a reconstruction: what it takes, and what it never replaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.context import QUIET
+from roigs_engine.errors import SceneError
+from roigs_engine.reconstruction.folder import Folder
+from roigs_engine.reconstruction.look import Photo, look_at
+from roigs_engine.reconstruction.settings import Settings
+from tests.engine.reconstruction.photo_sets import write_noise
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    for number in range(3):
+        write_noise(tmp_path / f"photos/sub/{number}.png", number)
+    return tmp_path / "photos"
+
+
+def looked(folder: Folder, source: Path) -> list[Photo]:
+    found = look_at(folder.photos_of(source), folder.work("photos.json"), QUIET)
+    return list(found.photos)
+
+
+def test_photos_are_taken_with_their_folders_and_only_once(photos: Path, tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "scene")
+    for _ in range(2):
+        folder.take_photos(looked(folder, photos))
+        assert len(list(folder.images.rglob("*.png"))) == 3
+    source, taken = photos / "sub/1.png", folder.images / "sub/1.png"
+    assert taken.read_bytes() == source.read_bytes() and not taken.is_symlink()
+
+
+def test_photos_that_cannot_be_linked_are_copied(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*names: object) -> None:
+        raise OSError
+
+    monkeypatch.setattr("os.link", no_links)
+    folder = Folder(tmp_path / "scene")
+    found = looked(folder, photos)
+    folder.take_photos(found)
+    assert (folder.images / "sub/1.png").read_bytes() == (photos / "sub/1.png").read_bytes()
+    assert len(looked(folder, folder.images)) == 3
+
+
+def test_another_photo_of_that_name_is_not_replaced(photos: Path, tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "scene")
+    write_noise(folder.images / "sub/1.png", 7)
+    before = (folder.images / "sub/1.png").read_bytes()
+    with pytest.raises(SceneError, match="another photo"):
+        folder.take_photos(looked(folder, photos))
+    assert (folder.images / "sub/1.png").read_bytes() == before
+
+
+def test_a_scene_in_the_folder_of_photos_is_not_read_as_photos(photos: Path) -> None:
+    folder = Folder(photos)
+    folder.take_photos(looked(folder, photos))
+    assert [photo.name for photo in looked(folder, photos)] == [f"sub/{n}.png" for n in range(3)]
+
+
+def test_a_foreign_model_is_refused(tmp_path: Path) -> None:
+    model = tmp_path / "sparse/0"
+    model.mkdir(parents=True)
+    for name in ("cameras.bin", "images.bin"):
+        (model / name).write_bytes(b"theirs")
+    folder = Folder(tmp_path)
+    with pytest.raises(SceneError, match="has a model already"), folder.held(QUIET.warn):
+        pass
+
+
+def test_changed_settings_and_photos_begin_again(photos: Path, tmp_path: Path) -> None:
+    folder, settings = Folder(tmp_path / "scene"), Settings()
+    found = looked(folder, photos)
+    assert folder.begin(found, settings) == ""
+    folder.database.write_bytes(b"features")
+    assert folder.begin([*found[:2], replace(found[2], name="new.png")], settings)
+    assert not folder.database.exists()
+    folder.begin(found[:2], settings)
+    folder.database.write_bytes(b"features")
+    assert folder.begin(found, replace(settings, pairs="all", seed=4)) == ""
+    assert folder.database.exists()
+    assert "settings changed" in folder.begin(found, replace(settings, features=99))
+    assert not folder.database.exists()
+
+
+def test_an_earlier_result_is_kept(tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    folder.work().mkdir()
+    for number in range(3):
+        source = folder.work(f"found-{number}")
+        source.mkdir()
+        (source / "points3D.bin").write_text(str(number))
+        folder.take_model(source)
+    assert (folder.model / "points3D.bin").read_text() == "2"
+    assert (folder.work("earlier", "0", "points3D.bin")).read_text() == "0"
+    assert (folder.work("earlier", "1", "points3D.bin")).read_text() == "1"
