@@ -300,7 +300,8 @@ class Painter:
         if depth is not self._tools.no_depth:
             shader.uniform_float("pixel", (view.size[0] / size[0], view.size[1] / size[1]))
             shader.uniform_sampler("scene_depth", depth.texture)
-        self._tools.quad.draw_instanced(shader, instance_count=order.count)
+        shader.uniform_int("count", order.count)
+        self._tools.quads.draw_instanced(shader, instance_count=-(-order.count // shaders.TOGETHER))
 
 
 class Tools:
@@ -311,7 +312,16 @@ class Tools:
         self.composite = shaders.composite_shader()
         self.no_depth = targets.no_depth()
         corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
-        self.quad = batch_for_shader(self.splat(False), "TRI_STRIP", {"corner": corners})
+        self.quad = batch_for_shader(self.composite, "TRI_STRIP", {"corner": corners})
+        places = [(*corner, float(k)) for k in range(shaders.TOGETHER) for corner in corners]
+        triangles = [
+            tuple(4 * k + corner for corner in three)
+            for k in range(shaders.TOGETHER)
+            for three in ((0, 1, 2), (2, 1, 3))
+        ]
+        self.quads = batch_for_shader(
+            self.splat(False), "TRIS", {"place": places}, indices=triangles
+        )
 
     def splat(self, depth: bool) -> shaders.Shader:
         """Draws Gaussians, with a scene's depth or without."""

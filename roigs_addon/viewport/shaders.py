@@ -10,6 +10,9 @@ import gpu
 from .packing import INDEX_MARK, ROW
 from .targets import TYPES
 
+TOGETHER = 32
+"""Gaussians in an instance: with one alone, most of a GPU's lanes would idle."""
+
 Shader = Any
 """A shader of Blender's; by the stubs, it takes no matrices."""
 
@@ -22,7 +25,7 @@ def text(name: str) -> str:
 
 
 def splat_shader(depth: bool) -> Shader:
-    """Draws Gaussians: one per instance of a quad with corners (-1, -1) to (1, 1).
+    """Draws Gaussians: `TOGETHER` per instance, each a quad with corners (-1, -1) to (1, 1).
 
     Args:
         depth: whether `scene_depth` hides some; looking it up takes a quarter of the time on a
@@ -33,18 +36,20 @@ def splat_shader(depth: bool) -> Shader:
     passed.flat("VEC4", "paint")
     info = gpu.types.GPUShaderCreateInfo()
     info.define("ROW", f"{ROW}u")
+    info.define("TOGETHER", str(TOGETHER))
     info.define("INDEX_BITS", f"{int(INDEX_MARK) - 1}u")
     info.push_constant("MAT4", "projection")
     info.push_constant("VEC4", "frame")
     info.push_constant("VEC2", "view_size")
     info.push_constant("INT", "sh_texels")
+    info.push_constant("INT", "count")
     for slot, name in enumerate(("order", "geometry", "colours", "objects")):
         info.sampler(slot, "FLOAT_2D", name)
     if depth:
         info.define("SCENE_DEPTH", "1")
         info.push_constant("VEC2", "pixel")
         info.sampler(4, "FLOAT_2D", "scene_depth")
-    info.vertex_in(0, "VEC2", "corner")
+    info.vertex_in(0, "VEC3", "place")
     info.vertex_out(passed)
     info.fragment_out(0, "VEC4", "colour")
     info.vertex_source(text("splat.vert.glsl"))

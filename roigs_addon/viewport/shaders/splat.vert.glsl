@@ -1,4 +1,4 @@
-// One Gaussian per instance, projected as roigs_engine/rasterize/reference.py does it (EWA splatting,
+// TOGETHER Gaussians per instance, the third number of `place` says which; projected as roigs_engine/rasterize/reference.py does it (EWA splatting,
 // Zwicker et al. 2001; 3DGS, Kerbl et al. 2023). Camera axes are OpenGL's: x right, y up, z backward;
 // pixels count from the lower left corner.
 
@@ -57,12 +57,16 @@ void main()
   local = vec2(0.0);
   paint = vec4(0.0);
 
-  uint index = floatBitsToUint(TEXEL(order, uint(gl_InstanceID)).x) & INDEX_BITS;
-  vec4 place = TEXEL(geometry, 3u * index);
+  int row = gl_InstanceID * TOGETHER + int(place.z);
+  if (row >= count) {
+    return;
+  }
+  uint index = floatBitsToUint(TEXEL(order, uint(row)).x) & INDEX_BITS;
+  vec4 body = TEXEL(geometry, 3u * index);
   vec4 quat = TEXEL(geometry, 3u * index + 1u);
   vec4 size = TEXEL(geometry, 3u * index + 2u);
-  vec3 mean = place.xyz;
-  float opacity = place.w;
+  vec3 mean = body.xyz;
+  float opacity = body.w;
   if (opacity <= ALPHA_MIN) {
     return;
   }
@@ -123,7 +127,7 @@ void main()
   vec2 axis = half_difference >= 0.0 ? vec2(half_difference + radius, xy) :
                                        vec2(xy, radius - half_difference);
   axis = radius > 0.0 ? normalize(axis) : vec2(1.0, 0.0);
-  local = corner * reach;
+  local = place.xy * reach;
   vec2 pixel = centre + axis * (sqrt(major) * local.x) +
                vec2(-axis.y, axis.x) * (sqrt(minor) * local.y);
 
