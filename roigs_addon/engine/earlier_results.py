@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import AddonError
-from ..shared import clean_up, run_files
+from ..shared import clean_up, files, run_files
 from . import report, run_settings
 from .run_settings import RunSettings
 
@@ -36,10 +37,10 @@ class EarlierResult:
 def earlier_results(run: Path) -> list[EarlierResult]:
     """The earlier results of a run folder, newest first."""
     found = []
-    for folder in (run / run_files.ARCHIVE).glob(FOLDERS):
+    for folder in files.matching(run / run_files.ARCHIVE, FOLDERS):
         try:
             made = (folder / run_files.RESULT).stat().st_mtime
-            if not (folder / run_files.BACKGROUND).is_file():
+            if not os.path.isfile(folder / run_files.BACKGROUND):
                 continue
             size = clean_up.disk_size([folder])
         except OSError:
@@ -58,7 +59,7 @@ def where_it_is_now(run: Path, file: Path) -> Path | None:
     except ValueError:
         return None
     places = (result.folder / part for result in earlier_results(run))
-    return next((place for place in places if place.is_file()), None)
+    return next((place for place in places if os.path.isfile(place)), None)
 
 
 def delete(run: Path, name: str) -> None:

@@ -30,9 +30,8 @@ def made(folders: Iterable[Path]) -> list[Path]:
     return [
         path
         for folder in folders
-        if folder.is_dir()
-        for path in sorted(folder.iterdir())
-        if path.name.isdecimal() and path.is_dir() and not files.is_link(path)
+        for path in files.matching(folder, "*")
+        if path.name.isdecimal() and os.path.isdir(path) and not files.is_link(path)
     ]
 
 
@@ -119,7 +118,7 @@ def remove_all(folders: Iterable[Path]) -> int:
         AddonError: one is in use, an installation runs, or something cannot be removed.
     """
     freed = 0
-    for folder in filter(Path.is_dir, folders):
+    for folder in filter(os.path.isdir, folders):
         with alone(folder):
             there = made([folder])
             if pid := next(filter(None, map(user, there)), 0):

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..shared import files
 from .command import HIDDEN, Engine
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -115,7 +116,7 @@ def complete_environments(folders: Iterable[Path]) -> list[Path]:
 
 
 def _newest_first(folder: Path) -> list[Path]:
-    marked = (path.parent for path in folder.glob(f"*/{MARKER}"))
+    marked = (path.parent for path in files.matching(folder, f"*/{MARKER}"))
     found = [path for path in marked if path.name.isdecimal()]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 

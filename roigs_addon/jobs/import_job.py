@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import bpy
@@ -31,9 +32,9 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool =
         AddonError: there is no such folder, or the cache cannot be written to.
     """
     folder = Path(bpy.path.abspath(chosen))
-    if folder.is_file():
+    if os.path.isfile(folder):
         folder = folder.parent
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise AddonError(f"There is no folder {folder}. Choose the folder of a COLMAP project.")
     out = made_export_folder(folder)
     find = run_folders.finder(scene)
@@ -62,7 +63,7 @@ def project_folder(folder: Path) -> Path:
     """The folder of a COLMAP project, of which `sparse`, `sparse/0` or `images` may be given."""
     while folder.parent.name and ("sparse" in (folder.name, folder.parent.name)):
         folder = folder.parent
-    photos = folder.name.startswith("images") and (folder.parent / "sparse").is_dir()
+    photos = folder.name.startswith("images") and os.path.isdir(folder.parent / "sparse")
     return folder.parent if photos else folder
 
 

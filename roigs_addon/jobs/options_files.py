@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def colmap_folder(scene: bpy.types.Scene) -> Path:
     folder = scene_props(scene).colmap
     if not folder:
         raise AddonError("No COLMAP model has been imported. Import one first.")
-    if not Path(folder).is_dir():
+    if not os.path.isdir(folder):
         raise AddonError(
             f"The COLMAP folder {folder} no longer exists. Import it again from its new place."
         )

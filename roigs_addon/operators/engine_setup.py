@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -93,7 +94,7 @@ class SetUpEngine(bpy.types.Operator):
         wheels = Path(bpy.path.abspath(self.wheels)) if self.wheels else None
         if wheels is None and not bpy.app.online_access:
             raise AddonError(OFFLINE)
-        if wheels is not None and not wheels.is_dir():
+        if wheels is not None and not os.path.isdir(wheels):
             raise AddonError(f"There is no folder {wheels}. Choose the folder with the wheels.")
         return Plan(
             environments=settings.environments(),

@@ -31,6 +31,7 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
     """
     leave_edit_mode(lookup.splats(scene))
     files = splats.result_files(folder)
+    splats.take_names(scene, splats.result_files(shown_result(scene) or folder))
     fresh = splats.read_files(files)
     for item in lookup.splats(scene):
         edits.put_aside(item)

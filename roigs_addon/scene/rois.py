@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -263,7 +264,7 @@ def read(path: Path) -> dict[str, Box]:
     Raises:
         AddonError: it cannot be read, or one of its entries is not a box.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise AddonError(f"There is no file {path}. Choose a rois.json.")
     try:
         return {record.name: Box.of(record) for record in roi_format.read_rois(path)}

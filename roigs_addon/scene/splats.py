@@ -47,6 +47,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     remove_preview(scene)
     _hide_sparse(scene)
     files = result_files(folder)
+    take_names(scene, files)
     fresh = read_files(files)
     shown = [item for part, file in files.items() for item in show(scene, part, file, fresh[part])]
     for item in lookup.splats(scene):
@@ -80,6 +81,17 @@ def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
             if item.name == _name(props.level, props.roi):
                 item.name = _name(props.level, new)
             props.roi = new
+
+
+def take_names(scene: bpy.types.Scene, files: Mapping[Part, Path]) -> None:
+    """Gaussians of a file of a result belong to that file's box.
+
+    A training that failed at once has not renamed the files of renamed boxes.
+    """
+    of_file = {str(file): roi for (_, roi), file in files.items()}
+    shown = (object_props(item) for item in lookup.splats(scene))
+    pairs = {(props.roi, of_file[props.ply]) for props in shown if props.ply in of_file}
+    rename_boxes(scene, {now: roi for now, roi in pairs if now != roi})
 
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from ..errors import RunFolderError
 from . import run_files
-from .files import is_link
+from .files import is_link, matching
 
 
 def is_run_folder(folder: Path) -> bool:
     """Whether an engine has worked in the folder."""
-    return any((folder / name).is_file() for name in (run_files.MANIFEST, run_files.PROVENANCE))
+    return any(os.path.isfile(folder / name) for name in (run_files.MANIFEST, run_files.PROVENANCE))
 
 
 def removable(run: Path) -> list[Path]:
@@ -26,12 +26,12 @@ def removable(run: Path) -> list[Path]:
     if not is_run_folder(run):
         return []
     found = [run / run_files.CACHE / run_files.UNDISTORTED]
-    if (run / run_files.RESULT).is_file():
+    if os.path.isfile(run / run_files.RESULT):
         found.append(run / run_files.PREVIEW)
-    for home in (run, *sorted(run.glob(f"{run_files.COMPARED}*"))):
-        stages = (home / run_files.ARCHIVE).glob("*")
-        found += [f for f in sorted(stages) if not f.name.startswith(run_files.ARCHIVED_RESULTS)]
-    return [path for path in found if path.exists() and not _is_linked(path, run)]
+    for home in (run, *matching(run, f"{run_files.COMPARED}*")):
+        stages = matching(home / run_files.ARCHIVE, "*")
+        found += [f for f in stages if not f.name.startswith(run_files.ARCHIVED_RESULTS)]
+    return [path for path in found if os.path.exists(path) and not _is_linked(path, run)]
 
 
 def remove(run: Path) -> int:
@@ -44,7 +44,7 @@ def remove(run: Path) -> int:
     for path in removable(run):
         size = disk_size([path])
         try:
-            if path.is_dir():
+            if os.path.isdir(path):
                 shutil.rmtree(path)
             else:
                 path.unlink()
@@ -66,7 +66,7 @@ def disk_size(paths: Iterable[Path]) -> int:
         names = (Path(parent, name) for parent, _, files in os.walk(path) for name in files)
         for file in (path, *names):
             with suppress(OSError):
-                total += 0 if file.is_dir() else os.lstat(file).st_size
+                total += 0 if os.path.isdir(file) else os.lstat(file).st_size
     return total
 
 

@@ -37,6 +37,14 @@ IN_THE_WAY = {errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.EINVAL, errno.ELO
 JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has it there only
 
 
+def matching(folder: Path, pattern: str) -> list[Path]:
+    """What a folder has of a pattern of names, sorted; nothing if it cannot be looked into."""
+    try:
+        return sorted(folder.glob(pattern))
+    except OSError:
+        return []
+
+
 # --- links ---
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
@@ -13,7 +14,7 @@ SUFFIXES = (".bin", ".txt")
 def model_suffix(folder: Path) -> str | None:
     """The suffix of the folder's cameras and images files, `.bin` or `.txt`; None: no model."""
     for suffix in SUFFIXES:
-        if all((folder / (stem + suffix)).is_file() for stem in ("cameras", "images")):
+        if all(os.path.isfile(folder / (stem + suffix)) for stem in ("cameras", "images")):
             return suffix
     return None
 
@@ -36,6 +37,6 @@ def project_folder(folder: Path) -> Path:
 
 def _children(folder: Path) -> list[Path]:
     try:
-        return [child for child in folder.iterdir() if child.is_dir()]
+        return [child for child in folder.iterdir() if os.path.isdir(child)]
     except OSError:
         return []

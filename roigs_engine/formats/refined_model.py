@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -24,7 +25,7 @@ def refined_folder(colmap: Path) -> Path:
     """
     colmap = project_folder(colmap)
     inside = colmap / SPARSE
-    if inside.is_dir():
+    if os.path.isdir(inside):
         return inside / NAME
     if colmap.parent.name != SPARSE:
         return colmap / NAME
@@ -40,7 +41,7 @@ def is_refined_name(folder: Path) -> bool:
 
 def is_complete(folder: Path) -> bool:
     """Whether a folder holds a refined model."""
-    return all((folder / name).is_file() for name in PARTS)
+    return all(os.path.isfile(folder / name) for name in PARTS)
 
 
 def is_outdated(folder: Path) -> bool:
@@ -52,4 +53,4 @@ def is_outdated(folder: Path) -> bool:
 
 def _newest(models: Iterable[Path]) -> float:
     files = (model / name for model in models for name in IMAGES)
-    return max((file.stat().st_mtime for file in files if file.is_file()), default=0.0)
+    return max((file.stat().st_mtime for file in files if os.path.isfile(file)), default=0.0)

@@ -152,6 +152,22 @@ def test_of_a_damaged_result_nothing_is_shown(blender: ModuleType, two, load: bo
     assert (len(blender.data.objects), len(blender.data.meshes)) == (objects, meshes)
 
 
+@pytest.mark.parametrize("switch", ["load_results", "compare_results"])
+def test_a_training_that_failed_at_once_renames_nothing(
+    blender: ModuleType, two, switch: str
+) -> None:
+    from roigs_addon.scene import splats
+
+    scene = two[0]
+    item = scene.objects["thing Gaussians"]
+    item.location = 1, 2, 3
+    splats.rename_boxes(scene, {"thing": "pot"})
+    assert item.name == "pot Gaussians"
+    getattr(blender.ops.roigs, switch)()
+    assert item.name == "thing Gaussians" and item.roigs.roi == "thing"
+    assert tuple(item.location) == (1, 2, 3) and not item.roigs.parked
+
+
 def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
     from roigs_addon.facts import run_facts
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -108,3 +109,24 @@ def test_panels_draw(blender: ModuleType, run) -> None:
     draw_all()
     blender.ops.roigs.remove_roi()
     draw_all()
+
+
+def test_folders_that_cannot_be_looked_at(blender: ModuleType, run, tmp_path: Path) -> None:
+    """Such as another user's; here, because their names are too long."""
+    from roigs_addon.ui.result import ResultPanel
+    from roigs_addon.ui.train import TrainPanel
+
+    scene, strange = run[0], str(tmp_path / ("x" * 300))
+    scene.roigs.run_dir = strange
+    for panel in (TrainPanel, ResultPanel):
+        said(blender, panel)
+    assert not blender.ops.roigs.load_results.poll() and not blender.ops.roigs.clean_up.poll()
+    with pytest.raises(RuntimeError, match="There is no folder") as failed:
+        blender.ops.roigs.import_colmap(directory=strange)
+    assert "Traceback" not in str(failed.value)
+    with pytest.raises(RuntimeError, match="There is no file") as failed:
+        blender.ops.roigs.load_rois(filepath=strange)
+    assert "Traceback" not in str(failed.value)
+    from roigs_addon.engine import environments
+
+    assert environments.made([Path(strange)]) == []
