@@ -10,8 +10,8 @@ import bpy
 from ..properties import scene_props
 from ..scene import exclusions, lookup
 
-Key = tuple[str, str, int, int]
-"""Of what the facts were found in: another model, or other objects, and they are found again."""
+Key = tuple[int, str, str, int, tuple[str, ...]]
+"""Of what the facts were found in; if it has changed, they are found again."""
 
 LONG = 10
 """Letters of a name that a sidebar of Blender's usual width has no room for."""
@@ -51,7 +51,8 @@ def _short_names(scene: bpy.types.Scene) -> dict[str, str]:
 
 def _key(scene: bpy.types.Scene) -> Key:
     props = scene_props(scene)
-    return props.colmap, props.model_cache, len(scene.objects), len(props.excluded)
+    chosen = tuple(item.name for item in props.excluded)
+    return scene.session_uid, props.colmap, props.model_cache, len(scene.objects), chosen
 
 
 def shortened(photos: list[str]) -> dict[str, str]:

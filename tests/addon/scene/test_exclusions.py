@@ -66,6 +66,25 @@ def test_cameras_are_found_whatever_they_are_called(
     assert set(found) == {every[f"photo {number}.png"] for number in (1, 2, 5)}
 
 
+def test_the_panel_counts_what_is_excluded_now(
+    blender: ModuleType, addon: ModuleType, project: Path
+) -> None:
+    """Also in a copied scene, and after as many others were excluded."""
+    from roigs_addon.facts import photo_names
+
+    bpy, scene = blender, imported(blender, project)
+    bpy.ops.roigs.exclude_photos(photo="photo 3.png")
+    assert photo_names.excluded(scene) == ["photo 3.png"]
+    bpy.ops.roigs.include_photos(photo="photo 3.png")
+    bpy.ops.roigs.exclude_photos(photo="photo 4.png")
+    assert photo_names.excluded(scene) == ["photo 4.png"]
+    bpy.ops.scene.new(type="FULL_COPY")
+    copy = bpy.context.scene
+    copy.roigs.excluded[0].name = "photo 5.png"
+    assert photo_names.excluded(copy) == ["photo 5.png"]
+    assert photo_names.excluded(scene) == ["photo 4.png"]
+
+
 def test_hidden_cameras_are_used(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:
