@@ -8,7 +8,8 @@ FOLDER, shows one as a preview, as a training does, loads the results, turns the
 object twice and undoes that once. A new file is begun every `--new-file` cycles. Without, undo
 keeps earlier results until Blender has made as many steps as it keeps (Preferences, System: 32):
 three each cycle. Prints the resident memory of Blender after each cycle, and how far it strays
-from cycle 12 on, when that is so; the exit status is 1 when that is more than 5 %. Needs what `driver` needs.
+after the twelfth, when the history is full; the exit status is 1 when that is more than 5 %. Needs
+what `driver` needs.
 """
 
 from __future__ import annotations
