@@ -22,8 +22,8 @@ from .driver import REPOSITORY, Blender, Screen, WindowError, built_extension
 from .scenario import BUSY, SCENE, STATE, parser, show_tab
 
 SIZE = (1400, 1000)
-COLOURS = ("+dither", "-colors", "128")
-PICTURE_SIDE = ("-resize", "1000x")
+COLOURS = ("+dither", "-colors", "96")
+PICTURE_SIDE = ("-resize", "800x")
 VASE = "vase"
 MONKEY = (-0.45, 0.05, 0.85)
 """Where the mesh goes: where the vase was."""
