@@ -7,8 +7,6 @@ import subprocess
 from pathlib import Path
 from types import ModuleType
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -73,6 +71,8 @@ def record(roi, scene) -> dict[str, object]:
 
 def with_cycles(scene, *, samples: int):
     """Have a scene render transparent PNGs with Cycles; skips without it. Returns its settings."""
+    import pytest  # not in the Blenders that tests start, which use this file too
+
     render = scene.render
     try:
         render.engine = "CYCLES"
