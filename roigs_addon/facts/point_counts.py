@@ -49,9 +49,10 @@ class _Model:
         self.key, self.counts = key, {}
         self.observations = self.offsets = None
         try:
+            # Not mapped: Blender dies when a mapped file is lost, as on a network drive.
             self.points = np.load(Path(folder) / "points.npy")
-            self.observations = np.load(Path(folder) / "observed.npy", mmap_mode="r")
-            self.offsets = np.load(Path(folder) / "observed_starts.npy", mmap_mode="r")
+            self.observations = np.load(Path(folder) / "observed.npy")
+            self.offsets = np.load(Path(folder) / "observed_starts.npy")
         except (OSError, ValueError):  # the cache was emptied; points can still be counted
             self.points = clouds.positions(cloud) if cloud else np.zeros((0, 3), np.float32)
 
