@@ -14,6 +14,7 @@ import sys
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,9 +129,9 @@ def compared(scene: Path, out: Path, wall: float, cpu: float) -> Row:
     )
 
 
-def centres(model: object) -> dict[str, Vectors]:
+def centres(model: Any) -> dict[str, Vectors]:
     """Name -> place of each photo's camera."""
-    images = model.images.values()  # type: ignore[attr-defined]
+    images = model.images.values()
     return {image.name: image.projection_center() for image in images if image.has_pose}
 
 

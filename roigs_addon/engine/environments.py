@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from ..errors import AddonError
-from ..shared import EngineError, files, lock, run_files
+from ..shared import EngineError, clean_up, files, lock, run_files
 from .python import MARKER, complete_environments
 
 SETUP_LOG, DOWNLOADS = "setup.log", "downloads"
@@ -33,17 +33,6 @@ def made(folders: Iterable[Path]) -> list[Path]:
         for path in files.matching(folder, "*")
         if path.name.isdecimal() and os.path.isdir(path) and not files.is_link(path)
     ]
-
-
-def size(environments: Iterable[Path]) -> int:
-    """Bytes of all their files."""
-    total = 0
-    for environment in environments:
-        for parent, _, names in os.walk(environment):
-            for name in names:
-                with suppress(OSError):
-                    total += os.lstat(os.path.join(parent, name)).st_size
-    return total
 
 
 @contextmanager
@@ -123,7 +112,7 @@ def remove_all(folders: Iterable[Path]) -> int:
             there = made([folder])
             if pid := next(filter(None, map(user, there)), 0):
                 raise AddonError(f"An engine is running (process {pid}). Stop it first.")
-            freed += size(there)
+            freed += clean_up.disk_size(there)
             for environment in there:
                 if not remove(environment):
                     raise AddonError(f"Cannot remove {environment}. Remove it by hand.")

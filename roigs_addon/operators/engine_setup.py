@@ -18,6 +18,7 @@ from ..engine.install_steps import Plan
 from ..errors import AddonError
 from ..facts import engine_ability
 from ..jobs import current, terminal
+from ..shared import clean_up
 from ..windows import Timer, redraw
 from .base import BUSY, FRESH, available, failed
 
@@ -166,7 +167,7 @@ class RemoveEngine(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask first."""
         assert context.window_manager is not None
-        size = environments.size(environments.made(settings.environments()))
+        size = clean_up.disk_size(environments.made(settings.environments()))
         return context.window_manager.invoke_confirm(
             self,
             event,

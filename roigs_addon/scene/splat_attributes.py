@@ -22,7 +22,6 @@ WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}
 SHAPE = ("scale", "rotation", "radiance:base")
 """Attributes that every Gaussian has; opacity is the last number of the third."""
 
-
 PLACE = "imported"
 """Attribute: where a point was imported."""
 
@@ -44,8 +43,8 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
     }
     for index in range(1, cloud.sh.shape[1]):
         columns[_sh_name(index)] = ("FLOAT_VECTOR", cloud.sh[:, index])
-    for name, (kind, values) in columns.items():
-        clouds.set_attribute(mesh, name, kind, values)
+    for name, (kind, numbers) in columns.items():
+        clouds.set_attribute(mesh, name, kind, numbers)
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:

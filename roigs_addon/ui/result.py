@@ -121,10 +121,8 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     results, shown = run_facts.earlier(scene), compared.shown_result(scene)
     last = run_facts.result(scene)
     if run_facts.run(scene).result and (results or last.psnr):
-        said = [part for part in (run_settings.title(last.settings), last.psnr) if part]
-        show.say(
-            layout, ": ".join(("Last result", ", ".join(said))) if said else "Last result", "INFO"
-        )
+        said = ", ".join(filter(None, (run_settings.title(last.settings), last.psnr)))
+        show.say(layout, f"Last result: {said}" if said else "Last result", "INFO")
     if results:
         column = layout.column(align=True)
         column.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")

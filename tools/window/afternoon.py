@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from .driver import REPOSITORY, Blender, Screen, WindowError, built_extension
-from .scenario import BUSY, SCENE, STATE, parser, show_tab
+from .scenario import BUSY, SCENE, STATE, addon, parser, show_tab
 
 SIZE = (1400, 1000)
 COLOURS = ("+dither", "-colors", "96")
@@ -42,8 +42,8 @@ keys.keymap_items.new("extensions.package_install_files", "F8", "PRESS")
 """
 """A key for Preferences > Get Extensions > Install from Disk."""
 OURS = "[o for o in bpy.context.scene.objects if o.roigs.kind == {!r}]"
-ADDON = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.{}']"
-TRAINED = f"{ADDON.format('facts.run_facts')}.run(bpy.context.scene).result"
+FACTS = addon("facts.run_facts")
+TRAINED = f"{FACTS}.run(bpy.context.scene).result"
 
 
 class Afternoon:
@@ -280,7 +280,7 @@ def second_training(story: Afternoon, side: int) -> None:
         story.button("roigs.train_roi", 0.3)
         blender.until(f"{BUSY} and {STATE}.step > 0", 300)
         story.until_idle()
-        earlier = f"{ADDON.format('facts.run_facts')}.earlier(bpy.context.scene)"
+        earlier = f"{FACTS}.earlier(bpy.context.scene)"
         blender.until(f"len({earlier}) == 1", 30)
         blender.scroll(40)
 

@@ -22,12 +22,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from .driver import Blender, Screen, with_extension
-from .scenario import SCENE, parser, prepare
+from .driver import Blender
+from .scenario import SCENE, addon, parser, prepare, window
 
 FILES = ("manifest.json", "background.ply", "result.ply", "split.json", "coarse", "rois")
-VIEWPORT = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.viewport.draw']"
-SPLATS = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.scene.splats']"
+VIEWPORT, SPLATS = addon("viewport.draw"), addon("scene.splats")
 PREVIEW = "__import__('pathlib').Path({!r})"
 WARM, STRAY = 12, 0.05
 """Cycles before memory is compared, and by what share it may differ from then on."""
@@ -124,22 +123,13 @@ def main() -> int:
     options.add_argument("--new-file", type=int, default=0, help="cycles until a new file")
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        run = folder / "run"
+        run = Path(temporary) / "run"
         run.mkdir()
         for name in FILES:
             copy = shutil.copytree if (given.run[0] / name).is_dir() else shutil.copyfile
             copy(given.run[0] / name, run / name)
-        resources = with_extension(given.blender, folder)
-        screen = Screen(1600, 1000)
-        python = {"ROIGS_ENGINE_PYTHON": os.fspath(given.engine_python)}
-        try:
-            with Blender(
-                given.blender, screen, resources, log=folder / "blender.log", variables=python
-            ) as blender:
-                sizes = watch(blender, run, given)
-        finally:
-            screen.close()
+        with window(given, 1600, 1000) as blender:
+            sizes = watch(blender, run, given)
     rest = sizes[WARM - 1 :] or sizes[-1:]
     middle = statistics.median(rest)
     stray = max(abs(size - middle) for size in rest) / middle

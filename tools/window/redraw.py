@@ -12,14 +12,12 @@ from __future__ import annotations
 import os
 import statistics
 import sys
-import tempfile
 from pathlib import Path
 
-from .driver import Blender, Screen, with_extension
-from .scenario import parser
+from .driver import Blender
+from .scenario import addon, parser, window
 
-MODULE = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.{}']"
-DRAW, SPLATS = MODULE.format("viewport.draw"), MODULE.format("scene.splats")
+DRAW, SPLATS = addon("viewport.draw"), addon("scene.splats")
 PREPARE = """
 bpy.context.preferences.view.show_splash = False
 bpy.context.preferences.view.smooth_view = 0
@@ -88,19 +86,8 @@ def main() -> int:
     options = parser(__doc__)
     options.add_argument("--run", type=Path, required=True, help="a finished run")
     given = options.parse_args()
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        resources = with_extension(given.blender, folder)
-        screen = Screen(1600, 1000)
-        python = {"ROIGS_ENGINE_PYTHON": os.fspath(given.engine_python)}
-        try:
-            with Blender(
-                given.blender, screen, resources, log=folder / "blender.log", variables=python
-            ) as blender:
-                good = measure(blender, given.run)
-        finally:
-            screen.close()
-    return int(not good)
+    with window(given, 1600, 1000) as blender:
+        return int(not measure(blender, given.run))
 
 
 if __name__ == "__main__":

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from .driver import REPOSITORY, Blender
+from .driver import REPOSITORY, Blender, Screen, with_extension
 
 SCENE = REPOSITORY / "demo" / "scene"
 TAB = "ROI-GS"
-CURRENT = "__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.jobs.current']"
+
+
+def addon(module: str) -> str:
+    """Code for a module of the add-on, for `Blender.ask`."""
+    return f"__import__('sys').modules['bl_ext.user_default.roigs.roigs_addon.{module}']"
+
+
+CURRENT = addon("jobs.current")
 JOB, STATE, BUSY = f"{CURRENT}.job", f"{CURRENT}.state()", f"{CURRENT}.busy()"
 """Code for `Blender.ask`: the job, its state, and whether one is running."""
 
@@ -30,6 +41,27 @@ def parser(text: str | None) -> argparse.ArgumentParser:
     made.add_argument("blender", type=Path, help="Blender's executable")
     made.add_argument("--engine-python", type=Path, required=True, help="a Python with torch")
     return made
+
+
+@contextmanager
+def window(given: argparse.Namespace, width: int, height: int) -> Iterator[Blender]:
+    """The Blender of `parser`'s options with the extension, in a window of that size."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        resources = with_extension(given.blender, folder)
+        screen = Screen(width, height)
+        log, python = folder / "blender.log", os.fspath(given.engine_python)
+        try:
+            with Blender(
+                given.blender,
+                screen,
+                resources,
+                log=log,
+                variables={"ROIGS_ENGINE_PYTHON": python},
+            ) as blender:
+                yield blender
+        finally:
+            screen.close()
 
 
 def prepare(blender: Blender) -> None:
