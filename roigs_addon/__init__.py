@@ -38,6 +38,7 @@ MODULES = (
     "operators.train",
     "operators.results",
     "operators.run_folder",
+    "operators.export",
     "viewport",
     "rendering",
     "facts.caches",

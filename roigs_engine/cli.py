@@ -17,6 +17,7 @@ from . import __version__
 from .commands import (
     clean,
     compose,
+    convert,
     evaluate,
     export,
     inspect,
@@ -45,13 +46,14 @@ COMMANDS: dict[str, ModuleType] = {
     "select": select,
     "train": train,
     "compose": compose,
+    "convert": convert,
     "evaluate": evaluate,
     "render": render,
     "render-frames": render_frames,
     "run": run,
     "clean": clean,
 }
-WITH_TORCH = ("train", "run", "evaluate", "render", "render-frames", "compose")
+WITH_TORCH = ("train", "run", "evaluate", "render", "render-frames", "compose", "convert")
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
 MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20
 STOPPED = 3

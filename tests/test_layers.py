@@ -32,6 +32,7 @@ ROOMS = (
     "kernels",
     "cuda",
     "rasterize",
+    "exchange",
     "training",
     "evaluation",
     "run",

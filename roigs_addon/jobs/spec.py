@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 IMPORTING, REFINING, SELECTING = "Importing", "Refining", "Selecting"
-ESTIMATING, TRAINING = "Estimating", "Training"
+ESTIMATING, TRAINING, EXPORTING = "Estimating", "Training", "Exporting"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 

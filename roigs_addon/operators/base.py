@@ -144,3 +144,17 @@ class EngineOperator(bpy.types.Operator):
     def _tell(self, job: Job) -> None:
         if job.spec.done_text:
             self.report({"INFO"}, job.spec.done_text)
+
+
+class BrowsingOperator(EngineOperator):
+    """Base of those whose button opens the file browser, which then calls `execute`."""
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Run to the end in a script; after the file browser, leave the window free."""
+        if bpy.app.background or not self.options.is_invoke:
+            return EngineOperator.execute(self, context)
+        try:
+            self.start(context)
+        except AddonError as error:
+            return failed(self, error)
+        return {"FINISHED"}

@@ -13,7 +13,7 @@ from ..jobs.import_job import project_folder
 from ..shared import EngineError, files
 
 FILE = "folders.json"
-IMPORT, BOXES, BOXES_OF = "import", "boxes", "boxes of"
+IMPORT, BOXES, BOXES_OF, EXPORT = "import", "boxes", "boxes of", "export"
 
 
 def for_import(colmap: str) -> str:
@@ -35,6 +35,11 @@ def for_boxes(colmap: str) -> str:
     return _first(before if same else "", project, before, _beside_blend())
 
 
+def for_export() -> str:
+    """Folder to export to."""
+    return _first(_last().get(EXPORT, ""), _beside_blend())
+
+
 def imported(folder: Path) -> None:
     """Remember where a project was chosen."""
     _remember({IMPORT: str(project_folder(folder).parent)})
@@ -43,6 +48,11 @@ def imported(folder: Path) -> None:
 def loaded_boxes(path: Path, colmap: str) -> None:
     """Remember where boxes were loaded from, and for which COLMAP folder."""
     _remember({BOXES: str(path.parent), BOXES_OF: colmap})
+
+
+def exported(path: Path) -> None:
+    """Remember where a file was exported to."""
+    _remember({EXPORT: str(path.parent)})
 
 
 def _first(*folders: str) -> str:

@@ -12,7 +12,6 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..blender import registration, scene_of, view_3d_of, view_layer_of
 from ..engine.python import FOR_READING
-from ..errors import AddonError
 from ..facts import run_facts
 from ..jobs import current, import_job, refine_job
 from ..jobs.spec import JobSpec
@@ -20,13 +19,13 @@ from ..properties import scene_props
 from ..scene import cameras, lookup
 from ..shared import refined_model
 from . import folders
-from .base import BUSY, FRESH, EngineOperator, available, failed, model_problem
+from .base import BUSY, FRESH, BrowsingOperator, EngineOperator, available, failed, model_problem
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-class ImportColmap(EngineOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
+class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the stub's mixin
     """Import the cameras, photos and points of a COLMAP model"""
 
     bl_idname = "roigs.import_colmap"
@@ -68,16 +67,6 @@ class ImportColmap(EngineOperator, ImportHelper):  # type: ignore[misc] # the st
         self.directory = folders.for_import(scene_props(scene_of(context)).colmap)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Run to the end in a script; after the file browser, leave the window free."""
-        if bpy.app.background or not self.options.is_invoke:
-            return EngineOperator.execute(self, context)
-        try:
-            self.start(context)
-        except AddonError as error:
-            return failed(self, error)
-        return {"FINISHED"}
 
 
 class RefineCameras(EngineOperator):

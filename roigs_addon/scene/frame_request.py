@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -29,15 +30,7 @@ def frame_request(
     Raises:
         AddonError: the camera is of a kind that the engine cannot render.
     """
-    models = []
-    for item in shown(scene):
-        moved = item.evaluated_get(depsgraph)
-        matrix = lookup.matrix_world(moved)
-        if moved.hide_render or np.linalg.matrix_rank(matrix[:3, :3]) < 3:  # or scaled to 0
-            continue
-        edits.look_again(item)
-        if ply := edits.file_of(item):
-            models.append({"ply": ply, "matrix": (matrix @ edits.frame_of(item)).tolist()})
+    models = models_of(shown(scene), depsgraph)
     if not models or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)
@@ -55,6 +48,22 @@ def frame_request(
     pose = frames.world_to_camera(matrix, np.eye(4))
     record = {"name": str(scene.frame_current), **asdict(lens), "world_to_camera": pose.tolist()}
     return {"camera": record, "models": models, "out": out}
+
+
+def models_of(
+    items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
+) -> list[dict[str, Any]]:
+    """The objects that are not hidden in renders, with their edits and where they stand."""
+    models = []
+    for item in items:
+        moved = item.evaluated_get(depsgraph)
+        matrix = lookup.matrix_world(moved)
+        if moved.hide_render or np.linalg.matrix_rank(matrix[:3, :3]) < 3:  # or scaled to 0
+            continue
+        edits.look_again(item)
+        if ply := edits.file_of(item):
+            models.append({"ply": ply, "matrix": (matrix @ edits.frame_of(item)).tolist()})
+    return models
 
 
 def picture(render: bpy.types.RenderSettings) -> tuple[int, int, int, int]:

@@ -12,6 +12,8 @@ from ..blender import layout_of, registration, scene_of
 from ..engine import run_settings
 from ..facts import outdated, run_facts
 from ..jobs import current
+from ..jobs.spec import EXPORTING
+from ..operators.export import ExportGaussians
 from ..operators.results import (
     DeleteResult,
     LoadResults,
@@ -60,6 +62,8 @@ class ResultPanel(SidebarPanel):
         _draw_results(layout, scene)
         if splats:
             _draw_render(layout, scene)
+            layout.operator(ExportGaussians.bl_idname, text="Export…", icon="EXPORT")
+            show.job(layout, EXPORTING)
 
 
 def _draw_objects(

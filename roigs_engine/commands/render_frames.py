@@ -10,9 +10,7 @@ import argparse
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from ..errors import ConfigError, EngineError
 from ..formats.events import Preview
@@ -20,6 +18,7 @@ from ..formats.files import read_json
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
 from .console import Console
 from .options import add_device_option, add_threads_option, context_on_device
+from .placed_models import HINT, placed_models
 from .values import PATH
 
 if TYPE_CHECKING:
@@ -27,12 +26,10 @@ if TYPE_CHECKING:
 
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
-    from ..model.scene import Float64
 
 HELP = "render pictures for compositing, as another program asks for them in a folder"
 EXAMPLES = """\
   python -m roigs_engine render-frames requests --once"""
-HINT = "docs/files.md describes requests."
 PAUSE = 0.005  # seconds between two looks into the folder
 
 
@@ -125,9 +122,7 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
     try:
         _, camera, pose = camera_from_record(record["camera"])
         out = Path(record["out"])
-        wanted = [(str(item["ply"]), _affine(item["matrix"])) for item in record["models"]]
-        if not wanted:
-            raise ValueError("it has no model")
+        wanted = placed_models(record)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
     read = models.get([ply for ply, _ in wanted])
@@ -138,13 +133,3 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
     layer = render_placed(placed, camera, pose, device)
     save_layer(colour_file(out), depth_file(out), layer)
     return colour_file(out)
-
-
-def _affine(rows: Any) -> Float64:
-    """A matrix of a request; ValueError unless it can be inverted."""
-    matrix = np.array(rows, dtype=float)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError("matrix must be 4 x 4 finite numbers")
-    if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
-        raise ValueError("matrix must be affine, and no scale may be zero")
-    return matrix

@@ -113,7 +113,7 @@ def _seen(model: PlacedModel, world_to_camera: Float64) -> tuple[Float64, Gaussi
     gaussians = model.gaussians
     local = gaussians.means.numpy().astype(np.float64)
     eye = -np.linalg.solve(linear, offset)
-    quats, log_scales = _transformed(gaussians, linear)
+    quats, log_scales = transformed(gaussians, linear)
     return local @ linear.T + offset, Gaussians(
         means=gaussians.means,  # replaced when the scale of all is known
         quats=quats,
@@ -131,7 +131,7 @@ def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:
     return ((colour.clamp(min=-0.5)) / SH_C0)[:, None]
 
 
-def _transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
+def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
     """Rotations (N, 4) and logarithms of scales (N, 3) after a linear map (3, 3)."""
     scales = np.linalg.svd(linear, compute_uv=False)
     if scales[0] <= (1 + SIMILAR) * scales[2]:

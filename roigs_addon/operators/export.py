@@ -1,0 +1,105 @@
+"""Step 5, Result: export the Gaussians."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from ..blender import registration, scene_of
+from ..errors import AddonError
+from ..jobs import current, export_job, import_job
+from ..jobs.spec import JobSpec
+from ..properties import scene_props
+from ..scene.frame_request import shown
+from . import folders
+from .base import BUSY, FRESH, BrowsingOperator, available
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
+
+
+class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
+    """Write the Gaussians that renders show to one file for other programs, edited, moved and \
+turned as they are now"""
+
+    bl_idname = "roigs.export_gaussians"
+    bl_label = "Export Gaussians"
+
+    filename_ext = ".ply"
+    filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    selected: BoolProperty(
+        name="Selected Only", description="Leave out objects that are not selected"
+    )
+    up: EnumProperty(
+        name="Up",
+        description="Axis that points up in the file",
+        items=[
+            ("-Y", "-Y, as other trainers", "Stands upright in SuperSplat and most viewers"),
+            ("Y", "Y", "As in glTF and many game engines"),
+            ("Z", "Z, as in Blender", "Comes back into Blender where it was"),
+        ],
+    )
+    sh_degree: IntProperty(
+        name="SH Degree",
+        description="How much colours may depend on the view: 0 makes the smallest file",
+        default=3,
+        min=0,
+        max=3,
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be Gaussians, and an idle engine."""
+        if current.busy():
+            return available(cls, BUSY)
+        return available(cls, "" if shown(scene_of(context)) else "Load results first")
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """Write what is shown."""
+        if not self.filepath:
+            raise AddonError("Give a filepath.")
+        path = Path(bpy.path.ensure_ext(bpy.path.abspath(self.filepath), self.filename_ext))
+        spec = export_job.spec(
+            context, path, up=self.up, sh_degree=self.sh_degree, selected=self.selected
+        )
+        folders.exported(path)
+        return spec
+
+    def invoke(  # type: ignore[override] # the stub of the mixin returns nothing
+        self, context: bpy.types.Context, event: bpy.types.Event
+    ) -> OperatorResult:
+        """Ask for the file; the file browser then calls `execute`."""
+        assert context.window_manager is not None
+        if not self.filepath:
+            colmap = Path(scene_props(scene_of(context)).colmap)
+            name = f"{import_job.project_name(colmap)}{self.filename_ext}"
+            self.filepath = folders.for_export() + name
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+
+def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """The entry in File ▸ Export."""
+    layout = menu.layout
+    assert layout is not None
+    layout.operator(ExportGaussians.bl_idname, text="Gaussians (.ply, ROI-GS)")
+
+
+_register, _unregister = registration(ExportGaussians)
+
+
+def register() -> None:
+    """Register the class and the menu entry."""
+    _register()
+    bpy.types.TOPBAR_MT_file_export.append(menu_entry)
+
+
+def unregister() -> None:
+    """Unregister them."""
+    bpy.types.TOPBAR_MT_file_export.remove(menu_entry)
+    _unregister()

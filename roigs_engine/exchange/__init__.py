@@ -1,0 +1,1 @@
+"""Gaussians for other programs: moved models made one, and files."""

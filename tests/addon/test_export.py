@@ -1,0 +1,152 @@
+"""Gaussians that leave Blender: what a render shows, as one file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from roigs_engine.formats.splat_ply import read_ply
+from tests.addon.pictures import load_png, load_rgba
+from tests.addon.scenes import command_line, with_cycles
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture(autouse=True)
+def own_data_folder(addon: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from roigs_addon import settings
+
+    monkeypatch.setattr(settings, "data_folder", lambda: tmp_path / "user")
+
+
+@pytest.fixture
+def scene(blender: ModuleType, run, engine):
+    """A scene with results."""
+    blender.ops.roigs.load_results()
+    return run[0]
+
+
+def export(bpy: ModuleType, path: Path, **options: object) -> dict[str, np.ndarray]:
+    assert bpy.ops.roigs.export_gaussians(filepath=str(path), **options) == {"FINISHED"}
+    return read_ply(path)
+
+
+def objects(scene) -> dict[str, object]:
+    return {item.name: item for item in scene.objects if item.roigs.kind == "SPLATS"}
+
+
+def delete_first(item, count: int) -> None:
+    """Delete points of an object, as a script does."""
+    import bmesh
+
+    made = bmesh.new()
+    made.from_mesh(item.data)
+    made.verts.ensure_lookup_table()
+    bmesh.ops.delete(made, geom=made.verts[:count], context="VERTS")
+    made.to_mesh(item.data)
+    made.free()
+
+
+def test_the_file_is_what_a_render_shows(
+    blender: ModuleType, scene, engine, tmp_path: Path
+) -> None:
+    """A turned and scaled background, an object with deleted points, a moved root, one picture."""
+    from roigs_addon.scene.frame_request import frame_request
+
+    blender.ops.roigs.look_through(photo="photo 3.png")
+    items = objects(scene)
+    items["Background"].rotation_euler = (0.5, 1.0, -0.3)
+    items["Background"].scale = (0.5, 0.5, 0.5)
+    delete_first(items["thing Gaussians"], 15)
+    scene.roigs.root.location = (1, 2, 3)
+    scene.roigs.root.rotation_quaternion = (0.5, 0.5, 0.5, 0.5)
+    render = with_cycles(scene, samples=1)
+    render.dither_intensity, render.filepath = 0.0, str(tmp_path / "f12.png")
+    blender.ops.render.render(write_still=True)
+    found = export(blender, tmp_path / "all.ply", up="Z")
+    assert len(found["means"]) == len(items["Background"].data.vertices) + len(
+        items["thing Gaussians"].data.vertices
+    )
+    request = frame_request(scene, blender.context.evaluated_depsgraph_get(), "")
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps({"cameras": [request["camera"]]}))
+    out = tmp_path / "frames"
+    command_line(engine, "render", tmp_path / "all.ply", "--path", path, "--out", out)
+    (picture,) = out.rglob("*.png")
+    f12 = load_rgba(Path(render.filepath))
+    difference = f12[..., :3] * f12[..., 3:] - load_png(picture)
+    assert load_png(picture).std() > 0.02
+    assert -10 * np.log10(np.square(difference).mean() + 1e-12) > 40
+
+
+def test_the_axis_that_points_up(blender: ModuleType, scene, tmp_path: Path) -> None:
+    files = {up: export(blender, tmp_path / f"{n}.ply", up=up) for n, up in enumerate(("Z", "Y"))}
+    usual = export(blender, tmp_path / "usual.ply")
+    x, y, z = files["Z"]["means"].T
+    np.testing.assert_allclose(files["Y"]["means"], np.column_stack((x, z, -y)), atol=1e-5)
+    np.testing.assert_allclose(usual["means"], np.column_stack((x, -z, y)), atol=1e-5)
+
+
+def test_only_selected_and_fewer_degrees(blender: ModuleType, scene, tmp_path: Path) -> None:
+    blender.ops.roigs.select_gaussians(name="thing Gaussians")
+    blender.ops.roigs.export_gaussians(
+        filepath=str(tmp_path / "thing"), selected=True, sh_degree=0, up="Z"
+    )
+    found = read_ply(tmp_path / "thing.ply")  # the ending is added
+    item = objects(scene)["thing Gaussians"]
+    assert found["sh"].shape == (len(item.data.vertices), 1, 3)
+    place = np.array(item.matrix_world)
+    points = np.array([vertex.co for vertex in item.data.vertices])
+    np.testing.assert_allclose(found["means"], points @ place[:3, :3].T + place[:3, 3], atol=1e-5)
+
+
+def test_copies_are_exported_where_they_stand(blender: ModuleType, scene, tmp_path: Path) -> None:
+    item = objects(scene)["thing Gaussians"]
+    copy = item.copy()
+    item.users_collection[0].objects.link(copy)
+    copy.location.x += 5
+    blender.context.view_layer.update()
+    before = len(export(blender, tmp_path / "two.ply")["means"])
+    copy.hide_render = True
+    assert before - len(export(blender, tmp_path / "one.ply")["means"]) == len(item.data.vertices)
+
+
+def test_nothing_to_export_is_one_line(blender: ModuleType, scene, tmp_path: Path) -> None:
+    for item in blender.context.selected_objects:
+        item.select_set(False)
+    with pytest.raises(RuntimeError, match="no Gaussians are selected"):
+        blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "a.ply"), selected=True)
+    for item in objects(scene).values():
+        item.hide_render = True
+    with pytest.raises(RuntimeError, match="renders show no Gaussians"):
+        blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "a.ply"))
+    for item in objects(scene).values():
+        item.hide_render = False
+    with pytest.raises(RuntimeError, match="is not a folder"):
+        blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "gone" / "a.ply"))
+    assert not list(tmp_path.rglob("a.ply"))
+
+
+def test_a_results_own_file_is_not_replaced(blender: ModuleType, scene, run) -> None:
+    own = run[1] / "background.ply"
+    before = own.read_bytes()
+    with pytest.raises(RuntimeError, match="is an input"):
+        blender.ops.roigs.export_gaussians(filepath=str(own))
+    assert own.read_bytes() == before
+
+
+def test_the_next_file_is_offered_beside_the_last(
+    blender: ModuleType, scene, tmp_path: Path
+) -> None:
+    from roigs_addon.operators import folders
+
+    export(blender, tmp_path / "a.ply")
+    assert Path(folders.for_export()) == tmp_path
+
+
+def test_without_results_there_is_nothing_to_export(blender: ModuleType, addon) -> None:
+    assert not blender.ops.roigs.export_gaussians.poll()

@@ -1,0 +1,105 @@
+"""`convert`: models in their places as one file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.model.gaussians import Gaussians
+from tests.engine.rasterize.test_placed import TURN, affine, cloud
+
+
+@pytest.fixture
+def ply(tmp_path: Path) -> Path:
+    """A model's file."""
+    cloud().save_ply(tmp_path / "vase.ply")
+    return tmp_path / "vase.ply"
+
+
+def listed(folder: Path, *models: dict[str, object]) -> Path:
+    path = folder / "placed.json"
+    path.write_text(json.dumps({"models": models}))
+    return path
+
+
+def test_a_plain_ply_stays_bit_for_bit(ply: Path, tmp_path: Path) -> None:
+    assert main(["convert", str(ply), str(tmp_path / "out.ply")]) == 0
+    before, after = read_ply(ply), read_ply(tmp_path / "out.ply")
+    for name, values in before.items():
+        np.testing.assert_array_equal(after[name], values)
+
+
+def test_higher_degrees_are_left_out(ply: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.ply"
+    assert main(["convert", str(ply), str(out), "--sh-degree", "1"]) == 0
+    np.testing.assert_array_equal(read_ply(out)["sh"], read_ply(ply)["sh"][:, :4])
+    assert out.stat().st_size < 0.5 * ply.stat().st_size
+
+
+def test_placed_models_become_one(ply: Path, tmp_path: Path) -> None:
+    matrix = affine(2 * TURN, (1, 2, 3))
+    models = [{"ply": str(ply), "matrix": m.tolist()} for m in (matrix, np.eye(4))]
+    out = tmp_path / "out.ply"
+    assert main(["convert", str(listed(tmp_path, *models)), str(out)]) == 0
+    found = read_ply(out)
+    expected = cloud().means.numpy() @ matrix[:3, :3].T + matrix[:3, 3]
+    np.testing.assert_allclose(found["means"][:60], expected, atol=1e-4)
+    np.testing.assert_allclose(found["means"][60:], cloud().means, atol=1e-5)
+    np.testing.assert_allclose(
+        np.sort(found["log_scales"][:60]), np.sort(cloud().log_scales + np.log(2)), atol=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("models", "said"),
+    [
+        ([], "it has no model"),
+        ([{"ply": "a.ply"}], "matrix"),
+        ([{"ply": "a.ply", "matrix": [[1, 2]]}], "4 x 4"),
+        ([{"ply": "a.ply", "matrix": np.zeros((4, 4)).tolist()}], "affine"),
+        ([{"ply": "gone.ply", "matrix": np.eye(4).tolist()}], "gone.ply"),
+    ],
+)
+def test_malformed_lists_are_one_line(
+    models: list[dict[str, object]], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = listed(tmp_path, *models)
+    assert main(["convert", str(path), str(tmp_path / "out.ply")]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "out.ply").exists()
+
+
+def test_inputs_are_not_replaced(
+    ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = ply.read_bytes()
+    models = listed(tmp_path, {"ply": str(ply), "matrix": np.eye(4).tolist()})
+    assert main(["convert", str(models), str(ply)]) == 2
+    assert main(["convert", str(ply), str(ply)]) == 2
+    assert "is an input" in capsys.readouterr().err
+    assert ply.read_bytes() == before
+
+
+def test_a_model_without_gaussians_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty.ply"
+    cloud().rows(cloud().means[:, 0] > 1e9).save_ply(empty)
+    models = listed(tmp_path, {"ply": str(empty), "matrix": np.eye(4).tolist()})
+    assert main(["convert", str(models), str(tmp_path / "out.ply")]) == 2
+    assert "has no Gaussians" in capsys.readouterr().err
+
+
+def test_other_names_of_files_are_refused(
+    ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["convert", str(ply), str(tmp_path / "out.xyz")]) == 2
+    assert "FILE.ply" in capsys.readouterr().err
+    assert isinstance(Gaussians.load_ply(ply), Gaussians)
