@@ -26,7 +26,8 @@ MIRROR = "http://deb.debian.org/debian"
 LOADER = "ld-linux-x86-64.so.2"
 
 # Starts a program of another system with that system's C library. Links to it stay what they are
-# called: Python finds its own files from that.
+# called: Python finds its own files from that. Mesa maps its cache of shaders into memory, and
+# another version of it cuts that file to another length: SIGBUS, without a cache of its own.
 PROGRAM = """#!/bin/sh
 here='{root}'
 export BLENDER_SYSTEM_PYTHON="$here/usr" BLENDER_SYSTEM_RESOURCES="$here/usr/share/blender"
@@ -34,6 +35,7 @@ export BLENDER_SYSTEM_SCRIPTS="$here/usr/share/blender/scripts"
 export BLENDER_SYSTEM_DATAFILES="$here/usr/share/blender/datafiles"
 export __EGL_VENDOR_LIBRARY_DIRS="$here/usr/share/glvnd/egl_vendor.d" LIBGL_DRIVERS_PATH="{lib}/dri"
 export GBM_BACKENDS_PATH="{lib}/gbm" LIBGL_ALWAYS_SOFTWARE=1
+export MESA_SHADER_CACHE_DIR="$here/var/cache"
 exec '{lib}/{loader}' --library-path '{paths}' --argv0 "$0" '{binary}' "$@"
 """
 
