@@ -39,6 +39,7 @@ MODULES = (
     "operators.results",
     "operators.run_folder",
     "operators.export",
+    "operators.viewport_render",
     "viewport",
     "rendering",
     "facts.caches",

@@ -31,9 +31,12 @@ turned as they are now"""
 
     filename_ext = ".ply"
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN", *FRESH})
+    check_existing: BoolProperty(default=True, options={"HIDDEN", *FRESH})
     selected: BoolProperty(
-        name="Selected Only", description="Leave out objects that are not selected"
+        name="Selected Only",
+        description="Leave out objects that are not selected",
+        options=FRESH,
     )
     up: EnumProperty(
         name="Up",
@@ -43,6 +46,7 @@ turned as they are now"""
             ("Y", "Y", "As in glTF and many game engines"),
             ("Z", "Z, as in Blender", "Comes back into Blender where it was"),
         ],
+        options=FRESH,
     )
     sh_degree: IntProperty(
         name="SH Degree",
@@ -50,6 +54,7 @@ turned as they are now"""
         default=3,
         min=0,
         max=3,
+        options=FRESH,
     )
 
     @classmethod

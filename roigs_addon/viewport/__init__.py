@@ -12,6 +12,7 @@
 | `painter` | keeps the sets and orders on the GPU, and draws them |
 | `handler` | what Blender calls for each viewport |
 | `draw` | the Gaussians in the viewport |
+| `picture` | the viewport as a picture |
 | `points` | the sparse points in their colours |
 | `marks` | boxes, chosen and excluded cameras as coloured lines |
 

@@ -30,6 +30,7 @@ def registered(bpy: ModuleType) -> dict[str, set[str]]:
         f"{name}: {function.__module__}.{function.__qualname__}"
         for name in dir(bpy.types)
         for function in getattr(getattr(getattr(bpy.types, name), "draw", None), "_draw_funcs", ())
+        if not function.__module__.startswith("bl_ui.")  # the menu's own, listed after an append
     }
     subclasses = {
         cls.__name__

@@ -41,6 +41,7 @@ keys = manager().keyconfigs.addon.keymaps.new("Window")
 keys.keymap_items.new("extensions.package_install_files", "F8", "PRESS")
 """
 """A key for Preferences > Get Extensions > Install from Disk."""
+VIEWPORT_RENDER = "Viewport Render with Gaussians"
 OURS = "[o for o in bpy.context.scene.objects if o.roigs.kind == {!r}]"
 FACTS = addon("facts.run_facts")
 TRAINED = f"{FACTS}.run(bpy.context.scene).result"
@@ -245,6 +246,17 @@ def artwork(story: Afternoon) -> None:
         blender.until(rendering, 20)
         blender.until(f"not {rendering}", 600)
 
+    def viewport_render() -> None:
+        """Not a step: **View ▸ Viewport Render Image with Gaussians** has them."""
+        story.ask(f"pixels = lambda: list(bpy.data.images[{VIEWPORT_RENDER!r}].pixels)")
+        story.ask("call('roigs.render_viewport')")
+        story.ask("seen = pixels()")
+        story.ask(f"[o.hide_set(True) for o in {OURS.format('SPLATS')}] and None")
+        story.ask("call('roigs.render_viewport')")
+        changed = story.ask("sum(abs(a - b) > 0.1 for a, b in zip(seen, pixels())) / len(seen)")
+        story.ask(f"[o.hide_set(False) for o in {OURS.format('SPLATS')}] and None")
+        expect(changed > 0.2, f"the viewport's render has no Gaussians: {changed}")
+
     def animation() -> None:
         blender.screen.do("mousemove", "3", "500")
         story.ask(f"setattr(bpy.context.scene.render, 'filepath', {str(renders / 'pot')!r})")
@@ -266,6 +278,8 @@ def artwork(story: Afternoon) -> None:
     story.step("move", move)
     story.step("mesh", mesh)
     story.step("f12", f12, mouse=False)
+    story.close_render()
+    viewport_render()
     story.close_render()
     story.step("animation", animation, mouse=False)
     story.close_render()

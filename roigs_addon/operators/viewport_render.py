@@ -1,0 +1,95 @@
+"""Step 5, Result: a picture of the 3D view with its Gaussians, like Viewport Render Image."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from .. import blender
+from ..blender import registration, scene_of, view_3d_of
+from ..scene import lookup
+from .base import available, failed
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ..blender import OperatorResult
+
+IMAGE = "Viewport Render with Gaussians"
+
+
+class RenderViewport(bpy.types.Operator):
+    """Make a picture of this 3D view as it is shown, with its Gaussians, in the size of a render"""
+
+    bl_idname = "roigs.render_viewport"
+    bl_label = "Viewport Render Image with Gaussians"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a 3D view with Gaussians in it."""
+        if view_3d_of(context) is None or bpy.app.background:
+            return available(cls, "Use it in a 3D view")
+        return available(cls, "" if lookup.splats(scene_of(context)) else "Load results first")
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Draw it, and show it as Blender shows renders."""
+        from ..viewport.picture import view_picture  # builds things of the GPU
+
+        try:
+            pixels = view_picture(context)
+        except RuntimeError as error:
+            return failed(self, f"There is no picture: {error}")
+        _show(_image(pixels))
+        return {"FINISHED"}
+
+
+def _image(pixels: NDArray[np.float32]) -> bpy.types.Image:
+    """The picture as an image, in place of an earlier one."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.get(IMAGE)
+    if image is None:
+        image = bpy.data.images.new(IMAGE, width, height, alpha=True)
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    values: Any = image.pixels
+    values.foreach_set(pixels.ravel())
+    image.update()
+    return image
+
+
+def _show(image: bpy.types.Image) -> None:
+    """In the place where Blender shows renders; its preferences say which."""
+    bpy.ops.render.view_show("INVOKE_DEFAULT")
+    for area in blender.areas("IMAGE_EDITOR"):
+        space = area.spaces.active
+        shown = isinstance(space, bpy.types.SpaceImageEditor) and space.image
+        if (
+            isinstance(space, bpy.types.SpaceImageEditor)
+            and shown
+            and shown.type == "RENDER_RESULT"
+        ):
+            space.image = image
+
+
+def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """The entry in View, where there are Gaussians."""
+    if menu.layout is not None and lookup.splats(scene_of(context)):
+        menu.layout.separator()
+        menu.layout.operator(RenderViewport.bl_idname, icon="RENDER_STILL")
+
+
+_register, _unregister = registration(RenderViewport)
+
+
+def register() -> None:
+    """Register the class and the menu entry."""
+    _register()
+    bpy.types.VIEW3D_MT_view.append(menu_entry)
+
+
+def unregister() -> None:
+    """Unregister them."""
+    bpy.types.VIEW3D_MT_view.remove(menu_entry)
+    _unregister()
