@@ -1,29 +1,34 @@
-"""`convert`: models of Gaussians, placed and turned, as one file for other programs."""
+"""`convert`: files of Gaussians from one format to another, turned, cropped, placed."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import ConfigError
+import numpy as np
+
+from ..errors import ConfigError, RoiError
 from ..formats.files import read_json
 from ..formats.text import counted
 from .console import Console
+from .options import add_roi_options, boxes
 from .out_folder import refuse_inputs
 from .placed_models import HINT, placed_models
 from .values import PATH, integer
 
 if TYPE_CHECKING:
+    from ..exchange.arrays import Arrays
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
+    from ..model.scene import Float64
 
-HELP = "write Gaussians for other programs: moved models as one, without high SH degrees"
+HELP = "write Gaussians in another format, turned, cropped to boxes, or placed as a list says"
 EXAMPLES = """\
-  python -m roigs_engine convert runs/garden/result.ply small.ply --sh-degree 1
-  python -m roigs_engine convert placed.json garden.ply"""
-LIST, PLY = ".json", ".ply"
+  python -m roigs_engine convert runs/garden/result.ply garden.spz
+  python -m roigs_engine convert result.ply vase.glb --rois rois.json --only vase --sh-degree 0
+  python -m roigs_engine convert placed.json garden.compressed.ply"""
+LIST, AXES = ".json", ("-y", "y", "z")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,51 +37,104 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         type=PATH,
         metavar="IN",
-        help="PLY, or a JSON list of PLYs and their places (docs/files.md)",
+        help="file of Gaussians (.ply, .compressed.ply, .spz, .sog, .glb, .usdc), or a JSON list"
+        " of files and their places (docs/files.md)",
     )
-    parser.add_argument("out", type=PATH, metavar="OUT", help="PLY to write")
+    parser.add_argument(
+        "out",
+        type=PATH,
+        metavar="OUT",
+        help="file to write; the end of its name says how: as above, or .usda, .usdz, .splat",
+    )
+    parser.add_argument(
+        "--up",
+        choices=AXES,
+        help="axis that points up in OUT (default: as readers of the format have it)",
+    )
+    parser.add_argument(
+        "--from-up",
+        choices=AXES,
+        help="axis that points up in IN (default: as the format has it; -y for .ply)",
+    )
     parser.add_argument(
         "--sh-degree",
-        type=integer(0, 3, zero=True),
+        type=integer(1, 3, zero=True),
         metavar="N",
         help="highest degree of view-dependent colour, 0 to 3 (default: as it is)",
     )
+    add_roi_options(parser)
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the models, make them one, and write it."""
-    from ..model.gaussians import Gaussians
+    from ..exchange import axes, formats
 
-    if args.out.suffix.lower() != PLY:
-        raise ConfigError(f"{args.out} is not the name of a PLY.", "Write FILE.ply.")
-    refuse_inputs([args.out], [args.source])
-    if args.source.suffix.lower() == LIST:
-        model, frame = _merged(args.source, args.out)
-    else:  # as it is, bit for bit
-        model, frame = Gaussians.load_framed(args.source, scaled=False)
+    target = formats.format_of(args.out)
+    if not target.writes:
+        raise ConfigError(f"{target.title} files cannot be written.", "Choose another format.")
+    listed = args.source.suffix.lower() == LIST
+    before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
+    turn = axes.turn(before, args.up or target.up)
+    if listed:
+        arrays = _placed(args, turn)
+    else:
+        refuse_inputs([args.out], [args.source])
+        arrays = _turned(_cropped(formats.read(args.source), args), turn)
     if args.sh_degree is not None:
-        model = replace(model, sh=model.sh[:, : (args.sh_degree + 1) ** 2])
-    model.save_ply(args.out, frame)
-    console.print(f"{counted(len(model), 'Gaussian')} in {args.out}")
+        arrays = {**arrays, "sh": arrays["sh"][:, : (args.sh_degree + 1) ** 2]}
+    formats.write(args.out, arrays)
+    size = args.out.stat().st_size / 1e6
+    console.print(f"{counted(len(arrays['means']), 'Gaussian')}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
 
 
-def _merged(source: Path, out: Path) -> tuple[Gaussians, LocalFrame]:
-    """The models of a list, in their places, as one."""
-    from ..exchange.merged import merged
+def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:
+    """What is in the boxes; everything if none is given."""
+    rois = boxes(args, required=False)
+    if not rois:
+        return arrays
+    means = arrays["means"].astype(np.float64)
+    inside = np.any([roi.contains(means) for roi in rois], axis=0)
+    if not inside.any():
+        raise RoiError("The boxes hold no Gaussian.", "Are they from the same scene?")
+    return {name: values[inside] for name, values in arrays.items()}
+
+
+def _turned(arrays: Arrays, matrix: Float64) -> Arrays:
+    """The model after a rotation; bit for bit the same if that changes nothing."""
     from ..model.gaussians import Gaussians
+
+    if (matrix == np.eye(4)).all():
+        return arrays
+    return _merged([(*Gaussians.framed(arrays), matrix)])
+
+
+def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
+    """The models of a list, in their places, as one."""
+    from ..exchange import formats
+    from ..model.gaussians import Gaussians
+
+    if boxes(args, required=False):
+        raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
+    try:
+        wanted = placed_models(read_json(args.source, ConfigError, HINT))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
+    refuse_inputs([args.out], [args.source, *(Path(name) for name, _ in wanted)])
+    read = {
+        name: Gaussians.framed(formats.read(Path(name)))
+        for name in dict.fromkeys(name for name, _ in wanted)
+    }
+    if not any(len(gaussians) for gaussians, _ in read.values()):
+        raise ConfigError(f"{args.source} has no Gaussians.", "Give models that have some.")
+    return _merged([(*read[name], turn @ matrix) for name, matrix in wanted])
+
+
+def _merged(models: list[tuple[Gaussians, LocalFrame, Float64]]) -> Arrays:
+    from ..exchange.merged import merged
     from ..rasterize.placed import PlacedModel
 
-    try:
-        wanted = placed_models(read_json(source, ConfigError, HINT))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ConfigError(f"{source} is malformed ({error}).", HINT) from error
-    refuse_inputs([out], [Path(ply) for ply, _ in wanted])
-    read = {ply: Gaussians.load_framed(Path(ply)) for ply in dict.fromkeys(p for p, _ in wanted)}
-    models = [
-        PlacedModel(gaussians=read[ply][0], frame=read[ply][1], matrix=matrix)
-        for ply, matrix in wanted
-    ]
-    if not any(len(model.gaussians) for model in models):
-        raise ConfigError(f"{source} has no Gaussians.", "Give models that have some.")
-    return merged(models)
+    model, frame = merged(
+        [PlacedModel(gaussians=g, frame=frame, matrix=matrix) for g, frame, matrix in models]
+    )
+    return model.arrays(frame)

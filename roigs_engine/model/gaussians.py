@@ -126,8 +126,18 @@ class Gaussians:
             path: the file.
             frame: of these Gaussians; the file is in the world's. None: they are in the world's.
         """
-        arrays = {name: t.detach().cpu().numpy() for name, t in self.tensors().items()}
-        write_ply(path, arrays if frame is None else _to_world(arrays, frame))
+        write_ply(path, self.arrays(frame))
+
+    def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
+        """The five arrays by name, as a PLY has them.
+
+        Args:
+            frame: of these Gaussians; the arrays are in the world's. None: they are in the world's.
+        """
+        arrays: dict[str, Floats] = {
+            name: t.detach().cpu().numpy() for name, t in self.tensors().items()
+        }
+        return arrays if frame is None else _to_world(arrays, frame)
 
     @classmethod
     def load_ply(cls, path: Path, frame: LocalFrame | None = None) -> Gaussians:
@@ -151,7 +161,13 @@ class Gaussians:
         Raises:
             RunFolderError: the file is not one.
         """
-        arrays = read_ply(path)
+        return cls.framed(read_ply(path), scaled=scaled)
+
+    @classmethod
+    def framed(
+        cls, arrays: Mapping[str, Floats], *, scaled: bool = True
+    ) -> tuple[Gaussians, LocalFrame]:
+        """Arrays of a PLY in a frame of their own; returns both, as `load_framed`."""
         if not scaled and arrays["means"].dtype == np.float32:
             return cls.from_arrays(arrays), LocalFrame.world()
         frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))

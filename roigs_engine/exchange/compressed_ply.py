@@ -1,0 +1,101 @@
+"""PlayCanvas's compressed PLY, through the package gsply."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..formats.files import atomic_write
+from .arrays import Arrays, unit_quats
+from .damage import damaged, reading
+from .packages import package
+
+TITLE = "compressed PLY"
+CHUNK = 256  # Gaussians that share their bounds
+BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
+"""Element -> bytes that one may have."""
+MAX_HEADER = 1 << 16
+
+
+def write(path: Path, arrays: Arrays) -> None:
+    """Write Gaussians.
+
+    Raises:
+        EngineError: gsply is missing, or the file cannot be written.
+    """
+    gsply: Any = package("gsply", "gsply", TITLE)
+    sh = arrays["sh"].astype(np.float32)
+    data = gsply.compress_to_bytes(
+        arrays["means"].astype(np.float32),
+        arrays["log_scales"].astype(np.float32),
+        unit_quats(arrays),
+        arrays["logit_opacities"].astype(np.float32),
+        np.ascontiguousarray(sh[:, 0]),
+        np.ascontiguousarray(sh[:, 1:]) if sh.shape[1] > 1 else None,
+    )
+    with atomic_write(path) as file:
+        file.write(data)
+
+
+def read(path: Path) -> Arrays:
+    """Read Gaussians.
+
+    Raises:
+        RunFolderError: the file is damaged.
+        EngineError: gsply is missing.
+        OSError: it cannot be read.
+    """
+    gsply: Any = package("gsply", "gsply", TITLE)
+    _check(path)
+    with reading(path, TITLE):
+        return arrays_of(gsply.plyread(path))
+
+
+def arrays_of(data: Any) -> Arrays:
+    """gsply's container, in the form of a PLY."""
+    sh = data.sh0[:, None, :]
+    if data.shN is not None and data.shN.size:
+        sh = np.concatenate((sh, data.shN), axis=1)
+    found = {
+        "means": data.means,
+        "quats": data.quats,
+        "log_scales": data.scales,
+        "logit_opacities": np.reshape(data.opacities, -1),
+        "sh": sh,
+    }
+    return {name: np.ascontiguousarray(values, np.float32) for name, values in found.items()}
+
+
+def _check(path: Path) -> None:
+    """Compare what the header promises with the file's size: gsply trusts it."""
+    with open(path, "rb") as file:
+        head = file.read(MAX_HEADER)
+        size = os.fstat(file.fileno()).st_size
+    end = re.search(rb"\nend_header\r?\n", head)
+    if not head.startswith(b"ply") or end is None:
+        raise damaged(path, TITLE, "no header")
+    counts, bytes_of, element = {}, {}, ""
+    for line in head[: end.start()].decode("ascii", "replace").splitlines():
+        words = line.split()
+        if words[:1] == ["element"] and len(words) == 3:
+            element = words[1]
+            if not re.fullmatch("[0-9]{1,12}", words[2]) or element in counts:
+                raise damaged(path, TITLE, f"'{line:.40}'")
+            counts[element], bytes_of[element] = int(words[2]), 0
+        elif words[:1] == ["property"] and element:
+            bytes_of[element] += {"float": 4, "uint": 4, "uchar": 1}.get(words[1], 1 << 40)
+    if not {"chunk", "vertex"} <= counts.keys() <= BYTES.keys():
+        raise damaged(path, TITLE, "its elements are not those of a compressed PLY")
+    if any(bytes_of[name] not in BYTES[name] for name in counts):
+        raise damaged(path, TITLE, "its properties are not those of a compressed PLY")
+    if -(-counts["vertex"] // CHUNK) != counts["chunk"]:
+        raise damaged(path, TITLE, "its chunks do not belong to its Gaussians")
+    if counts.get("sh", counts["vertex"]) != counts["vertex"]:
+        raise damaged(path, TITLE, "its colours do not belong to its Gaussians")
+    wanted = sum(counts[name] * bytes_of[name] for name in counts)
+    if size - end.end() < wanted:
+        raise damaged(path, TITLE, f"it has {size - end.end()} of {wanted} bytes")

@@ -1,0 +1,118 @@
+"""The file formats of Gaussians, by the ends of their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ConfigError, RunFolderError
+from ..formats.splat_ply import read_ply, write_ply
+from .arrays import Arrays, usable
+
+FAR = 1e4
+"""So many times its size away from the origin, float32 shows a model's Gaussians moved."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileFormat:
+    """A format.
+
+    Attributes:
+        title: what people call it.
+        suffix: of a file's name.
+        up: the axis that points up, as most of its readers have it.
+        module: of this package, with `read` and `write`; empty: the plain PLY.
+        reads, writes: whether it does.
+    """
+
+    title: str
+    suffix: str
+    up: str
+    module: str = ""
+    reads: bool = True
+    writes: bool = True
+
+
+FORMATS = (
+    FileFormat(title="compressed PLY", suffix=".compressed.ply", up="-y", module="compressed_ply"),
+    FileFormat(title="PLY", suffix=".ply", up="-y"),
+    FileFormat(title="SPZ", suffix=".spz", up="y", module="spz"),
+    FileFormat(title="SOG", suffix=".sog", up="-y", module="sog"),
+    FileFormat(title="glTF", suffix=".glb", up="y", module="gltf"),
+    FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd"),
+    FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd"),
+    FileFormat(title="OpenUSD", suffix=".usdz", up="y", module="usd"),
+    FileFormat(title=".splat", suffix=".splat", up="-y", module="splat", reads=False),
+)
+
+
+def format_of(path: Path) -> FileFormat:
+    """The format that a file's name says.
+
+    Raises:
+        ConfigError: it says none that is known.
+    """
+    name = path.name.lower()
+    found = next((form for form in FORMATS if name.endswith(form.suffix)), None)
+    if found is None:
+        known = ", ".join(form.suffix for form in FORMATS)
+        raise ConfigError(f"{path} is not the name of a file of Gaussians.", f"Use {known}.")
+    return found
+
+
+def write(path: Path, arrays: Arrays) -> None:
+    """Write Gaussians in the format that the name says, whole or not at all.
+
+    Raises:
+        ConfigError: the format is unknown, or cannot hold this model.
+        EngineError: a package is missing, or the file cannot be written.
+    """
+    form = format_of(path)
+    if not form.module:
+        write_ply(path, arrays)
+        return
+    arrays = usable(arrays)
+    if not len(arrays["means"]):
+        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
+    means = arrays["means"].astype(np.float64)
+    size = np.ptp(np.quantile(means, (0.01, 0.99), axis=0), axis=0).max()
+    if np.abs(np.median(means, axis=0)).max() > FAR * size > 0:
+        raise ConfigError(
+            f"The model lies too far from the origin for {form.title}.",
+            "Move it to the origin, or write a plain PLY.",
+        )
+    writer: Callable[[Path, Arrays], None] = import_module(f".{form.module}", __package__).write
+    writer(path, arrays)
+
+
+def read(path: Path) -> Arrays:
+    """Read Gaussians in the format that the name says.
+
+    Raises:
+        ConfigError: the format is unknown, or is only written.
+        RunFolderError: the file is missing or damaged.
+        EngineError: a package is missing.
+    """
+    form = format_of(path)
+    if not form.reads:
+        raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")
+    if not form.module:
+        return read_ply(path)
+    reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
+    try:
+        found = reader(path)
+    except OSError as error:
+        raise RunFolderError(
+            f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
+        ) from error
+    arrays = usable(found)
+    if not len(arrays["means"]):
+        raise RunFolderError(f"{path} has no Gaussians that can be drawn.", DAMAGED)
+    return arrays
+
+
+DAMAGED = "Write or download the file again."

@@ -1,0 +1,171 @@
+"""glTF 2.0 with Khronos's extension KHR_gaussian_splatting, as one GLB, through pygltflib.
+
+A viewer without the extension shows points in the colours of `COLOR_0`.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..formats.files import atomic_write
+from ..model.gaussians import SH_C0
+from .arrays import Arrays, logits, opacities, unit_quats
+from .damage import damaged, reading
+from .packages import package
+
+TITLE = "glTF"
+NAME = "KHR_gaussian_splatting"
+MEANING = {
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "sortingMethod": "cameraDistance",
+    "projection": "perspective",
+}
+FLOAT, BYTE, POINTS, ARRAY_BUFFER = 5126, 5121, 0, 34962
+COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+MAGIC, VERSION, JSON, BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
+MOST_JSON = 16 << 20  # bytes
+
+
+def write(path: Path, arrays: Arrays) -> None:
+    """Write Gaussians.
+
+    Raises:
+        EngineError: pygltflib is missing, or the file cannot be written.
+    """
+    gltf: Any = package("pygltflib", "pygltflib", TITLE)
+    made = gltf.GLTF2(asset=gltf.Asset(generator="ROI-GS"), extensionsUsed=[NAME], scene=0)
+    blob = bytearray()
+    attributes = gltf.Attributes()
+    for name, values in _columns(arrays).items():
+        width = 1 if values.ndim == 1 else values.shape[1]
+        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[width]
+        accessor = gltf.Accessor(
+            bufferView=len(made.bufferViews),
+            componentType=BYTE if values.dtype == np.uint8 else FLOAT,
+            normalized=values.dtype == np.uint8,
+            count=len(values),
+            type=kind,
+        )
+        if name == "POSITION":
+            accessor.min, accessor.max = (
+                list(map(float, bound)) for bound in (values.min(axis=0), values.max(axis=0))
+            )
+        made.bufferViews.append(
+            gltf.BufferView(
+                buffer=0, byteOffset=len(blob), byteLength=values.nbytes, target=ARRAY_BUFFER
+            )
+        )
+        blob += values.tobytes()
+        setattr(attributes, name, len(made.accessors))
+        made.accessors.append(accessor)
+    primitive = gltf.Primitive(attributes=attributes, mode=POINTS, extensions={NAME: dict(MEANING)})
+    made.meshes.append(gltf.Mesh(primitives=[primitive]))
+    made.nodes.append(gltf.Node(mesh=0))
+    made.scenes.append(gltf.Scene(nodes=[0]))
+    made.buffers.append(gltf.Buffer(byteLength=len(blob)))
+    made.set_binary_blob(bytes(blob))
+    with atomic_write(path) as file:
+        for part in made.save_to_bytes():
+            file.write(part)
+
+
+def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
+    """Attribute -> values, every one a multiple of four bytes long."""
+    sh = arrays["sh"].astype(np.float32)
+    colour = np.column_stack((0.5 + SH_C0 * sh[:, 0], opacities(arrays)))
+    columns: dict[str, NDArray[Any]] = {
+        "POSITION": arrays["means"].astype(np.float32),
+        "COLOR_0": np.clip(np.round(colour * 255), 0, 255).astype(np.uint8),
+        f"{NAME}:ROTATION": np.roll(unit_quats(arrays), -1, axis=1),  # xyzw
+        f"{NAME}:SCALE": np.exp(arrays["log_scales"]).astype(np.float32),
+        f"{NAME}:OPACITY": opacities(arrays),
+    }
+    for index, (degree, number) in enumerate(_coefficients(sh.shape[1])):
+        columns[_sh_name(degree, number)] = np.ascontiguousarray(sh[:, index])
+    return columns
+
+
+def _coefficients(count: int) -> list[tuple[int, int]]:
+    """Degree, and number in it, of so many SH coefficients."""
+    degrees = [(degree, k) for degree in range(4) for k in range(2 * degree + 1)]
+    return degrees[:count]
+
+
+def _sh_name(degree: int, number: int) -> str:
+    return f"{NAME}:SH_DEGREE_{degree}_COEF_{number}"
+
+
+def read(path: Path) -> Arrays:
+    """Read the Gaussians of a GLB with one such primitive, whose node is not moved.
+
+    Raises:
+        RunFolderError: the file is damaged, or has none.
+        OSError: it cannot be read.
+    """
+    record, blob = _parts(path)
+    with reading(path, TITLE):
+        found = [
+            primitive["attributes"]
+            for mesh in record.get("meshes", [])
+            for primitive in mesh["primitives"]
+            if NAME in primitive.get("extensions", {})
+        ]
+        if len(found) != 1:
+            raise damaged(path, TITLE, f"{len(found)} primitives with {NAME}, not one")
+        (at,) = found
+        get = {name: _values(record, blob, int(number)) for name, number in at.items()}
+        sh = []
+        for degree, number in _coefficients(16):
+            if _sh_name(degree, number) not in get:
+                break
+            sh.append(get[_sh_name(degree, number)])
+        bands = max(k for k in (1, 4, 9, 16) if k <= len(sh))
+        arrays = {
+            "means": get["POSITION"],
+            "quats": np.roll(get[f"{NAME}:ROTATION"], 1, axis=1),
+            "log_scales": np.log(np.maximum(get[f"{NAME}:SCALE"], 1e-30)),
+            "logit_opacities": logits(get[f"{NAME}:OPACITY"].reshape(-1)),
+            "sh": np.stack(sh[:bands], axis=1),
+        }
+        if len({len(values) for values in arrays.values()}) != 1:
+            raise ValueError("attributes of different lengths")
+        return arrays
+
+
+def _parts(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON and the binary part of a GLB."""
+    import json
+
+    raw = path.read_bytes()
+    with reading(path, TITLE):
+        magic, version, _, size, kind = struct.unpack_from("<5I", raw)
+        if (magic, version, kind) != (MAGIC, VERSION, JSON) or size > MOST_JSON:
+            raise ValueError("no GLB 2.0")
+        record = json.loads(raw[20 : 20 + size])
+        length, kind = struct.unpack_from("<2I", raw, 20 + size)
+        blob = raw[28 + size : 28 + size + length]
+        if kind != BIN or len(blob) != length or not isinstance(record, dict):
+            raise ValueError("no binary part")
+        return record, blob
+
+
+def _values(record: dict[str, Any], blob: bytes, number: int) -> NDArray[np.float32]:
+    """The values of an accessor; bytes become numbers from 0 to 1."""
+    accessor = record["accessors"][number]
+    view = record["bufferViews"][accessor["bufferView"]]
+    kinds: dict[int, np.dtype[Any]] = {FLOAT: np.dtype("<f4"), BYTE: np.dtype("u1")}
+    kind = kinds[accessor["componentType"]]
+    count, width = int(accessor["count"]), COMPONENTS[accessor["type"]]
+    start = int(view.get("byteOffset", 0)) + int(accessor.get("byteOffset", 0))
+    stride = int(view.get("byteStride", width * kind.itemsize))
+    end = start + stride * (count - 1) + width * kind.itemsize
+    if count < 1 or start < 0 or stride < width * kind.itemsize or end > len(blob):
+        raise ValueError("an accessor is longer than the file")
+    values: NDArray[Any] = np.ndarray((count, width), kind, blob, start, (stride, kind.itemsize))
+    return (values / 255 if kind.itemsize == 1 else values).astype(np.float32)

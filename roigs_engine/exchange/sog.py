@@ -1,0 +1,215 @@
+"""PlayCanvas's SOG, version 2: a ZIP of lossless WebP pictures and a `meta.json`.
+
+No Python package writes it, so this one does, with Pillow and scikit-learn; gsply reads it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..formats.files import atomic_write
+from .arrays import Arrays, Float32, opacities, unit_quats
+from .compressed_ply import arrays_of
+from .damage import damaged, reading
+from .packages import package
+
+TITLE = "SOG"
+CODES = 256  # numbers that a codebook has
+PALETTE = 4096  # sets of SH coefficients that Gaussians share, at most
+ACROSS = 64  # sets in a row of the picture of the palette
+SAMPLE = 40_000  # rows that palettes are fitted to
+MOST = 50_000_000  # Gaussians
+MOST_BYTES = 4 << 30  # of a file, unpacked
+
+Bytes = NDArray[np.uint8]
+
+
+def write(path: Path, arrays: Arrays) -> None:
+    """Write Gaussians, those that are near one another together.
+
+    Raises:
+        EngineError: Pillow or scikit-learn is missing, or the file cannot be written.
+    """
+    arrays = _sorted(arrays)
+    count, side = len(arrays["means"]), int(np.ceil(np.sqrt(len(arrays["means"]))))
+    low, high, bounds = _positions(arrays["means"].astype(np.float64))
+    scales, scale_codes = _coded(arrays["log_scales"].astype(np.float32))
+    colours, colour_codes = _coded(arrays["sh"][:, 0].astype(np.float32))
+    alpha = np.clip(np.round(opacities(arrays) * 255), 0, 255).astype(np.uint8)
+    pictures = {
+        "means_l.webp": _square(low, side),
+        "means_u.webp": _square(high, side),
+        "scales.webp": _square(scales, side),
+        "quats.webp": _square(_rotations(unit_quats(arrays)), side),
+        "sh0.webp": _square(np.column_stack((colours, alpha)), side),
+    }
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "ROI-GS"},
+        "count": count,
+        "means": bounds | {"files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": scale_codes, "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": colour_codes, "files": ["sh0.webp"]},
+    }
+    bands = arrays["sh"].shape[1]
+    if bands > 1:
+        labels, centroids, codes, used = _palette(arrays["sh"][:, 1:].astype(np.float32))
+        pictures["shN_centroids.webp"] = centroids
+        pictures["shN_labels.webp"] = _square(labels, side)
+        meta["shN"] = {
+            "count": used,
+            "bands": int(np.sqrt(bands)) - 1,
+            "codebook": codes,
+            "files": ["shN_centroids.webp", "shN_labels.webp"],
+        }
+    with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
+        packed.writestr("meta.json", json.dumps(meta))
+        for name, picture in pictures.items():
+            packed.writestr(name, _webp(picture))
+
+
+def _sorted(arrays: Arrays) -> Arrays:
+    """In Morton order: neighbours in space become neighbours in the pictures, which compress."""
+    means = arrays["means"].astype(np.float64)
+    low, high = means.min(axis=0), means.max(axis=0)
+    cells = ((means - low) / np.maximum(high - low, 1e-30) * 1023).astype(np.int64)
+    key = np.zeros(len(means), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            key |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    order = np.argsort(key, kind="stable")
+    return {name: values[order] for name, values in arrays.items()}
+
+
+def _positions(means: NDArray[np.float64]) -> tuple[Bytes, Bytes, dict[str, list[float]]]:
+    """Low and high bytes (N, 3) of positions on a logarithmic scale, and its bounds."""
+    values = np.sign(means) * np.log1p(np.abs(means))
+    low, high = values.min(axis=0), values.max(axis=0)
+    steps = np.round((values - low) / np.maximum(high - low, 1e-30) * 65535).astype(np.uint16)
+    bounds = {"mins": low.tolist(), "maxs": high.tolist()}
+    return (steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8), bounds
+
+
+def _rotations(quats: Float32) -> Bytes:
+    """(N, 4): the three smaller numbers of each rotation, and which one is left out."""
+    largest = np.abs(quats).argmax(axis=1)
+    rows = np.arange(len(quats))
+    quats = quats * np.where(quats[rows, largest] < 0, -1, 1)[:, None]
+    others = np.array([[k for k in range(4) if k != left] for left in range(4)])[largest]
+    three = np.take_along_axis(quats, others, axis=1) * np.sqrt(2)
+    coded = np.clip(np.round((three * 0.5 + 0.5) * 255), 0, 255)
+    return np.column_stack((coded, 252 + largest)).astype(np.uint8)
+
+
+def _coded(values: Float32) -> tuple[Bytes, list[float]]:
+    """Values as numbers of a codebook's entries: its quantiles, with the ends."""
+    codes = _codebook(values.reshape(-1))
+    middles = (codes[1:] + codes[:-1]) / 2
+    return np.searchsorted(middles, values).astype(np.uint8), codes.tolist()
+
+
+def _codebook(values: Float32) -> NDArray[np.float64]:
+    """(CODES,) sorted numbers that stand for all: a one-dimensional k-means from the quantiles."""
+    ordered = np.sort(values).astype(np.float64)
+    codes = np.quantile(ordered, (np.arange(CODES) + 0.5) / CODES)
+    codes[0], codes[-1] = ordered[0], ordered[-1]
+    sums = np.concatenate(([0.0], np.cumsum(ordered)))
+    for _ in range(20):
+        cuts = np.searchsorted(ordered, (codes[1:] + codes[:-1]) / 2)
+        edges = np.concatenate(([0], cuts, [len(ordered)]))
+        number = np.diff(edges)
+        means = np.diff(sums[edges]) / np.maximum(number, 1)
+        codes = np.sort(np.where(number > 0, means, codes))
+    return codes
+
+
+def _palette(sh: Float32) -> tuple[Bytes, Bytes, list[float], int]:
+    """Labels (N, 3), the picture of the palette, its codebook, and how many sets it has."""
+    cluster: Any = package("sklearn.cluster", "scikit-learn", TITLE)
+    rows = sh.reshape(len(sh), -1)
+    wanted = int(min(PALETTE, max(ACROSS, 2 ** np.floor(np.log2(max(len(rows) / 16, 1))))))
+    random = np.random.default_rng(0)
+    sample = rows[random.permutation(len(rows))[:SAMPLE]]
+    wanted = min(wanted, len(sample))
+    found = cluster.MiniBatchKMeans(
+        wanted, batch_size=8 * wanted, n_init=1, max_iter=20, init="random", random_state=0
+    ).fit(sample)
+    labels = np.concatenate([found.predict(part) for part in np.array_split(rows, _parts(rows))])
+    numbers, codes = _coded(found.cluster_centers_.astype(np.float32))
+    bands = sh.shape[1]
+    picture = np.zeros((-(-wanted // ACROSS) * ACROSS, bands, 3), np.uint8)
+    picture[:wanted] = numbers.reshape(wanted, bands, 3)
+    centroids = picture.reshape(-1, ACROSS * bands, 3)
+    split = np.column_stack((labels & 255, labels >> 8, np.zeros_like(labels)))
+    return split.astype(np.uint8), centroids, codes, wanted
+
+
+def _parts(rows: Float32) -> int:
+    return -(-len(rows) // SAMPLE)
+
+
+def _square(values: Bytes, side: int) -> Bytes:
+    """(side, side, 3 or 4) with one Gaussian in each pixel."""
+    picture = np.zeros((side * side, values.shape[1]), np.uint8)
+    picture[: len(values)] = values
+    return picture.reshape(side, side, -1)
+
+
+def _webp(picture: Bytes) -> bytes:
+    images: Any = package("PIL.Image", "Pillow", TITLE)
+    out = io.BytesIO()
+    images.fromarray(picture).save(out, "WEBP", lossless=True, exact=True, quality=100, method=4)
+    return out.getvalue()
+
+
+def read(path: Path) -> Arrays:
+    """Read Gaussians.
+
+    Raises:
+        RunFolderError: the file is damaged.
+        EngineError: gsply or imagecodecs is missing.
+        OSError: it cannot be read.
+    """
+    gsply: Any = package("gsply", "gsply", TITLE)
+    package("imagecodecs", "imagecodecs", TITLE)
+    _check(path)
+    with reading(path, TITLE):
+        return arrays_of(gsply.sogread(path))
+
+
+def _check(path: Path) -> None:
+    """Compare what `meta.json` promises with the pictures: gsply trusts it."""
+    images: Any = package("PIL.Image", "Pillow", TITLE)
+    with reading(path, TITLE), zipfile.ZipFile(path) as packed:
+        sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
+        if sum(sizes.values()) > MOST_BYTES or sizes.get("meta.json", 0) > 16 << 20:
+            raise damaged(path, TITLE, "it is too large when unpacked")
+        meta = json.loads(packed.read("meta.json"))
+        parts = [meta[name] for name in ("means", "scales", "quats", "sh0")]
+        count = meta["count"] if "version" in meta else meta["means"]["shape"][0]
+        if not isinstance(count, int) or not 0 < count <= MOST:
+            raise ValueError(f"{count} Gaussians")
+        names = [name for part in parts for name in part["files"]]
+        if "shN" in meta:
+            names.append(meta["shN"]["files"][1])
+            parts.append(meta["shN"])
+        for name in names:
+            with packed.open(name) as file, images.open(file) as picture:
+                if not count <= picture.width * picture.height <= 4 * count + (1 << 16):
+                    raise ValueError(f"{name} does not belong to {count} Gaussians")
+        if "version" in meta and any(
+            len(part.get("codebook", range(CODES))) != CODES for part in parts
+        ):
+            raise ValueError("a codebook of another length")
+        if "shN" in meta:
+            with packed.open(meta["shN"]["files"][0]) as file, images.open(file) as picture:
+                if picture.width * picture.height > 1 << 26:
+                    raise ValueError("a palette that is too large")

@@ -1,0 +1,137 @@
+"""Niantic's SPZ, through the package gsply: version 3 (gzip) is written, 1 to 4 are read.
+
+Positions are fixed-point numbers with 24 bits, so their resolution follows from the model's size.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..formats.files import atomic_write
+from .arrays import Arrays, Float32, unit_quats
+from .compressed_ply import arrays_of
+from .damage import damaged, reading
+from .packages import package
+
+TITLE = "SPZ"
+MAGIC = 0x5053474E
+BITS = 24  # of a coordinate, with its sign
+MOST_FRACTION = 20  # bits behind the point
+FARTHEST = 1000.0  # times the median distance from the origin: what is beyond is left out
+SCALES = (-10.0, 5.9375)  # logarithms that it can hold
+LOST = 0.01  # share of Gaussians whose size it may change
+STEP = 8 / 128  # of SH above degree 0; its own encoder has 16 / 128 above degree 1: 4 dB less
+SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
+MOST = 50_000_000  # Gaussians
+
+
+def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
+    """Write Gaussians.
+
+    Raises:
+        ConfigError: their sizes are beyond what the format has.
+        EngineError: gsply is missing, or the file cannot be written.
+    """
+    gsply: Any = package("gsply", "gsply", TITLE)
+    spz: Any = package("gsply.spz", "gsply", TITLE)
+    scales = arrays["log_scales"]
+    outside = (scales < SCALES[0]).all(axis=1) | (scales > SCALES[1]).any(axis=1)
+    if outside.mean() > LOST:
+        raise ConfigError(
+            "The Gaussians are too small or too large for SPZ.",
+            "Scale the model to a size of a few units, or use another format.",
+        )
+    means = arrays["means"].astype(np.float32)
+    reach = np.abs(means).max(axis=1)
+    farthest = max(1e-6, min(float(reach.max()), FARTHEST * float(np.median(reach))))
+    fraction = int(np.clip(BITS - 1 - np.ceil(np.log2(farthest)), 1, MOST_FRACTION))
+    inside = reach < 2.0 ** (BITS - 1 - fraction)
+    sh = _rounded(arrays["sh"].astype(np.float32))
+    data = gsply.GSData.from_arrays(
+        means=means[inside],
+        scales=scales[inside].astype(np.float32),
+        quats=unit_quats(arrays)[inside],
+        opacities=arrays["logit_opacities"][inside].astype(np.float32),
+        sh0=np.ascontiguousarray(sh[inside, 0]),
+        shN=np.ascontiguousarray(sh[inside, 1:]),
+    )
+    with tempfile.TemporaryDirectory() as folder:  # gsply takes names alone
+        made = Path(folder) / "model.spz"
+        spz.write_spz(made, data, version=version, fractional_bits=fraction)
+        with atomic_write(path) as file:
+            # What gsply compresses with is fast, and makes files that are a tenth larger.
+            raw = made.read_bytes()
+            smaller = raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
+            file.write(smaller)
+
+
+def _rounded(sh: Float32) -> Float32:
+    """SH (N, K, 3) in steps, which compress to less."""
+    rounded = sh.copy()
+    rounded[:, 1:] = np.round(sh[:, 1:] / STEP) * STEP
+    return rounded
+
+
+def read(path: Path) -> Arrays:
+    """Read Gaussians.
+
+    Raises:
+        RunFolderError: the file is damaged.
+        EngineError: gsply is missing.
+        OSError: it cannot be read.
+    """
+    package("gsply", "gsply", TITLE)
+    spz: Any = package("gsply.spz", "gsply", TITLE)
+    _check(path)
+    with reading(path, TITLE):
+        return arrays_of(spz.read_spz(path))
+
+
+def _check(path: Path) -> None:
+    """Compare what the header promises with what is there: gsply unpacks all of it first."""
+    raw = path.read_bytes()
+    if raw[:2] == b"\x1f\x8b":
+        _check_gzip(path, raw)
+        return
+    if len(raw) < 32:
+        raise damaged(path, TITLE, "no header")
+    magic, version, count, degree, _, _, streams, table = struct.unpack_from("<IIIBBBBI", raw)
+    if magic != MAGIC or version != 4 or degree not in SH_ROWS or not 5 <= streams <= 6:
+        raise damaged(path, TITLE, "its header is not that of SPZ")
+    if not 0 < count <= MOST or table < 32 or table + 16 * streams > len(raw):
+        raise damaged(path, TITLE, "its header promises more than it has")
+    sizes = struct.unpack_from(f"<{2 * streams}Q", raw, table)
+    widths = (9, 1, 3, 3, 4, 3 * SH_ROWS[degree])[:streams]
+    if [count * width for width in widths] != list(sizes[1::2]):
+        raise damaged(path, TITLE, "its parts do not belong to its Gaussians")
+    if table + 16 * streams + sum(sizes[::2]) > len(raw):
+        raise damaged(path, TITLE, "it is truncated")
+
+
+def _check_gzip(path: Path, raw: bytes) -> None:
+    unpacker = zlib.decompressobj(wbits=31)
+    with reading(path, TITLE):
+        head = unpacker.decompress(raw, 16)
+        magic, version, count, degree, *_ = struct.unpack("<IIIBBBB", head)
+    if magic != MAGIC or version not in (1, 2, 3) or degree not in SH_ROWS:
+        raise damaged(path, TITLE, "its header is not that of SPZ")
+    if not 0 < count <= MOST:
+        raise damaged(path, TITLE, f"{count} Gaussians")
+    width = 16 + 3 * SH_ROWS[degree] + (4 if version == 3 else 3)
+    wanted, there = count * (width - (3 if version == 1 else 0)), 0
+    with reading(path, TITLE):
+        while there <= wanted and not unpacker.eof:
+            part = unpacker.decompress(unpacker.unconsumed_tail, 1 << 20)
+            if not part:
+                break
+            there += len(part)
+    if there != wanted or not unpacker.eof:
+        raise damaged(path, TITLE, f"it has {there} of {wanted} bytes")

@@ -1,0 +1,110 @@
+"""OpenUSD's ParticleField3DGaussianSplat, through the package usd-core (26.3 or later)."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import EngineError
+from ..formats.files import atomic_write
+from .arrays import Arrays, logits, opacities, unit_quats
+from .damage import damaged, reading
+from .packages import package
+
+TITLE = "OpenUSD"
+PRIM = "/Gaussians"
+KIND = "ParticleField3DGaussianSplat"
+
+
+def _modules() -> tuple[Any, Any, Any, Any, Any]:
+    names = ("Usd", "UsdGeom", "UsdVol", "Vt", "UsdUtils")
+    usd, geom, vol, vt, utils = (package(f"pxr.{name}", "usd-core", TITLE) for name in names)
+    if not hasattr(vol, KIND):
+        raise EngineError(
+            f"This version of usd-core has no {KIND}.", "Install usd-core 26.3 or later."
+        )
+    return usd, geom, vol, vt, utils
+
+
+def write(path: Path, arrays: Arrays) -> None:
+    """Write Gaussians; the end of the name says whether as text, binary or packed.
+
+    Raises:
+        EngineError: usd-core is missing, or the file cannot be written.
+    """
+    usd, geom, vol, vt, utils = _modules()
+    packed = path.suffix.lower() == ".usdz"
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / ("model.usdc" if packed else f"model{path.suffix.lower()}")
+        stage = usd.Stage.CreateNew(os.fspath(made))
+        geom.SetStageUpAxis(stage, geom.Tokens.y)
+        geom.SetStageMetersPerUnit(stage, 1.0)
+        prim = getattr(vol, KIND).Define(stage, PRIM)
+        stage.SetDefaultPrim(prim.GetPrim())
+        means = np.ascontiguousarray(arrays["means"], np.float32)
+        scales = np.exp(arrays["log_scales"]).astype(np.float32)
+        sh = np.ascontiguousarray(arrays["sh"], np.float32)
+        reach = 3 * scales.max(axis=1, keepdims=True)
+        extent = np.stack(((means - reach).min(axis=0), (means + reach).max(axis=0)))
+        values = {
+            "positions": vt.Vec3fArray.FromNumpy(means),
+            "scales": vt.Vec3fArray.FromNumpy(scales),
+            # Quatf arrays take the imaginary part first.
+            "orientations": vt.QuatfArray.FromNumpy(np.roll(unit_quats(arrays), -1, axis=1)),
+            "opacities": vt.FloatArray.FromNumpy(opacities(arrays)),
+            "radiance:sphericalHarmonicsDegree": int(np.sqrt(sh.shape[1])) - 1,
+            "radiance:sphericalHarmonicsCoefficients": vt.Vec3fArray.FromNumpy(sh.reshape(-1, 3)),
+            "extent": vt.Vec3fArray.FromNumpy(extent.astype(np.float32)),
+        }
+        for name, value in values.items():
+            prim.GetPrim().GetAttribute(name).Set(value)
+        stage.GetRootLayer().Save()
+        if packed:
+            whole = made.with_suffix(".usdz")
+            utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
+            made = whole
+        with atomic_write(path) as file:
+            file.write(made.read_bytes())
+
+
+def read(path: Path) -> Arrays:
+    """Read the Gaussians of a stage with one such prim, in the frame of the stage.
+
+    Raises:
+        RunFolderError: the file is damaged, or has none.
+        EngineError: usd-core is missing.
+        OSError: it cannot be read.
+    """
+    usd, *_ = _modules()
+    with open(path, "rb"):  # the library has its own errors for a missing file
+        pass
+    with reading(path, TITLE):
+        stage = usd.Stage.Open(os.fspath(path), usd.Stage.LoadNone)
+        prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
+        if len(prims) != 1:
+            raise damaged(path, TITLE, f"{len(prims)} prims of Gaussians, not one")
+
+        def get(name: str) -> Any:
+            return prims[0].GetAttribute(name).Get()
+
+        means = np.array(get("positions"), np.float32)
+        bands = (int(get("radiance:sphericalHarmonicsDegree")) + 1) ** 2
+        sh = np.array(get("radiance:sphericalHarmonicsCoefficients"), np.float32)
+        orientations = get("orientations")
+        quats = np.array(
+            [(q.GetReal(), *q.GetImaginary()) for q in orientations], np.float32
+        ).reshape(-1, 4)
+        arrays = {
+            "means": means,
+            "quats": quats,
+            "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
+            "logit_opacities": logits(np.array(get("opacities"), np.float32)),
+            "sh": sh.reshape(len(means), bands, 3),
+        }
+        if bands not in (1, 4, 9, 16) or len({len(v) for v in arrays.values()}) != 1:
+            raise ValueError("attributes of different lengths")
+        return arrays
