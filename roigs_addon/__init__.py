@@ -47,6 +47,7 @@ MODULES = (
     "ui.cameras",
     "ui.train",
     "ui.result",
+    "ui.look",
 )
 
 

@@ -10,6 +10,7 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -102,6 +103,26 @@ class RoigsObject(bpy.types.PropertyGroup):
     )
     aside: CollectionProperty(
         type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
+    )
+    exposure: FloatProperty(
+        name="Exposure",
+        default=0.0,
+        min=-16.0,
+        max=16.0,
+        soft_min=-3.0,
+        soft_max=3.0,
+        precision=2,
+        description="Gaussians: in stops; 1 doubles the colours' sRGB values, -1 halves them",
+    )
+    tint: FloatVectorProperty(
+        name="Tint",
+        subtype="COLOR_GAMMA",
+        size=3,
+        default=(1.0, 1.0, 1.0),
+        min=0.0,
+        max=16.0,
+        soft_max=1.0,
+        description="Gaussians: multiplies their colours; white changes nothing",
     )
 
 

@@ -12,7 +12,7 @@ from ..blender import camera_of
 from ..errors import AddonError
 from ..geometry import frames
 from ..properties import object_props
-from . import cameras, edits, lookup
+from . import cameras, edits, look, lookup
 
 
 def frame_request(
@@ -37,7 +37,8 @@ def frame_request(
             continue
         edits.look_again(item)
         if ply := edits.file_of(item):
-            models.append({"ply": ply, "matrix": (matrix @ edits.frame_of(item)).tolist()})
+            placed = matrix @ edits.frame_of(item)
+            models.append({"ply": ply, "matrix": placed.tolist(), "gains": look.gains(moved)})
     if not models or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)

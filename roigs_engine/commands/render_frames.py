@@ -33,6 +33,7 @@ HELP = "render pictures for compositing, as another program asks for them in a f
 EXAMPLES = """\
   python -m roigs_engine render-frames requests --once"""
 HINT = "docs/files.md describes requests."
+MOST = 1e6  # gain of a colour
 PAUSE = 0.005  # seconds between two looks into the folder
 
 
@@ -125,15 +126,18 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
     try:
         _, camera, pose = camera_from_record(record["camera"])
         out = Path(record["out"])
-        wanted = [(str(item["ply"]), _affine(item["matrix"])) for item in record["models"]]
+        wanted = [
+            (str(item["ply"]), _affine(item["matrix"]), _gains(item.get("gains", (1, 1, 1))))
+            for item in record["models"]
+        ]
         if not wanted:
             raise ValueError("it has no model")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
-    read = models.get([ply for ply, _ in wanted])
+    read = models.get([ply for ply, _, _ in wanted])
     placed = [
-        PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)
-        for (gaussians, frame), (_, matrix) in zip(read, wanted, strict=True)
+        PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix, gains=gains)
+        for (gaussians, frame), (_, matrix, gains) in zip(read, wanted, strict=True)
     ]
     layer = render_placed(placed, camera, pose, device)
     save_layer(colour_file(out), depth_file(out), layer)
@@ -148,3 +152,12 @@ def _affine(rows: Any) -> Float64:
     if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError("matrix must be affine, and no scale may be zero")
     return matrix
+
+
+def _gains(numbers: Any) -> tuple[float, float, float]:
+    """The gains of a request; ValueError unless pictures can have them."""
+    gains = np.array(numbers, dtype=float)
+    if gains.shape != (3,) or not ((gains >= 0) & (gains <= MOST)).all():  # catches NaN too
+        raise ValueError(f"gains must be three numbers from 0 to {MOST:g}")
+    red, green, blue = gains.tolist()
+    return red, green, blue
