@@ -198,6 +198,20 @@ class RoigsScene(bpy.types.PropertyGroup):
     )
     model_cache: StringProperty(description="Folder of the model as exported by the engine")
     skipped: StringProperty(description="What the import skipped, in words")
+    known_length: FloatProperty(
+        name="Length",
+        default=1.0,
+        min=1e-6,
+        soft_min=1e-3,
+        soft_max=100.0,
+        precision=4,
+        subtype="DISTANCE",
+        description="Known distance between two points, for Set Scale",
+    )
+    placement: StringProperty(
+        description="Text of the file beside the model, as placing the scene has written it"
+    )
+    placement_key: StringProperty(description="Where the root stood then")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
 
 
