@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .frames import Matrix
 
-REACH = 12.0  # pixels from the mouse
+REACHES = (4.0, 14.0)  # pixels from the mouse; the larger one if nothing is within the smaller
 SLACK = 4.0  # times that, in depth: as far behind the nearest point, another is still in front
 
 
@@ -38,16 +38,13 @@ class Sight:
         return np.asarray(-(points @ self.view[2, :3] + self.view[2, 3]), float)
 
 
-def under(
-    points: NDArray[Any], sight: Sight, at: tuple[float, float], reach: float = REACH
-) -> int | None:
-    """The point that a click means: of those in front, the one nearest to the mouse.
+def under(points: NDArray[Any], sight: Sight, at: tuple[float, float]) -> int | None:
+    """The point that a click means: of those in front near the mouse, the nearest to it.
 
     Args:
         points: (N, 3) in the world.
         sight: the view.
         at: the mouse, in pixels from the lower left corner.
-        reach: pixels around it.
     """
     matrix = sight.projection @ sight.view
     with np.errstate(all="ignore"):  # points at the eye
@@ -58,10 +55,11 @@ def under(
             for k, size, mouse in zip((0, 1), sight.size, at, strict=True)
         )
         away = np.hypot(x, y)
-        shown = (away <= reach) & (np.abs(clip[2]) <= weights)
-    near = np.flatnonzero(shown)
+        near = np.flatnonzero((away <= REACHES[1]) & (np.abs(clip[2]) <= weights))
     if not len(near):
         return None
+    reach = REACHES[0] if away[near].min() <= REACHES[0] else REACHES[1]
+    near = near[away[near] <= reach]
     depths = sight.depths(points[near])
     focal = sight.projection[0, 0] * sight.size[0] / 2
     deep = depths.min() + SLACK * reach * (depths.min() if sight.perspective else 1.0) / focal

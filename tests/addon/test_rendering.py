@@ -69,6 +69,29 @@ def test_a_moved_world_gives_the_same_picture(blender: ModuleType, shot) -> None
     assert psnr(f12("moved"), before) > 40
 
 
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+def test_millimetres_and_kilometres(
+    blender: ModuleType, shot, factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a scene of that size, pictures are the same, and meshes cover by depth as before."""
+    bpy, (scene, f12) = blender, shot
+    from roigs_addon.scene import placement
+
+    monkeypatch.setattr(placement, "keep", lambda scene: Path(scene.roigs.colmap))  # shared folder
+    before = f12()
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=factor)
+    assert psnr(f12("scaled"), before) > 40
+    camera = scene.camera.matrix_world
+    plane = black_plane(bpy, scene.camera.matrix_world)
+    plane.scale = [factor] * 3
+    plane.location = camera @ (bpy_vector(0, 0, -0.05))
+    assert f12("in front")[..., :3].max() == 0
+    plane.location = camera @ (bpy_vector(0, 0, -90))
+    behind = f12("behind")
+    assert behind[..., 3].min() == 1, "the camera clips what is behind"
+    assert behind[..., :3].max() > 0.2
+
+
 def test_what_is_hidden_moved_or_coarse_is_seen(blender: ModuleType, shot) -> None:
     scene, f12 = shot
     whole = f12()

@@ -112,6 +112,21 @@ def check_look(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     bpy.data.objects.remove(c)
 
 
+def check_size(a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """A scene of any size looks the same."""
+    usual = seen(a)
+    for size in (1000.0, 0.001):
+        a.matrix_world = Matrix.Diagonal((size, size, size, 1.0))
+        focal = 0.4 * SIDE * DISTANCE
+        camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2 + 3}
+        far = DISTANCE * size
+        clip = perspective({**camera, "cy": SIDE / 2}, far / 100, far * 10)
+        view = Matrix.Translation((0, 0, -far)) @ TURN
+        got = picture([a], view, clip, SIDE, SIDE)
+        assert psnr(got, usual) > 50, (size, psnr(got, usual))
+    a.matrix_world = Matrix()
+
+
 def check_changed_file(a: bpy.types.Object, b: bpy.types.Object) -> None:
     """A file that is replaced is read again."""
     path = FOLDER / "changing.ply"

@@ -40,4 +40,6 @@ def test_the_nearest_in_front(perspective: bool, scale: float) -> None:
     assert under(points[:1], view, (100, 50)) == 0
     assert under(points, view, (100, 90)) is None
     assert under(points[:0], view, (100, 50)) is None
+    far_off = scale * np.array([behind, (0.25, 0, 2)])
+    assert under(far_off, view, (100, 50)) == 0, "exactly at the mouse, though behind"
     assert under(np.array([[0, 0, 6.0 * scale]]), view, (100, 50)) is None or not perspective

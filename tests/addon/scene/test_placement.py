@@ -104,6 +104,55 @@ def test_the_origin_is_under_the_object(blender: ModuleType, garden) -> None:
     assert record(roi, scene) == before
 
 
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_tools_in_scenes_of_any_size(
+    blender: ModuleType, garden, factor: float, by_hand: bool
+) -> None:
+    from roigs_addon.scene import box_faces, lookup
+
+    bpy, (scene, folder) = blender, garden
+    camera = lookup.cameras(scene)["photo 3.png"]
+    clips = np.array([camera.data.clip_start, camera.data.clip_end])
+    if by_hand:
+        scene.roigs.root.scale = [factor] * 3
+        bpy.context.view_layer.update()
+    else:
+        bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=factor)
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    found = camera.data.clip_start, camera.data.clip_end
+    np.testing.assert_allclose(found, np.maximum(clips * factor, 1e-6), rtol=1e-5)
+    scene.cursor.location = 0, 0, 0
+    bpy.ops.roigs.add_roi()
+    roi = bpy.context.active_object
+    bpy.context.view_layer.update()
+    first = lookup.box(roi, scene)
+    assert 0.2 < first.half_extents.max() < 2
+    bpy.ops.roigs.fit_box()
+    bpy.context.view_layer.update()
+    half = box_faces.Shape.of(roi).half
+    bpy.ops.roigs.move_face(axis=0, sign=1, distance=0.1 * factor)
+    bpy.context.view_layer.update()
+    half[0] += 0.05 * factor
+    np.testing.assert_allclose(box_faces.Shape.of(roi).half, half, rtol=1e-4)
+    bpy.ops.roigs.set_origin()
+    chosen = select_points(bpy, scene, triangle(scene))
+    bpy.ops.roigs.set_floor()
+    np.testing.assert_allclose(moved(matrix(scene), chosen)[:, 2] / factor, 0, atol=1e-5)
+    imported(bpy, folder)
+    again = lookup.cameras(scene)["photo 3.png"]
+    np.testing.assert_allclose((again.data.clip_start, again.data.clip_end), found, rtol=1e-4)
+
+
+def test_the_users_clip_range_stays(blender: ModuleType, garden) -> None:
+    from roigs_addon.scene import lookup
+
+    camera = lookup.cameras(garden[0])["photo 3.png"]
+    camera.data.clip_end = 7.0
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    assert camera.data.clip_end == 7.0
+
+
 def test_another_file_gets_the_placement(blender: ModuleType, garden) -> None:
     from roigs_addon.scene import placement
 
