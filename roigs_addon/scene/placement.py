@@ -172,6 +172,7 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
         _written[path] = wanted
     before = _scales.get(path)
     if before:
+        view_layer_of(bpy.context).update()  # `matrix_world` may still be that of before
         _follow_scale(scene, path, lookup.root_scale(scene) / before)
 
 
