@@ -176,6 +176,7 @@ class SetOrigin(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Move the scene, not the origin."""
         try:
+            placement.root_of(scene_of(context))
             roi = checked_box(context)
             size = roi.empty_display_size
             signs = np.stack(np.meshgrid(*[(-size, size)] * 3), axis=-1).reshape(-1, 3)

@@ -44,6 +44,7 @@ def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
     root: bpy.types.Object | None = scene_props(scene).root
     if root is None or root.name not in scene.objects:
         raise AddonError("There is no model. Import a COLMAP model first.")
+    view_layer_of(bpy.context).update()  # after an undo, as for F9, `matrix_world` is of before
     flaw = poses.similarity_flaw(lookup.matrix_world(root))
     if flaw:
         raise AddonError(f"'{root.name}' cannot be placed: {flaw}. Clear its scale first.")

@@ -126,6 +126,19 @@ def work(blender: Blender, project: Path, pictures: Path | None) -> None:
     check("redo moves the view again", abs(blender.ask("distance()") / size / away - 1) < 0.01)
     check("redo writes the file again", file.is_file() and file.read_text() == text)
 
+    blender.click(blender.find("roigs.set_scale", x=0.3))
+    click_point(blender, rows[0])
+    click_point(blender, rows[1])
+    blender.pause(0.5)
+    size = blender.ask("size()")
+    blender.ask("bpy.context.window_manager.operators[-1].properties.length = 3.0")
+    blender.ask("call('ed.undo_redo')")  # what a change in the panel of F9 does
+    blender.pause(0.5)
+    factor = blender.ask("size()") / size
+    check(f"another length scales from where it was: {factor:.3f}", abs(factor - 3) < 1e-3)
+    seen = blender.ask("distance() / size()")
+    check("the view follows that, too", abs(seen / away - 1) < 0.01)
+
     blender.ask("remember()")
     blender.click(blender.find("roigs.set_floor"))
     for row in rows:
