@@ -29,9 +29,11 @@ MODULES = (
     "jobs.run_folders",
     "scene.active_camera",
     "scene.edits",
+    "scene.placement",
     "jobs.current",
     "operators.engine_setup",
     "operators.scene",
+    "operators.placement",
     "operators.boxes",
     "operators.box_tools",
     "operators.photos",
@@ -44,11 +46,13 @@ MODULES = (
     "rendering",
     "facts.caches",
     "ui.scene",
+    "ui.placement",
     "ui.boxes",
     "ui.box_handles",
     "ui.cameras",
     "ui.train",
     "ui.result",
+    "ui.look",
 )
 
 

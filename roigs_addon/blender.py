@@ -50,8 +50,8 @@ def view_3d_of(context: bpy.types.Context) -> bpy.types.SpaceView3D | None:
     return space if isinstance(space, bpy.types.SpaceView3D) else None
 
 
-def layout_of(panel: bpy.types.Panel) -> bpy.types.UILayout:
-    """The layout of a panel while it is drawn."""
+def layout_of(panel: bpy.types.Panel | bpy.types.Operator) -> bpy.types.UILayout:
+    """The layout of a panel, or of an operator's settings, while it is drawn."""
     assert panel.layout is not None
     return panel.layout
 

@@ -10,6 +10,7 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -103,6 +104,26 @@ class RoigsObject(bpy.types.PropertyGroup):
     aside: CollectionProperty(
         type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
     )
+    exposure: FloatProperty(
+        name="Exposure",
+        default=0.0,
+        min=-16.0,
+        max=16.0,
+        soft_min=-3.0,
+        soft_max=3.0,
+        precision=2,
+        description="Gaussians: in stops; 1 doubles the colours' sRGB values, -1 halves them",
+    )
+    tint: FloatVectorProperty(
+        name="Tint",
+        subtype="COLOR_GAMMA",
+        size=3,
+        default=(1.0, 1.0, 1.0),
+        min=0.0,
+        max=16.0,
+        soft_max=1.0,
+        description="Gaussians: multiplies their colours; white changes nothing",
+    )
 
 
 def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
@@ -177,6 +198,20 @@ class RoigsScene(bpy.types.PropertyGroup):
     )
     model_cache: StringProperty(description="Folder of the model as exported by the engine")
     skipped: StringProperty(description="What the import skipped, in words")
+    known_length: FloatProperty(
+        name="Length",
+        default=1.0,
+        min=1e-6,
+        soft_min=1e-3,
+        soft_max=100.0,
+        precision=4,
+        subtype="DISTANCE",
+        description="Known distance between two points, for Set Scale",
+    )
+    placement: StringProperty(
+        description="Text of the file beside the model, as placing the scene has written it"
+    )
+    placement_key: StringProperty(description="Where the root stood then")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
 
 

@@ -60,3 +60,20 @@ def redraw_sidebars() -> None:
         for region in area.regions:
             if region.type == "UI":
                 region.tag_redraw()
+
+
+def scale_views(scene: bpy.types.Scene, factor: float) -> None:
+    """Have the 3D views of a scene show it as before, if all of it is that much larger now."""
+    for window in blender.windows():
+        if window.scene != scene:
+            continue
+        for area in window.screen.areas:
+            space = area.spaces.active
+            if not isinstance(space, bpy.types.SpaceView3D):
+                continue
+            space.clip_start, space.clip_end = space.clip_start * factor, space.clip_end * factor
+            views = {*space.region_quadviews, space.region_3d} - {None}
+            for view in views:
+                view.view_location *= factor
+                view.view_distance *= factor
+            area.tag_redraw()

@@ -13,6 +13,7 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import importing, selections
+from ..shared import projects
 from . import run_folders
 from .spec import IMPORTING, JobSpec
 
@@ -61,10 +62,7 @@ def project_name(folder: Path) -> str:
 
 def project_folder(folder: Path) -> Path:
     """The folder of a COLMAP project, of which `sparse`, `sparse/0` or `images` may be given."""
-    while folder.parent.name and ("sparse" in (folder.name, folder.parent.name)):
-        folder = folder.parent
-    photos = folder.name.startswith("images") and os.path.isdir(folder.parent / "sparse")
-    return folder.parent if photos else folder
+    return projects.top_folder(folder)
 
 
 def export_folder(colmap: Path) -> Path:

@@ -13,6 +13,9 @@ from ..geometry.photo import Photo
 from ..properties import object_props
 from . import lookup
 
+LEAST_CLIP = 1e-6
+"""Blender's least clip distance."""
+
 
 def new_camera(photo: Photo, size: float) -> bpy.types.Object:
     """A camera object below the root, in the COLMAP frame; not linked to any collection yet.
@@ -27,12 +30,29 @@ def new_camera(photo: Photo, size: float) -> bpy.types.Object:
     data.sensor_width = frames.SENSOR_WIDTH
     data.lens, data.shift_x, data.shift_y = lens.lens, lens.shift_x, lens.shift_y
     data.display_size = size
-    data.clip_start, data.clip_end = size * 1e-2, size * 1e4
+    data.clip_start, data.clip_end = _clips(size, 1.0)
     item = bpy.data.objects.new(photo.name, data)
     item.matrix_local = BlenderMatrix(frames.camera_matrix(photo.pose).tolist())
     props = object_props(item)
     props.kind, props.photo = "CAMERA", photo.to_json()
     return item
+
+
+def fit_clips(scene: bpy.types.Scene, scale: float) -> None:
+    """Have all photos' cameras clip as at a root of that scale; Blender scales all but that."""
+    for item in lookup.of_kind(scene, "CAMERA"):
+        _fit_clip(camera_of(item), scale)
+
+
+def _fit_clip(data: bpy.types.Camera, scale: float) -> None:
+    """Unless the user has set the range: it is then of no scale."""
+    start, _ = _clips(data.display_size, data.clip_end / _clips(data.display_size, 1.0)[1])
+    if abs(data.clip_start - start) <= 1e-3 * start:
+        data.clip_start, data.clip_end = _clips(data.display_size, scale)
+
+
+def _clips(size: float, scale: float) -> tuple[float, float]:
+    return max(LEAST_CLIP, size * scale * 1e-2), max(LEAST_CLIP, size * scale * 1e4)
 
 
 def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
@@ -45,6 +65,7 @@ def activate(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     scene.camera = item
     if photo is None:
         return
+    _fit_clip(camera_of(item), lookup.root_scale(scene))  # the root may be scaled by hand
     k, render = photo.intrinsics, scene.render
     lens = frames.lens_from_intrinsics(k)
     render.resolution_x, render.resolution_y = k.width, k.height

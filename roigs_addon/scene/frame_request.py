@@ -13,7 +13,7 @@ from ..blender import camera_of
 from ..errors import AddonError
 from ..geometry import frames
 from ..properties import object_props
-from . import cameras, edits, lookup
+from . import cameras, edits, look, lookup
 
 
 def frame_request(
@@ -53,7 +53,7 @@ def frame_request(
 def models_of(
     items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
 ) -> list[dict[str, Any]]:
-    """The objects that are not hidden in renders, with their edits and where they stand."""
+    """The objects that are not hidden in renders, with their edits, looks and where they stand."""
     models = []
     for item in items:
         moved = item.evaluated_get(depsgraph)
@@ -62,7 +62,8 @@ def models_of(
             continue
         edits.look_again(item)
         if ply := edits.file_of(item):
-            models.append({"ply": ply, "matrix": (matrix @ edits.frame_of(item)).tolist()})
+            placed = matrix @ edits.frame_of(item)
+            models.append({"ply": ply, "matrix": placed.tolist(), "gains": look.gains(moved)})
     return models
 
 

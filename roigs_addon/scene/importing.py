@@ -16,7 +16,7 @@ from ..errors import AddonError
 from ..geometry.photo import Photo
 from ..properties import object_props, scene_props
 from ..shared import upright
-from . import cameras, clouds, lookup, start_cube
+from . import cameras, clouds, lookup, placement, start_cube
 
 ROOT_NAME = "COLMAP"
 # In units of the cameras' extent.
@@ -53,7 +53,7 @@ def import_folder(
     same_frame = same_frame or _same_frame(before, photos)
     if not same_frame:
         scene_props(scene).excluded.clear()  # another model's photos may have the same names
-    root = _root(scene, name, photos, same_frame=same_frame)
+    root = _root(scene, name, record, same_frame=same_frame)
     root.empty_display_size = extent * 0.25
     parent = root.users_collection[0]
     collection = _photo_collection(parent, name)
@@ -68,6 +68,7 @@ def import_folder(
         parent.objects.link(cloud)
     props = scene_props(scene)
     props.root, props.model_cache = root, str(folder)
+    cameras.fit_clips(scene, lookup.root_scale(scene))
     props.skipped = skipped_in_words(record.get("skipped") or {})
 
 
@@ -102,6 +103,7 @@ def restore_cameras(scene: bpy.types.Scene, names: set[str]) -> None:
     for image in record["images"]:
         if image["name"] in gone:
             _add_camera(collection, root, Photo.from_dict(image), _extent(record))
+    cameras.fit_clips(scene, lookup.root_scale(scene))
 
 
 def _add_camera(
@@ -118,16 +120,24 @@ def _extent(record: dict[str, Any]) -> float:
 
 
 def _root(
-    scene: bpy.types.Scene, name: str, photos: list[Photo], *, same_frame: bool
+    scene: bpy.types.Scene, name: str, record: dict[str, Any], *, same_frame: bool
 ) -> bpy.types.Object:
-    """The scene's root, made if there is none, and placed anew for another model."""
+    """The scene's root, made if there is none, and placed anew for another model.
+
+    It is placed as the file beside the model says, else upright.
+    """
     root: bpy.types.Object | None = scene_props(scene).root
     fresh = root is None or root.name not in scene.objects
     if root is None or fresh:
         root = _new_root(scene, name)
     if fresh or not same_frame:
-        poses = np.array([photo.pose for photo in photos]).reshape(-1, 4, 4)
-        root.matrix_world = Matrix(upright.levelled(poses).tolist()).to_4x4()
+        scene_props(scene).placement = scene_props(scene).placement_key = ""
+        if kept := record.get("placement"):
+            placement.place_as_kept(scene, root, np.array(kept, float).reshape(4, 4))
+        else:
+            poses = np.array([image["world_to_camera"] for image in record["images"]])
+            level = upright.levelled(poses.reshape(-1, 4, 4))
+            root.matrix_world = Matrix(level.tolist()).to_4x4()
     return root
 
 
@@ -214,7 +224,7 @@ def _new_cloud(
 ) -> bpy.types.Object:
     cloud = clouds.new_points(name, points)
     rgba = np.ones((len(points), 4), np.float32)
-    rgba[:, :3] = clouds.to_linear(colours[:, :3].astype(np.float32) / 255)
+    rgba[:, :3] = clouds.to_linear(colours[:, :3].astype(np.float32) / np.float32(255))
     clouds.set_attribute(mesh_of(cloud), clouds.COLOUR, "FLOAT_COLOR", rgba)
     material = clouds.colour_material("ROI-GS Points")
     clouds.show_as_points(cloud, material, extent * POINT_RADIUS)

@@ -13,6 +13,7 @@ from ..geometry.box import Box, ShearedBoxError, box_from_matrix
 from ..geometry.frames import Matrix
 from ..geometry.photo import Photo
 from ..properties import object_props, scene_props
+from ..shared import poses
 
 TYPES = {
     "ROOT": {"EMPTY"},
@@ -101,6 +102,11 @@ def splats(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def matrix_world(item: bpy.types.Object | None) -> Matrix:
     """An object's `matrix_world`; the identity if there is no object."""
     return np.eye(4) if item is None else np.array(item.matrix_world, dtype=np.float64)
+
+
+def root_scale(scene: bpy.types.Scene) -> float:
+    """How much larger the model is in the world than in the COLMAP frame."""
+    return poses.scale_of(matrix_world(scene_props(scene).root)) or 1.0
 
 
 def _with_root(item: bpy.types.Object, root: bpy.types.Object | None) -> tuple[Matrix, Matrix]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import bpy
 
@@ -18,9 +18,20 @@ class ViewHandler:
         failure: why drawing has stopped, in one line; empty if it has not.
     """
 
-    def __init__(self, draw: Callable[[bpy.types.Context], None], failing: str) -> None:
-        """`draw` draws in the context's region; `failing` begins the line about a failure."""
-        self._draw, self._failing = draw, failing
+    def __init__(
+        self,
+        draw: Callable[[bpy.types.Context], None],
+        failing: str,
+        after: Literal["POST_VIEW", "POST_PIXEL"] = "POST_VIEW",
+    ) -> None:
+        """Prepare it.
+
+        Args:
+            draw: draws in the context's region.
+            failing: begins the line about a failure.
+            after: with the view's matrices, or in pixels of the region.
+        """
+        self._draw, self._failing, self._after = draw, failing, after
         self._handle: Any = None
         self.failure = ""
 
@@ -28,7 +39,7 @@ class ViewHandler:
         """Start drawing; in background mode there is no viewport."""
         if self._handle is None and not bpy.app.background:
             self._handle = bpy.types.SpaceView3D.draw_handler_add(
-                self._on_redraw, (), "WINDOW", "POST_VIEW"
+                self._on_redraw, (), "WINDOW", self._after
             )
 
     def stop(self) -> None:

@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..blender import view_layer_of
 from ..properties import object_props
-from ..scene import edits
+from ..scene import edits, look
 
 SURFACES = frozenset(
     {
@@ -38,6 +38,7 @@ class SplatObject:
     file: FileKey
     matrix: Matrix  # the file's frame -> world
     visible: bool
+    gains: look.Gains
 
 
 def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
@@ -67,6 +68,7 @@ def marked(
                 FileKey(path, state.st_mtime_ns, state.st_size),
                 item.matrix_world @ Matrix(edits.frame_of(item).tolist()),
                 not props.as_points and seen(item, space),
+                look.gains(item),
             )
         )
     return found

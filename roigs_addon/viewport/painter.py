@@ -378,8 +378,11 @@ def sorting_view(gaussians: GpuSet, objects: Sequence[SplatObject], view: Matrix
 
 
 def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> Float32:
-    """(objects, 4, 4): object -> camera as three rows; eye or direction of sight, least depth."""
-    texels = np.zeros((max(1, len(files)), 4, 4), np.float32)
+    """(objects, 5, 4): how each object is drawn.
+
+    Object -> camera as three rows; eye or direction of sight, least depth; gains.
+    """
+    texels = np.zeros((max(1, len(files)), 5, 4), np.float32)
     texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
     perspective = view.projection[3][3] == 0.0
     for texel, item in zip(texels, objects_of(files, objects), strict=False):
@@ -390,10 +393,10 @@ def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> F
         if not scale:
             continue
         back = matrix.inverted()
-        texel[:3] = np.array(matrix)[:3]
+        texel[:3], texel[4, :3] = np.array(matrix)[:3], item.gains
         if perspective:
-            texel[3, :3], texel[3, 3] = back.translation, NEAR * scale
+            texel[3, :3], texel[3, 3] = np.array(back.translation), NEAR * scale
         else:
             sight = back.to_3x3() @ Vector((0, 0, -1))
-            texel[3, :3], texel[3, 3] = sight.normalized(), -np.inf
+            texel[3, :3], texel[3, 3] = np.array(sight.normalized()), -np.inf
     return texels

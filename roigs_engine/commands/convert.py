@@ -19,9 +19,8 @@ from .values import PATH, integer
 
 if TYPE_CHECKING:
     from ..exchange.arrays import Arrays
-    from ..model.gaussians import Gaussians
-    from ..model.local_frame import LocalFrame
     from ..model.scene import Float64
+    from ..rasterize.placed import PlacedModel
 
 HELP = "write Gaussians in another format, turned, cropped to boxes, or placed as a list says"
 EXAMPLES = """\
@@ -103,16 +102,19 @@ def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:
 def _turned(arrays: Arrays, matrix: Float64) -> Arrays:
     """The model after a rotation; bit for bit the same if that changes nothing."""
     from ..model.gaussians import Gaussians
+    from ..rasterize.placed import PlacedModel
 
     if (matrix == np.eye(4)).all():
         return arrays
-    return _merged([(*Gaussians.framed(arrays), matrix)])
+    gaussians, frame = Gaussians.framed(arrays)
+    return _merged([PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)])
 
 
 def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
     """The models of a list, in their places, as one."""
     from ..exchange import formats
     from ..model.gaussians import Gaussians
+    from ..rasterize.placed import PlacedModel
 
     if boxes(args, required=False):
         raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
@@ -120,21 +122,23 @@ def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
         wanted = placed_models(read_json(args.source, ConfigError, HINT))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
-    refuse_inputs([args.out], [args.source, *(Path(name) for name, _ in wanted)])
+    refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)])
     read = {
         name: Gaussians.framed(formats.read(Path(name)))
-        for name in dict.fromkeys(name for name, _ in wanted)
+        for name in dict.fromkeys(item.file for item in wanted)
     }
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{args.source} has no Gaussians.", "Give models that have some.")
-    return _merged([(*read[name], turn @ matrix) for name, matrix in wanted])
+    models = []
+    for item in wanted:
+        gaussians, frame = read[item.file]
+        place = turn @ item.matrix
+        models.append(PlacedModel(gaussians=gaussians, frame=frame, matrix=place, gains=item.gains))
+    return _merged(models)
 
 
-def _merged(models: list[tuple[Gaussians, LocalFrame, Float64]]) -> Arrays:
+def _merged(models: list[PlacedModel]) -> Arrays:
     from ..exchange.merged import merged
-    from ..rasterize.placed import PlacedModel
 
-    model, frame = merged(
-        [PlacedModel(gaussians=g, frame=frame, matrix=matrix) for g, frame, matrix in models]
-    )
+    model, frame = merged(models)
     return model.arrays(frame)

@@ -1,8 +1,8 @@
-"""Lists of models and where they stand, as JSON has them (docs/files.md)."""
+"""Lists of models, where they stand and how they look, as JSON has them (docs/files.md)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -10,15 +10,33 @@ if TYPE_CHECKING:
     from ..model.scene import Float64
 
 HINT = "docs/files.md describes requests."
+MOST = 1e6  # gain of a colour
 
 
-def placed_models(record: Any) -> list[tuple[str, Float64]]:
-    """PLY and matrix of each model of a record's `models`.
+class Placed(NamedTuple):
+    """A model of a list.
+
+    Attributes:
+        file: of its Gaussians.
+        matrix: (4, 4) from its own world to that of the list.
+        gains: factors on red, green and blue.
+    """
+
+    file: str
+    matrix: Float64
+    gains: tuple[float, float, float]
+
+
+def placed_models(record: Any) -> list[Placed]:
+    """The models of a record's `models`.
 
     Raises:
         KeyError, TypeError, ValueError, OverflowError: it is malformed.
     """
-    wanted = [(str(item["ply"]), _affine(item["matrix"])) for item in record["models"]]
+    wanted = [
+        Placed(str(item["ply"]), _affine(item["matrix"]), _gains(item.get("gains", (1, 1, 1))))
+        for item in record["models"]
+    ]
     if not wanted:
         raise ValueError("it has no model")
     return wanted
@@ -32,3 +50,12 @@ def _affine(rows: Any) -> Float64:
     if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError("matrix must be affine, and no scale may be zero")
     return matrix
+
+
+def _gains(numbers: Any) -> tuple[float, float, float]:
+    """The gains of a request; ValueError unless pictures can have them."""
+    gains = np.array(numbers, dtype=float)
+    if gains.shape != (3,) or not ((gains >= 0) & (gains <= MOST)).all():  # catches NaN too
+        raise ValueError(f"gains must be three numbers from 0 to {MOST:g}")
+    red, green, blue = gains.tolist()
+    return red, green, blue

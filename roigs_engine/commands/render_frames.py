@@ -125,10 +125,10 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
         wanted = placed_models(record)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
-    read = models.get([ply for ply, _ in wanted])
+    read = models.get([item.file for item in wanted])
     placed = [
-        PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)
-        for (gaussians, frame), (_, matrix) in zip(read, wanted, strict=True)
+        PlacedModel(gaussians=gaussians, frame=frame, matrix=item.matrix, gains=item.gains)
+        for (gaussians, frame), item in zip(read, wanted, strict=True)
     ]
     layer = render_placed(placed, camera, pose, device)
     save_layer(colour_file(out), depth_file(out), layer)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
+from ..model.recolour import recoloured
 from ..model.scene import Float64
 from ..rasterize.placed import PlacedModel, transformed
 from .turned_sh import turned_sh
@@ -32,7 +33,7 @@ def merged(models: Sequence[PlacedModel]) -> tuple[Gaussians, LocalFrame]:
 
 
 def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
-    """(N, 3) centres in the world, and the model there, with so many SH coefficients."""
+    """(N, 3) centres in the world, and the model there as it looks, with so many SH bands."""
     gaussians, to_world = model.gaussians, model.from_frame
     linear = to_world[:3, :3]
     quats, log_scales = transformed(gaussians, linear)
@@ -42,7 +43,7 @@ def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
         quats=quats,
         log_scales=log_scales,
         logit_opacities=gaussians.logit_opacities,
-        sh=_padded(turned_sh(gaussians.sh, linear), bands),
+        sh=_padded(recoloured(turned_sh(gaussians.sh, linear), model.gains), bands),
     )
 
 

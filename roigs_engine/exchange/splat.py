@@ -24,7 +24,7 @@ def write(path: Path, arrays: Arrays) -> None:
     rows = np.empty(len(arrays["means"]), ROW)
     alpha = opacities(arrays)
     rows["mean"], rows["scale"] = arrays["means"], np.exp(arrays["log_scales"])
-    rows["colour"][:, :3] = _bytes(0.5 + SH_C0 * arrays["sh"][:, 0])
+    rows["colour"][:, :3] = _bytes(0.5 + SH_C0 * arrays["sh"][:, 0].astype(np.float32))
     rows["colour"][:, 3] = _bytes(alpha)
     rows["rotation"] = np.clip(np.round(unit_quats(arrays) * 128 + 128), 0, 255)
     order = np.argsort(-arrays["log_scales"].sum(axis=1) - np.log(alpha + 1e-6), kind="stable")

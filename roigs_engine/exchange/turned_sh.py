@@ -26,7 +26,7 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
     """
     bands = sh.shape[1]
     after = _sphere(DIRECTIONS)
-    before = np.linalg.solve(linear, after.T).T
+    before: Float64 = np.linalg.solve(linear, after.T).T.astype(np.float64)
     before /= np.linalg.norm(before, axis=1, keepdims=True)
     basis, wanted = (_basis(directions)[:, :bands] for directions in (after, before))
     turn = np.linalg.lstsq(basis, wanted, rcond=None)[0]

@@ -1,10 +1,12 @@
-"""One rule for the matrices of boxes and cameras: a rotation and a translation."""
+"""One rule for the matrices of boxes and cameras, and for those of placed scenes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+SCALES = (1e-9, 1e9)  # of a similarity; others come from damaged files
+UNEVEN = "it scales or shears"
 TOLERANCE = 1e-4  # of the products of axes: matrices written with five digits pass
 
 
@@ -26,5 +28,26 @@ def rigid_flaw(matrix: NDArray[np.float64]) -> str:
     with np.errstate(all="ignore"):
         products = rotation @ rotation.T
     if not np.allclose(products, np.eye(3), rtol=0, atol=TOLERANCE):
-        return "it scales or shears"
+        return UNEVEN
     return "it mirrors" if is_mirrored(matrix) else ""
+
+
+def similarity_flaw(matrix: NDArray[np.float64]) -> str:
+    """What keeps a (4, 4) matrix of finite numbers from being a rotation, one scale, a translation.
+
+    Returns:
+        The end of a sentence about the matrix; empty: it is one.
+    """
+    scale = scale_of(matrix)
+    if not SCALES[0] <= scale <= SCALES[1]:
+        return f"its scale is {scale:g}"
+    rigid = matrix.copy()
+    rigid[:3, :3] /= scale
+    flaw = rigid_flaw(rigid)
+    return "it scales the axes unevenly, or shears" if flaw == UNEVEN else flaw
+
+
+def scale_of(matrix: NDArray[np.float64]) -> float:
+    """The scale of a (4, 4) similarity; of any other matrix, how much larger it makes volumes."""
+    with np.errstate(all="ignore"):
+        return float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))

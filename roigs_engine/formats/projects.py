@@ -35,6 +35,14 @@ def project_folder(folder: Path) -> Path:
     return folder
 
 
+def top_folder(folder: Path) -> Path:
+    """The folder of a project, of which `sparse`, `sparse/0` or `images` may be given."""
+    while folder.parent.name and (SPARSE in (folder.name, folder.parent.name)):
+        folder = folder.parent
+    photos = folder.name.startswith(PHOTO_FOLDERS[0]) and os.path.isdir(folder.parent / SPARSE)
+    return folder.parent if photos else folder
+
+
 def _children(folder: Path) -> list[Path]:
     try:
         return [child for child in folder.iterdir() if os.path.isdir(child)]

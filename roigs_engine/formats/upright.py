@@ -41,7 +41,7 @@ def levelled(poses: NDArray[np.float64]) -> Matrix:
     axis[longest] = np.sign(up[longest])
     if np.arccos(min(1.0, float(up @ axis))) <= min(ERRORS * error, NEAREST):
         up = axis
-    return _turning(up, np.array([0.0, 0.0, 1.0]))
+    return turning(up, np.array([0.0, 0.0, 1.0]))
 
 
 def up_and_error(poses: NDArray[np.float64]) -> tuple[Vector, float]:
@@ -83,7 +83,7 @@ def _along(direction: Vector, hint: Vector) -> Vector:
     return direction if direction @ hint >= 0 else -direction
 
 
-def _turning(start: Vector, end: Vector) -> Matrix:
+def turning(start: Vector, end: Vector) -> Matrix:
     """The smallest rotation (3, 3) from one unit vector to another."""
     cosine = float(start @ end)
     if cosine < -1 + 1e-12:

@@ -18,6 +18,7 @@ from torch import Tensor
 from ..cuda.device import CPU
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
+from ..model.recolour import recoloured
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
 from .inputs import MAX_SLOPE
@@ -36,11 +37,13 @@ class PlacedModel:
         gaussians: in `frame`, on the CPU.
         frame: of the model's own world.
         matrix: (4, 4) from the model's own world to the world; any affine one.
+        gains: of red, green and blue, see `recoloured`.
     """
 
     gaussians: Gaussians
     frame: LocalFrame
     matrix: Float64
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @property
     def from_frame(self) -> Float64:
@@ -112,14 +115,14 @@ def _seen(model: PlacedModel, world_to_camera: Float64) -> tuple[Float64, Gaussi
     linear, offset = to_camera[:3, :3], to_camera[:3, 3]
     gaussians = model.gaussians
     local = gaussians.means.numpy().astype(np.float64)
-    eye = -np.linalg.solve(linear, offset)
+    eye: Float64 = -np.linalg.solve(linear, offset).astype(np.float64)
     quats, log_scales = transformed(gaussians, linear)
     return local @ linear.T + offset, Gaussians(
         means=gaussians.means,  # replaced when the scale of all is known
         quats=quats,
         log_scales=log_scales,
         logit_opacities=gaussians.logit_opacities,
-        sh=_plain(gaussians, eye),
+        sh=recoloured(_plain(gaussians, eye), model.gains),
     )
 
 

@@ -47,7 +47,7 @@ def similarities(
     for row in range(total):
         context.check_cancelled()
         mine = unit(photos[row])
-        for column in np.flatnonzero(wanted[row]):
+        for column in map(int, np.flatnonzero(wanted[row])):
             found[row, column] = found[column, row] = matches(mine, unit(photos[column]))
         context.progress(STAGE, row + 1, total, started)
     return found

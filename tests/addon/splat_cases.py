@@ -8,6 +8,8 @@ import numpy as np
 
 from roigs_engine.formats.splat_ply import write_ply
 
+SH_C0 = 0.28209479177387814
+
 
 def random_arrays(count: int, seed: int, coefficients: int = 16) -> dict[str, np.ndarray]:
     """Arrays of `write_ply`: Gaussians of many shapes in a ball of radius 1 about the origin."""
@@ -30,3 +32,10 @@ def random_ply(path: Path, count: int, seed: int = 0, coefficients: int = 16) ->
     """`random_arrays` as a file."""
     write_ply(path, random_arrays(count, seed, coefficients))
     return path
+
+
+def recoloured(sh: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """The coefficients of colours that are `gains` times as large."""
+    changed = sh * gains
+    changed[:, 0] += 0.5 * (gains - 1) / SH_C0
+    return changed.astype(np.float32)

@@ -11,6 +11,7 @@ import pytest
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, with_cycles
+from tests.addon.splat_cases import recoloured
 
 
 @pytest.fixture
@@ -68,6 +69,29 @@ def test_a_moved_world_gives_the_same_picture(blender: ModuleType, shot) -> None
     assert psnr(f12("moved"), before) > 40
 
 
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+def test_millimetres_and_kilometres(
+    blender: ModuleType, shot, factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a scene of that size, pictures are the same, and meshes cover by depth as before."""
+    bpy, (scene, f12) = blender, shot
+    from roigs_addon.scene import placement
+
+    monkeypatch.setattr(placement, "keep", lambda scene: Path(scene.roigs.colmap))  # shared folder
+    before = f12()
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=factor)
+    assert psnr(f12("scaled"), before) > 40
+    camera = scene.camera.matrix_world
+    plane = black_plane(bpy, scene.camera.matrix_world)
+    plane.scale = [factor] * 3
+    plane.location = camera @ (bpy_vector(0, 0, -0.05))
+    assert f12("in front")[..., :3].max() == 0
+    plane.location = camera @ (bpy_vector(0, 0, -90))
+    behind = f12("behind")
+    assert behind[..., 3].min() == 1, "the camera clips what is behind"
+    assert behind[..., :3].max() > 0.2
+
+
 def test_what_is_hidden_moved_or_coarse_is_seen(blender: ModuleType, shot) -> None:
     scene, f12 = shot
     whole = f12()
@@ -97,6 +121,35 @@ def test_edits_are_rendered(blender: ModuleType, run, shot, engine, tmp_path: Pa
     mine = f12("edited")
     assert psnr(mine, whole) < 40
     assert psnr(mine[..., :3] * mine[..., 3:], own) > 40
+
+
+def test_the_look_is_rendered(blender: ModuleType, run, shot, engine, tmp_path: Path) -> None:
+    """It is that of a file with such colours, as in the viewport (viewport_checks.py)."""
+    scene, f12 = shot
+    only(scene, "Background")
+    item, plain = scene.objects["Background"], f12()
+    arrays = read_ply(run[1] / "background.ply")
+    arrays["sh"] = recoloured(arrays["sh"], 2**-0.5 * np.array([1.0, 0.5, 0.25]))
+    write_ply(tmp_path / "tinted.ply", arrays)
+    own = engines(engine, scene, tmp_path / "tinted.ply", tmp_path / "own")
+    item.roigs.exposure, item.roigs.tint = -0.5, (1.0, 0.5, 0.25)
+    mine = f12("tinted")
+    assert psnr(mine, plain) < 40
+    assert psnr(mine[..., :3] * mine[..., 3:], own) > 40
+
+
+def test_an_animated_look(blender: ModuleType, shot) -> None:
+    scene, f12 = shot
+    only(scene, "Background")
+    item, plain = scene.objects["Background"], f12()
+    for frame, exposure in ((1, 0.0), (3, -2.0)):
+        item.roigs.exposure = exposure
+        item.keyframe_insert("roigs.exposure", frame=frame)
+    scene.frame_set(3)
+    dark = f12("dark")
+    assert dark[..., :3].max() < 0.5 * plain[..., :3].max()
+    scene.frame_set(1)
+    assert psnr(f12("again"), plain) > 50
 
 
 def test_applied_transformations_change_no_picture(blender: ModuleType, shot) -> None:

@@ -26,6 +26,8 @@ from roigs_addon.viewport import draw, pace, points, targets
 from roigs_addon.viewport.objects import marked, splat_objects
 from roigs_addon.viewport.painter import Painter
 from roigs_addon.viewport.view import View
+from roigs_engine.formats.splat_ply import read_ply, write_ply
+from tests.addon.splat_cases import recoloured
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
 SIDE = 96
@@ -88,6 +90,41 @@ def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
     assert "ascii" in draw.problems()[b.roigs.ply]
     b.roigs.ply = path
     assert not (seen(a, b) == alone).all() and not draw.problems()
+
+
+def check_look(a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """Exposure and tint are those of a file with such colours; a copy has its own."""
+    gains = 2**0.5 * np.array([1.0, 0.5, 0.25])
+    stored = read_ply(a.roigs.ply)
+    stored["sh"] = recoloured(stored["sh"], gains)
+    write_ply(FOLDER / "tinted.ply", stored)
+    c, plain = splats("c", FOLDER / "tinted.ply"), seen(a)
+    wanted = seen(c)
+    assert psnr(plain, wanted) < 35
+    a.roigs.exposure, a.roigs.tint = 0.5, (1.0, 0.5, 0.25)
+    assert psnr(seen(a), wanted) > 50, psnr(seen(a), wanted)
+    copy = a.copy()
+    bpy.context.scene.collection.objects.link(copy)
+    assert (seen(copy) == seen(a)).all()
+    a.roigs.exposure, a.roigs.tint = 0.0, (1.0, 1.0, 1.0)
+    assert (seen(a) == plain).all() and psnr(seen(copy), wanted) > 50
+    bpy.data.objects.remove(copy)
+    bpy.data.objects.remove(c)
+
+
+def check_size(a: bpy.types.Object, _b: bpy.types.Object) -> None:
+    """A scene of any size looks the same."""
+    usual = seen(a)
+    for size in (1000.0, 0.001):
+        a.matrix_world = Matrix.Diagonal((size, size, size, 1.0))
+        focal = 0.4 * SIDE * DISTANCE
+        camera = {"width": SIDE, "height": SIDE, "fx": focal, "fy": focal, "cx": SIDE / 2 + 3}
+        far = DISTANCE * size
+        clip = perspective({**camera, "cy": SIDE / 2}, far / 100, far * 10)
+        view = Matrix.Translation((0, 0, -far)) @ TURN
+        got = picture([a], view, clip, SIDE, SIDE)
+        assert psnr(got, usual) > 50, (size, psnr(got, usual))
+    a.matrix_world = Matrix()
 
 
 def check_changed_file(a: bpy.types.Object, b: bpy.types.Object) -> None:

@@ -72,7 +72,7 @@ void main()
   }
 
   // Object to camera: three rows of a matrix. Then the eye in the object's frame, or in an
-  // orthographic view the direction of sight, and the least depth.
+  // orthographic view the direction of sight, and the least depth. Then the gains of the colours.
   int number = int(size.w);
   vec4 row_x = OBJECT(number, 0), row_y = OBJECT(number, 1), row_z = OBJECT(number, 2);
   vec4 eye = OBJECT(number, 3);
@@ -132,7 +132,7 @@ void main()
                vec2(-axis.y, axis.x) * (sqrt(minor) * local.y);
 
   vec3 sight = perspective ? normalize(mean - eye.xyz) : eye.xyz;
-  vec3 rgb = max(0.5 + sh_sum(uint(3 * sh_texels) * index, sight), 0.0);
+  vec3 rgb = max(0.5 + sh_sum(uint(3 * sh_texels) * index, sight), 0.0) * OBJECT(number, 4).xyz;
   paint = vec4(rgb, opacity);
   vec4 clip = projection * vec4(t, 1.0);
   gl_Position = vec4(2.0 * pixel / view_size - 1.0, clip.z / clip.w, 1.0);

@@ -88,10 +88,17 @@ def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
 def test_panels_draw(blender: ModuleType, run) -> None:
     """Every panel's `draw`, on a layout that accepts everything."""
     from roigs_addon.jobs import current
-    from roigs_addon.ui import boxes, cameras, result, scene, train
+    from roigs_addon.ui import boxes, cameras, look, placement, result, scene, train
 
     panels = (
-        *(scene.ScenePanel, boxes.BoxesPanel, boxes.PlacePanel, cameras.CamerasPanel),
+        *(
+            placement.PlacementPanel,
+            look.LookPanel,
+            scene.ScenePanel,
+            boxes.BoxesPanel,
+            boxes.PlacePanel,
+            cameras.CamerasPanel,
+        ),
         *(train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
     )
 
@@ -109,6 +116,19 @@ def test_panels_draw(blender: ModuleType, run) -> None:
     draw_all()
     blender.ops.roigs.remove_roi()
     draw_all()
+
+
+def test_the_look_is_that_of_gaussians(blender: ModuleType, run) -> None:
+    from roigs_addon.ui.look import LookPanel
+
+    blender.ops.roigs.load_results()
+    for name, shown in (("thing", False), ("Background", True), ("photo 3.png", False)):
+        blender.context.view_layer.objects.active = run[0].objects[name]
+        assert LookPanel.poll(blender.context) == shown
+    blender.context.view_layer.objects.active = run[0].objects["Background"]
+    assert said(blender, LookPanel) == ["Background"]
+    blender.ops.roigs.show_points(points=True)
+    assert not LookPanel.poll(blender.context)
 
 
 def test_folders_that_cannot_be_looked_at(blender: ModuleType, run, tmp_path: Path) -> None:

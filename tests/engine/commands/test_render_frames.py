@@ -65,6 +65,16 @@ def test_requests_are_answered_and_deleted(folder: Path) -> None:
         assert depth[12, 16] == pytest.approx(4, abs=0.05)
 
 
+def test_gains_change_the_colours(folder: Path) -> None:
+    model = {"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}
+    plain = ask(folder)
+    tinted = ask(folder, "b", models=[{**model, "gains": [0.5, 1, 0]}])
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    before, after = (np.asarray(Image.open(colour_file(out)))[12, 16] for out in (plain, tinted))
+    assert before[0] > 100 and after[0] == pytest.approx(before[0] / 2, abs=1)
+    assert after[1] == before[1] and after[2] == 0 and after[3] == before[3]
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
@@ -73,6 +83,10 @@ def test_requests_are_answered_and_deleted(folder: Path) -> None:
         ({"models": [{"ply": "none.ply", "matrix": np.eye(4).tolist()}]}, "Cannot read none.ply"),
         ({"models": [{"ply": "a", "matrix": np.zeros((4, 4)).tolist()}]}, "affine"),
         ({"models": [{"ply": "a", "matrix": [1, 2]}]}, "4 x 4"),
+        ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1]}]}, "three numbers"),
+        ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1, -1]}]}, "three numbers"),
+        ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1, float("nan")]}]}, "three"),
+        ({"models": [{"ply": "a", "matrix": POSE, "gains": ["a", 1, 1]}]}, "malformed"),
     ],
 )
 def test_what_is_wrong_is_said(

@@ -1,0 +1,67 @@
+"""Which point is under the mouse. Numpy only, no bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frames import Matrix
+
+REACHES = (4.0, 14.0)  # pixels from the mouse; the larger one if nothing is within the smaller
+SLACK = 4.0  # times that, in depth: as far behind the nearest point, another is still in front
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a view shows.
+
+    Attributes:
+        view: (4, 4) world -> camera, OpenGL's axes.
+        projection: (4, 4) camera -> clip space.
+        size: width and height in pixels.
+    """
+
+    view: Matrix
+    projection: Matrix
+    size: tuple[int, int]
+
+    @property
+    def perspective(self) -> bool:
+        """Whether it is a perspective view."""
+        return bool(self.projection[3, 3] == 0)
+
+    def depths(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """(N,) along the axis of sight."""
+        return np.asarray(-(points @ self.view[2, :3] + self.view[2, 3]), float)
+
+
+def under(points: NDArray[Any], sight: Sight, at: tuple[float, float]) -> int | None:
+    """The point that a click means: of those in front near the mouse, the nearest to it.
+
+    Args:
+        points: (N, 3) in the world.
+        sight: the view.
+        at: the mouse, in pixels from the lower left corner.
+    """
+    matrix = sight.projection @ sight.view
+    with np.errstate(all="ignore"):  # points at the eye
+        weights = points @ matrix[3, :3] + matrix[3, 3]
+        clip = [points @ matrix[row, :3] + matrix[row, 3] for row in range(3)]
+        x, y = (
+            (0.5 + 0.5 * clip[k] / weights) * size - mouse
+            for k, size, mouse in zip((0, 1), sight.size, at, strict=True)
+        )
+        away = np.hypot(x, y)
+        near = np.flatnonzero((away <= REACHES[1]) & (np.abs(clip[2]) <= weights))
+    if not len(near):
+        return None
+    reach = REACHES[0] if away[near].min() <= REACHES[0] else REACHES[1]
+    near = near[away[near] <= reach]
+    depths = sight.depths(points[near])
+    focal = sight.projection[0, 0] * sight.size[0] / 2
+    deep = depths.min() + SLACK * reach * (depths.min() if sight.perspective else 1.0) / focal
+    front = near[depths <= deep]
+    return int(front[np.argmin(away[front])])

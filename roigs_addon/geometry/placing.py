@@ -1,0 +1,106 @@
+"""Where a scene is put: its floor at z = 0, its size, its origin. Numpy only, no bpy.
+
+Each function returns a (4, 4) matrix that is applied to the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..shared import upright
+from .frames import Matrix
+
+Vector = NDArray[np.float64]
+
+ON_A_LINE = 0.01  # width of points, in their length: less is no plane
+MOST, TRIES = 2000, 300  # points and planes through three of them, in the search for a plane
+INSIDE = 2.5  # standard errors of a point from its plane
+LEVEL = 0.05  # of the cameras' distance from each other: as far from a plane they are beside it
+ON_FLOOR = 0.1  # of a box's height: its bottom is that near to the floor
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A plane: a point in the middle of those it was laid through, and its normal."""
+
+    point: Vector
+    normal: Vector
+
+
+def plane_through(points: Vector) -> Plane | None:
+    """The plane through most of (N, 3) points; None if they are fewer than 3 or on one line."""
+    if len(points) < 3:
+        return None
+    if len(points) > 3:
+        points = points[_near_one_plane(points)]
+    middle = points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - middle, full_matrices=False)
+    if not sizes[1] > ON_A_LINE * sizes[0]:
+        return None
+    return Plane(middle, axes[2])
+
+
+def _near_one_plane(points: Vector) -> NDArray[np.bool_]:
+    """Which points are near the plane that has half of them nearest (least median of squares)."""
+    random = np.random.default_rng(0)
+    some = points[random.permutation(len(points))[:MOST]]
+    threes = some[random.integers(0, len(some), (TRIES, 3))]
+    normals = np.cross(threes[:, 1] - threes[:, 0], threes[:, 2] - threes[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    good = lengths > 0
+    if not good.any():
+        return np.ones(len(points), bool)
+    normals, origins = normals[good] / lengths[good, None], threes[good, 0]
+    offsets = np.abs(some @ normals.T - (origins * normals).sum(axis=1))
+    medians = np.median(offsets, axis=0)
+    best = int(np.argmin(medians))
+    usual = 1.4826 * float(medians[best]) * (1 + 5 / max(len(some) - 3, 1))  # Rousseeuw 1987
+    away = np.abs((points - origins[best]) @ normals[best])
+    return np.asarray(away <= max(INSIDE * usual, 1e-6 * float(np.ptp(points, axis=0).max())))
+
+
+def levelling(plane: Plane, eyes: Vector, *, flip: bool = False) -> Matrix:
+    """Turns a plane level and moves it to z = 0; the middle of its points keeps its x and y.
+
+    Args:
+        plane: the floor.
+        eyes: (V, 3) of cameras, which are above it; if they are beside it, the world's up decides.
+        flip: turns it over.
+    """
+    normal = plane.normal
+    heights = (eyes - plane.point) @ normal
+    above = float(np.median(heights)) if len(eyes) else 0.0
+    spread = float(np.ptp(eyes, axis=0).max()) if len(eyes) else 0.0
+    if abs(above) <= LEVEL * spread:
+        above = float(normal[2])
+    if (above < 0) != flip:
+        normal = -normal
+    matrix = np.eye(4)
+    matrix[:3, :3] = upright.turning(normal, np.array([0.0, 0.0, 1.0]))
+    matrix[:3, 3] = (*plane.point[:2], 0.0) - matrix[:3, :3] @ plane.point
+    return matrix
+
+
+def scaling(first: Vector, second: Vector, length: float) -> Matrix | None:
+    """Makes two points so far apart; the origin stays. None if they are one point."""
+    apart = float(np.linalg.norm(second - first))
+    if not apart > 0:
+        return None
+    factor = length / apart
+    return np.diag([factor, factor, factor, 1.0])
+
+
+def centring(corners: Vector) -> Matrix:
+    """Moves the footprint of a box, (8, 3) corners, to the origin.
+
+    A bottom that is near z = 0 already stands on a floor there, which stays.
+    """
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    matrix = np.eye(4)
+    matrix[:2, 3] = -corners.mean(axis=0)[:2]
+    if abs(low[2]) > ON_FLOOR * (high[2] - low[2]):
+        matrix[2, 3] = -low[2]
+    return matrix

@@ -1,0 +1,18 @@
+"""How bright an object's Gaussians are shown, and in which tint."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..properties import object_props
+
+Gains = tuple[float, float, float]
+"""What red, green and blue are multiplied by, as sRGB values."""
+
+
+def gains(item: bpy.types.Object) -> Gains:
+    """The gains of an object; of an evaluated one, those of the frame."""
+    props = object_props(item)
+    brightness = 2.0**props.exposure
+    red, green, blue = (brightness * share for share in props.tint)
+    return red, green, blue

@@ -1,0 +1,194 @@
+"""Moving a whole scene: its root and what hangs on it, and the file beside the model that says so.
+
+The file follows undo and redo: what was there before a step is there again after its undo.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix as BlenderMatrix
+
+from ..blender import persistent, view_layer_of
+from ..errors import AddonError
+from ..geometry.frames import Matrix
+from ..properties import scene_props
+from ..shared import EngineError, files, poses
+from ..shared import placement as stored
+from ..windows import scale_views
+from . import cameras, lookup
+
+MOVED = ("ROOT", "CAMERA", "POINTS", "ROI", "SPLATS")
+"""Kinds of objects that are moved."""
+
+_written: dict[Path, str] = {}
+"""File -> the text that this session has written; empty: it has removed the file."""
+
+_found: dict[Path, str] = {}
+"""File -> its text before this session wrote it; empty: there was none."""
+
+_scales: dict[Path, float] = {}
+"""File -> scale of the root that the 3D views show."""
+
+
+def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
+    """The scene's root.
+
+    Raises:
+        AddonError: there is none, or it is stretched or mirrored.
+    """
+    root: bpy.types.Object | None = scene_props(scene).root
+    if root is None or root.name not in scene.objects:
+        raise AddonError("There is no model. Import a COLMAP model first.")
+    view_layer_of(bpy.context).update()  # after an undo, as for F9, `matrix_world` is of before
+    flaw = poses.similarity_flaw(lookup.matrix_world(root))
+    if flaw:
+        raise AddonError(f"'{root.name}' cannot be placed: {flaw}. Clear its scale first.")
+    return root
+
+
+def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
+    """Apply a similarity (4, 4) to the world of the model; what is not of it stays.
+
+    Raises:
+        AddonError: there is no model, or the root is stretched or mirrored.
+    """
+    root, path = root_of(scene), _file(scene)
+    factor = poses.scale_of(matrix)
+    if path is not None:
+        _scales.setdefault(path, lookup.root_scale(scene))
+    own = {item for kind in MOVED for item in lookup.of_kind(scene, kind)} | {root}
+    tops = [item for item in own if not own.intersection(_ancestors(item))]
+    placed = [matrix @ lookup.matrix_world(item) for item in tops]
+    for item, place in zip(tops, placed, strict=True):
+        item.matrix_world = BlenderMatrix(place.tolist())
+    view_layer_of(bpy.context).update()
+    _follow_scale(scene, path, factor)
+
+
+def _ancestors(item: bpy.types.Object) -> list[bpy.types.Object]:
+    found = []
+    while (parent := item.parent) is not None:
+        found.append(parent)
+        item = parent
+    return found
+
+
+def keep(scene: bpy.types.Scene) -> Path:
+    """Write where the model stands beside it, for other .blend files and the engine.
+
+    Returns:
+        The file.
+
+    Raises:
+        AddonError: it cannot be written.
+    """
+    root, path = root_of(scene), _file(scene)
+    known = (lookup.photo_record(item) for item in lookup.cameras(scene).values())
+    centres = {p.name: -p.pose[:3, :3].T @ p.pose[:3, 3] for p in known if p is not None}
+    if path is None or not centres:
+        raise AddonError("There are no photos to tell the model by. Import it again.")
+    try:
+        if not os.path.isdir(path.parent):
+            raise AddonError(f"There is no folder {path.parent}.")
+        before = _text(path)
+        placement = stored.Placement(
+            matrix=_metres(scene) @ lookup.matrix_world(root),
+            cameras=stored.some_cameras(centres),
+        )
+        text = stored.document(placement, stored.read_placements(path))
+        files.write_text(path, text)
+    except (EngineError, OSError) as error:
+        raise AddonError(str(error)) from error
+    _found.setdefault(path, before)
+    _written[path] = text
+    props = scene_props(scene)
+    props.placement, props.placement_key = text, _key(scene, root)
+    return path
+
+
+def place_as_kept(scene: bpy.types.Scene, root: bpy.types.Object, matrix: Matrix) -> None:
+    """Put a new root where a placement of the file says."""
+    root.matrix_world = BlenderMatrix((np.linalg.inv(_metres(scene)) @ matrix).tolist())
+    scene_props(scene).placement_key = _key(scene, root)
+
+
+def is_kept(scene: bpy.types.Scene) -> bool:
+    """Whether the root stands where the file says, as far as this .blend knows."""
+    props = scene_props(scene)
+    return props.root is not None and props.placement_key == _key(scene, props.root)
+
+
+def _file(scene: bpy.types.Scene) -> Path | None:
+    colmap = scene_props(scene).colmap
+    return stored.placement_file(Path(bpy.path.abspath(colmap))) if colmap else None
+
+
+def _text(path: Path) -> str:
+    """The text of a file; empty if there is none; OSError or ValueError if it is not text."""
+    return files.read_bytes(path).decode("utf-8", "replace") if os.path.lexists(path) else ""
+
+
+def _metres(scene: bpy.types.Scene) -> Matrix:
+    """From Blender's units to metres."""
+    units = scene.unit_settings
+    factor = 1.0 if units.system == "NONE" else units.scale_length
+    return np.diag([factor, factor, factor, 1.0])
+
+
+def _key(scene: bpy.types.Scene, root: bpy.types.Object) -> str:
+    """Text that changes when the root is moved; with fewer digits than Blender's precision."""
+    numbers = (_metres(scene) @ lookup.matrix_world(root))[:3].ravel()
+    size = float(np.abs(numbers).max())
+    return " ".join(f"{number / size:.5f}" for number in numbers) + f" {size:.5g}"
+
+
+def _follow_scale(scene: bpy.types.Scene, path: Path | None, factor: float) -> None:
+    """Have the 3D views show the same as before, and the photos' cameras clip the same."""
+    scale = lookup.root_scale(scene)
+    cameras.fit_clips(scene, scale)
+    scale_views(scene, factor)
+    if path is not None:
+        _scales[path] = scale
+
+
+@persistent
+def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
+    """Give the file of a scene the text that belongs to the step that is shown now."""
+    path = _file(scene) if isinstance(scene, bpy.types.Scene) else None
+    if path is None or path not in _written:
+        return
+    wanted = scene_props(scene).placement or _found[path]
+    if wanted == _written[path]:
+        return
+    with suppress(EngineError, OSError):
+        if wanted:
+            files.write_text(path, wanted)
+        else:
+            path.unlink(missing_ok=True)
+        _written[path] = wanted
+    before = _scales.get(path)
+    if before:
+        view_layer_of(bpy.context).update()  # `matrix_world` may still be that of before
+        _follow_scale(scene, path, lookup.root_scale(scene) / before)
+
+
+HANDLERS = ("undo_post", "redo_post")
+
+
+def register() -> None:
+    """Follow undo and redo."""
+    for event in HANDLERS:
+        getattr(bpy.app.handlers, event).append(_after_undo)
+
+
+def unregister() -> None:
+    """Follow none."""
+    for event in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(_after_undo)
+    for known in (_written, _found, _scales):
+        known.clear()

@@ -1,0 +1,130 @@
+"""`roigs_placement.json`: where a project's model stands in the world; numpy only.
+
+{"placements": [{"matrix": [[...4], [...4], [...4], [...4]],
+                 "cameras": {"IMG_0001.jpg": [x, y, z], ...}}]}
+
+`matrix` leads from the COLMAP frame to the world, which has metres and z up: a rotation, one scale
+and a translation. `cameras` says where photos were taken, in the COLMAP frame. A placement is that
+of a model which has them there: another model of the project, or one that was made again, has
+another frame.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ConfigError
+from .files import read_json
+from .poses import similarity_flaw
+from .projects import top_folder
+
+Float64 = NDArray[np.float64]
+
+FILE = "roigs_placement.json"
+FAR = 1e15  # as for boxes
+MOST_CAMERAS, MOST_PLACEMENTS = 32, 8
+SAME = 0.01  # of the cameras' spread: refined cameras are nearer to where they were
+HINT = "Delete it, or place the scene in Blender again."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Placement:
+    """Where a model stands.
+
+    Attributes:
+        matrix: (4, 4) similarity from the COLMAP frame to the world in metres.
+        cameras: photo -> (3,) centre in the COLMAP frame; at least one.
+    """
+
+    matrix: Float64
+    cameras: dict[str, Float64]
+
+    def is_of(self, cameras: Mapping[str, Float64]) -> bool:
+        """Whether it is the placement of the model with these cameras, photo -> (3,) centre."""
+        shared = [name for name in self.cameras if name in cameras]
+        if not shared:
+            return False
+        known = np.array(list(self.cameras.values()))
+        spread = float(np.linalg.norm(known - known.mean(axis=0), axis=1).max())
+        moved = [np.linalg.norm(self.cameras[name] - cameras[name]) for name in shared]
+        return float(np.median(moved)) <= SAME * spread + 1e-6 * float(np.abs(known).max())
+
+
+def placement_file(colmap: Path) -> Path:
+    """The file of a project, of which a model's folder may be given."""
+    return top_folder(Path(os.path.abspath(colmap))) / FILE
+
+
+def some_cameras(cameras: Mapping[str, Float64]) -> dict[str, Float64]:
+    """As many of the cameras as a file keeps, spread over the names."""
+    names = sorted(cameras)
+    return {name: cameras[name] for name in names[:: -(-len(names) // MOST_CAMERAS) or 1]}
+
+
+def read_placements(path: Path) -> list[Placement]:
+    """The placements of a file, the newest first; none if there is no file.
+
+    Raises:
+        ConfigError: it cannot be read, or is malformed.
+    """
+    if not os.path.lexists(path):
+        return []
+    document = read_json(path, ConfigError, HINT)
+    records = document.get("placements") if isinstance(document, dict) else None
+    if not isinstance(records, list):
+        raise ConfigError(f'{path} has no list "placements".', HINT)
+    try:
+        return [_placement(record) for record in records]
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
+
+
+def placement_among(
+    placements: list[Placement], cameras: Mapping[str, Float64]
+) -> Placement | None:
+    """The placement of the model with these cameras, photo -> (3,) centre; None: it has none."""
+    return next((placement for placement in placements if placement.is_of(cameras)), None)
+
+
+def document(placement: Placement, others: list[Placement]) -> str:
+    """The text of a file with a placement, and those of `others` that are of other models."""
+    kept = [other for other in others if not other.is_of(placement.cameras)]
+    records = [
+        {
+            "matrix": entry.matrix.tolist(),
+            "cameras": {name: centre.tolist() for name, centre in entry.cameras.items()},
+        }
+        for entry in (placement, *kept)[:MOST_PLACEMENTS]
+    ]
+    return json.dumps({"placements": records}, indent=1, ensure_ascii=False) + "\n"
+
+
+def _placement(record: Any) -> Placement:
+    """A placement of a file; ValueError or another error of wrong values if it is none."""
+    matrix = _numbers(record["matrix"], (4, 4), "matrix")
+    flaw = similarity_flaw(matrix)
+    if flaw:
+        raise ValueError(f"matrix is no rotation, scale and translation: {flaw}")
+    centres = record["cameras"].items()
+    cameras = {str(name): _numbers(centre, (3,), "a camera") for name, centre in centres}
+    if not cameras:
+        raise ValueError("it has no cameras")
+    return Placement(matrix=matrix, cameras=cameras)
+
+
+def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Float64:
+    array = np.array(value, dtype=object)
+    if array.shape != shape or not all(type(number) in (int, float) for number in array.flat):
+        raise ValueError(f"{name} must be {' x '.join(map(str, shape))} numbers")
+    numbers: Float64 = array.astype(float)
+    if not (np.abs(numbers) < FAR).all():  # catches NaN too
+        raise ValueError(f"{name} has a number that is NaN, Inf or too large")
+    return numbers

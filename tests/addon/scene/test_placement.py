@@ -1,0 +1,330 @@
+"""A scene set up by floor, size and origin."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from roigs_engine.formats.placement import FILE, read_placements
+from tests.addon.colmap_project import write_project
+from tests.addon.scenes import add_box, command_line, imported, record
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture
+def garden(blender: ModuleType, addon: ModuleType, tmp_path: Path):
+    """A project of its own, imported."""
+    folder = write_project(tmp_path / "garden")
+    return imported(blender, folder), folder
+
+
+def matrix(scene) -> np.ndarray:
+    import bpy
+
+    bpy.context.view_layer.update()
+    return np.array(scene.roigs.root.matrix_world)
+
+
+def moved(world: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def select_points(bpy: ModuleType, scene, chosen: np.ndarray) -> np.ndarray:
+    """Sparse points in edit mode; returns them in the COLMAP frame."""
+    from roigs_addon.scene import clouds, lookup
+
+    cloud = lookup.points(scene)
+    bpy.context.view_layer.objects.active = cloud
+    bpy.ops.object.mode_set(mode="OBJECT")
+    flags = np.zeros(len(cloud.data.vertices), bool)
+    flags[chosen] = True
+    cloud.data.vertices.foreach_set("select", flags)
+    cloud.data.update()
+    bpy.ops.object.mode_set(mode="EDIT")
+    return clouds.positions(cloud)[chosen]
+
+
+def triangle(scene) -> np.ndarray:
+    """Rows of three sparse points that span a large plane."""
+    from roigs_addon.scene import clouds, lookup
+
+    points = clouds.positions(lookup.points(scene))
+    return np.array([points[:, 0].argmin(), points[:, 0].argmax(), points[:, 2].argmax()])
+
+
+def test_the_floor_is_at_zero(blender: ModuleType, garden) -> None:
+    from roigs_addon.scene import lookup
+
+    scene, _ = garden
+    roi = add_box(blender, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    before = record(roi, scene)
+    chosen = select_points(blender, scene, triangle(scene))
+    blender.ops.roigs.set_floor()
+    assert blender.context.mode == "OBJECT"
+    np.testing.assert_allclose(moved(matrix(scene), chosen)[:, 2], 0, atol=1e-5)
+    eyes = [camera.matrix_world.translation.z for camera in lookup.cameras(scene).values()]
+    assert np.median(eyes) > 0.1
+    assert record(roi, scene) == before, "the box moved on the object"
+    blender.ops.roigs.set_floor(first=(0, 0, 7), second=(1, 0, 7), third=(0, 1, 7))
+    assert np.median([c.matrix_world.translation.z for c in lookup.cameras(scene).values()]) > 6
+
+
+def test_a_known_length(blender: ModuleType, garden) -> None:
+    scene, _ = garden
+    chosen = select_points(blender, scene, triangle(scene)[:2])
+    before = matrix(scene)
+    blender.ops.roigs.set_scale(length=0.2)
+    a, b = moved(matrix(scene), chosen)
+    assert np.linalg.norm(b - a) == pytest.approx(0.2, rel=1e-5)
+    factor = np.cbrt(np.linalg.det(matrix(scene)[:3, :3]) / np.linalg.det(before[:3, :3]))
+    np.testing.assert_allclose(matrix(scene)[:3], factor * before[:3], atol=1e-5)
+    blender.ops.roigs.set_scale(first=a, second=b, length=4)
+    a, b = moved(matrix(scene), chosen)
+    assert np.linalg.norm(b - a) == pytest.approx(4, rel=1e-4)
+
+
+def test_the_origin_is_under_the_object(blender: ModuleType, garden) -> None:
+    from roigs_addon.scene.box_faces import Shape
+
+    scene, _ = garden
+    blender.context.scene.cursor.location = 0.2, 0.1, 0.05
+    blender.ops.roigs.add_roi()
+    roi = blender.context.active_object
+    before = record(roi, scene)
+    blender.ops.roigs.set_origin()
+    blender.context.view_layer.update()
+    place = roi.matrix_world.translation
+    assert tuple(place) == pytest.approx((0, 0, Shape.of(roi).half[2]), abs=1e-5)
+    assert record(roi, scene) == before
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_tools_in_scenes_of_any_size(
+    blender: ModuleType, garden, factor: float, by_hand: bool
+) -> None:
+    from roigs_addon.scene import box_faces, lookup
+
+    bpy, (scene, folder) = blender, garden
+    camera = lookup.cameras(scene)["photo 3.png"]
+    clips = np.array([camera.data.clip_start, camera.data.clip_end])
+    if by_hand:
+        scene.roigs.root.scale = [factor] * 3
+        bpy.context.view_layer.update()
+    else:
+        bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=factor)
+    bpy.ops.roigs.look_through(photo="photo 3.png")
+    found = camera.data.clip_start, camera.data.clip_end
+    np.testing.assert_allclose(found, np.maximum(clips * factor, 1e-6), rtol=1e-5)
+    scene.cursor.location = 0, 0, 0
+    bpy.ops.roigs.add_roi()
+    roi = bpy.context.active_object
+    bpy.context.view_layer.update()
+    first = lookup.box(roi, scene)
+    assert 0.2 < first.half_extents.max() < 2
+    bpy.ops.roigs.fit_box()
+    bpy.context.view_layer.update()
+    half = box_faces.Shape.of(roi).half
+    bpy.ops.roigs.move_face(axis=0, sign=1, distance=0.1 * factor)
+    bpy.context.view_layer.update()
+    half[0] += 0.05 * factor
+    np.testing.assert_allclose(box_faces.Shape.of(roi).half, half, rtol=1e-4)
+    bpy.ops.roigs.set_origin()
+    chosen = select_points(bpy, scene, triangle(scene))
+    bpy.ops.roigs.set_floor()
+    np.testing.assert_allclose(moved(matrix(scene), chosen)[:, 2] / factor, 0, atol=1e-5)
+    imported(bpy, folder)
+    again = lookup.cameras(scene)["photo 3.png"]
+    np.testing.assert_allclose((again.data.clip_start, again.data.clip_end), found, rtol=1e-4)
+
+
+def test_the_users_clip_range_stays(blender: ModuleType, garden) -> None:
+    from roigs_addon.scene import lookup
+
+    camera = lookup.cameras(garden[0])["photo 3.png"]
+    camera.data.clip_end = 7.0
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    assert camera.data.clip_end == 7.0
+
+
+def test_another_file_gets_the_placement(blender: ModuleType, garden) -> None:
+    from roigs_addon.scene import placement
+
+    scene, folder = garden
+    assert not placement.is_kept(scene)
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    blender.ops.roigs.set_floor(first=(0, 0, 1), second=(1, 0, 1.2), third=(0, 1, 1))
+    mine = matrix(scene)
+    assert placement.is_kept(scene)
+    blender.ops.wm.read_factory_settings(use_empty=True)
+    again = imported(blender, folder)
+    np.testing.assert_allclose(matrix(again), mine, atol=1e-5)
+    assert placement.is_kept(again)
+    again.roigs.root.location.x += 0.5
+    blender.context.view_layer.update()
+    assert not placement.is_kept(again)
+    blender.ops.roigs.keep_placement()
+    assert placement.is_kept(again)
+
+
+def test_a_root_that_was_moved_by_hand_stays(blender: ModuleType, garden) -> None:
+    scene, folder = garden
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    scene.roigs.root.location = 1, 2, 3
+    by_hand = matrix(scene)
+    imported(blender, folder)
+    np.testing.assert_array_equal(matrix(scene), by_hand)
+
+
+def test_lengths_in_the_file_are_metres(blender: ModuleType, garden) -> None:
+    scene, folder = garden
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.001
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=250)  # millimetres
+    (kept,) = read_placements(folder / FILE)
+    np.testing.assert_allclose(kept.matrix[:3], matrix(scene)[:3] / 1000, rtol=1e-5, atol=1e-9)
+    mine = matrix(scene)
+    blender.ops.wm.read_factory_settings(use_empty=True)
+    metres = np.diag([1e-3, 1e-3, 1e-3, 1]) @ mine
+    np.testing.assert_allclose(matrix(imported(blender, folder)), metres, atol=1e-6)
+
+
+def test_undo_and_redo_take_the_file_along(blender: ModuleType, garden) -> None:
+    bpy, (_, folder) = blender, garden
+    bpy.context.preferences.edit.use_global_undo = True
+    bpy.ops.ed.undo_push(message="imported")
+    texts = [None]
+    for length in (2.0, 5.0):
+        bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=length)
+        bpy.ops.ed.undo_push(message="placed")
+        texts.append((folder / FILE).read_text())
+    assert len(set(texts)) == 3
+    for at in (1, 0):
+        bpy.ops.ed.undo()
+        text = (folder / FILE).read_text() if (folder / FILE).exists() else None
+        assert text == texts[at]
+    bpy.ops.ed.redo()
+    assert (folder / FILE).read_text() == texts[1]
+
+
+def test_a_placement_of_another_file_survives_undo(blender: ModuleType, garden) -> None:
+    bpy, (_, folder) = blender, garden
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    others = (folder / FILE).read_text()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    from roigs_addon.scene import placement
+
+    placement.unregister()  # as in a Blender that was started anew
+    placement.register()
+    imported(bpy, folder)
+    bpy.ops.ed.undo_push(message="imported")
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=7)
+    bpy.ops.ed.undo_push(message="placed")
+    assert (folder / FILE).read_text() != others
+    bpy.ops.ed.undo()
+    assert (folder / FILE).read_text() == others
+
+
+def test_what_is_not_below_the_root_moves_too(blender: ModuleType, garden) -> None:
+    bpy, (scene, _) = blender, garden
+    roi = add_box(bpy, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    place = roi.matrix_world.copy()
+    roi.parent = None
+    roi.matrix_world = place
+    own = bpy.data.objects.new("own", None)
+    scene.collection.objects.link(own)
+    own.location = 1, 1, 1
+    bpy.context.view_layer.update()
+    before = np.array(record(roi, scene)["half_extents"])
+    bpy.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    np.testing.assert_allclose(record(roi, scene)["half_extents"], before, rtol=1e-5)
+    assert tuple(own.matrix_world.translation) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("points", "text"),
+    [
+        ({"first": (0, 0, 0), "second": (1, 1, 1), "third": (2, 2, 2)}, "on one line"),
+        ({}, "Select three points"),
+    ],
+)
+def test_points_that_are_no_floor(blender: ModuleType, garden, points, text: str) -> None:
+    before = matrix(garden[0])
+    with pytest.raises(RuntimeError, match=text):
+        blender.ops.roigs.set_floor(**points)
+    np.testing.assert_array_equal(matrix(garden[0]), before)
+    assert not (garden[1] / FILE).exists()
+
+
+def test_points_that_have_no_distance(blender: ModuleType, garden) -> None:
+    with pytest.raises(RuntimeError, match="in one place"):
+        blender.ops.roigs.set_scale(first=(1, 1, 1), second=(1, 1, 1))
+    select_points(blender, garden[0], triangle(garden[0]))
+    with pytest.raises(RuntimeError, match="two points in edit mode, not 3"):
+        blender.ops.roigs.set_scale()
+
+
+def test_a_stretched_root_is_refused(blender: ModuleType, garden) -> None:
+    garden[0].roigs.root.scale = 1, 2, 1
+    blender.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="unevenly"):
+        blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1))
+
+
+def test_a_folder_that_cannot_be_written(blender: ModuleType, garden, capfd) -> None:
+    """The scene is placed all the same, and one line says so."""
+    from roigs_addon.scene import placement
+
+    scene, folder = garden
+    before = matrix(scene)
+    shutil.rmtree(folder)
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    assert not np.allclose(matrix(scene), before) and not folder.exists()
+    assert "Kept in this .blend only" in capfd.readouterr().out
+    assert not placement.is_kept(scene)
+    folder.mkdir()
+    (folder / FILE).write_text("{}")
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    assert (folder / FILE).read_text() == "{}", "what is no placement of ours stays"
+
+
+def test_a_file_of_another_model_is_not_used(blender: ModuleType, garden, capfd) -> None:
+    from roigs_addon.jobs import current
+
+    scene, folder = garden
+    upright = matrix(scene)
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
+    document = json.loads((folder / FILE).read_text())
+    for name in document["placements"][0]["cameras"]:
+        document["placements"][0]["cameras"][name][0] += 9
+    (folder / FILE).write_text(json.dumps(document))
+    blender.ops.wm.read_factory_settings(use_empty=True)
+    np.testing.assert_allclose(matrix(imported(blender, folder)), upright, atol=1e-6)
+    assert any("not of this model" in text for text in current.state().warnings)
+
+
+def test_a_training_is_not_outdated_by_it(blender: ModuleType, garden, engine) -> None:
+    """What the engine gets is the same to the last digit."""
+    from roigs_addon.scene import cameras, lookup, rois
+
+    scene, folder = garden
+    roi = add_box(blender, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    key, box = rois.place_key(roi, scene), record(roi, scene)
+    blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=123)
+    blender.ops.roigs.set_floor(first=(0, 0, 1), second=(1, 0.2, 1.2), third=(0, 1, 1))
+    blender.ops.roigs.set_origin()
+    assert rois.place_key(roi, scene) == key and record(roi, scene) == box
+    for item in lookup.cameras(scene).values():
+        assert cameras.photo_of(item, scene.roigs.root) == lookup.photo_record(item)
+    out = folder / "out"
+    command_line(engine, "export", folder, "--placed", "--out", out)
+    exported = json.loads((out / "scene.json").read_text())["images"]
+    for image in exported:
+        pose = np.array(image["world_to_camera"])
+        eye = lookup.cameras(scene)[image["name"]].matrix_world.translation
+        np.testing.assert_allclose(-pose[:3, :3].T @ pose[:3, 3], eye, rtol=1e-4, atol=1e-3)
