@@ -13,7 +13,7 @@ from ..jobs.import_job import project_folder
 from ..shared import EngineError, files
 
 FILE = "folders.json"
-IMPORT, BOXES, BOXES_OF = "import", "boxes", "boxes of"
+IMPORT, BOXES, BOXES_OF, PHOTOS = "import", "boxes", "boxes of", "photos"
 
 
 def for_import(colmap: str) -> str:
@@ -33,6 +33,16 @@ def for_boxes(colmap: str) -> str:
     project = str(project_folder(Path(colmap))) if colmap else ""
     same = last.get(BOXES_OF) == colmap
     return _first(before if same else "", project, before, _beside_blend())
+
+
+def for_photos(photos: str) -> str:
+    """Folder to choose photos in: the scene's own, else beside the last one."""
+    return _first(photos, _last().get(PHOTOS, ""), _beside_blend())
+
+
+def chosen_photos(folder: Path) -> None:
+    """Remember where photos were chosen."""
+    _remember({PHOTOS: str(folder.parent)})
 
 
 def imported(folder: Path) -> None:

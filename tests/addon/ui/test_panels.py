@@ -88,9 +88,10 @@ def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
 def test_panels_draw(blender: ModuleType, run) -> None:
     """Every panel's `draw`, on a layout that accepts everything."""
     from roigs_addon.jobs import current
-    from roigs_addon.ui import boxes, cameras, result, scene, train
+    from roigs_addon.ui import boxes, cameras, reconstruct, result, scene, train
 
     panels = (
+        *(reconstruct.PhotosPanel, reconstruct.PhotosOptionsPanel),
         *(scene.ScenePanel, boxes.BoxesPanel, boxes.PlacePanel, cameras.CamerasPanel),
         *(train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
     )
