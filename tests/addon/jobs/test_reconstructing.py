@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from pathlib import Path
@@ -9,7 +10,8 @@ from types import ModuleType
 
 import pytest
 
-from tests.addon.fake_engine import fake, until
+from tests.addon.fake_engine import alive, fake, until
+from tests.addon.jobs.test_deaths import engine_pid, other_blender
 from tests.addon.jobs.test_refining import use
 from tests.addon.scenes import ROOT
 
@@ -116,6 +118,42 @@ def test_what_was_stopped_resumes(blender: ModuleType, reconstructing, tmp_path:
     assert blender.ops.roigs.reconstruct() == {"FINISHED"}
     assert scene.roigs.colmap == str(project)
     assert "6 of 6 photos registered" in panel(blender) and "Continue" not in panel(blender)
+
+
+BLENDER_SCRIPT = """
+import sys
+sys.path.insert(0, {root!r})
+import bpy, roigs_addon
+bpy.ops.wm.read_factory_settings(use_empty=True)
+roigs_addon.register()
+from roigs_addon.jobs import current
+start = current.start
+def noted(engine, spec):
+    job = start(engine, spec)
+    bpy.ops.wm.save_as_mainfile(filepath={blend!r})
+    print("PID", spec.title, job.process.pid, flush=True)
+    return job
+current.start = noted
+bpy.ops.roigs.reconstruct(photos={photos!r})
+roigs_addon.unregister()
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_killed_blender_is_continued(blender: ModuleType, reconstructing, tmp_path: Path) -> None:
+    photos, blend = photos_in(tmp_path / "garden", 6), tmp_path / "a.blend"
+    values = {"root": str(ROOT), "blend": str(blend), "photos": str(photos)}
+    events = tmp_path / "garden_colmap" / "reconstruction" / "events.jsonl"
+    with other_blender(tmp_path, BLENDER_SCRIPT.format(**values)) as process:
+        pid = engine_pid(process, "Reconstructing")
+        assert until(lambda: events.is_file() and '"features"' in events.read_text(), 60)
+        assert alive(pid)
+        process.kill()
+    assert until(lambda: not alive(pid), 5)
+    blender.ops.wm.open_mainfile(filepath=str(blend))
+    assert "Continue" in panel(blender)
+    assert blender.ops.roigs.reconstruct() == {"FINISHED"}
+    assert "6 of 6 photos registered" in panel(blender)
 
 
 def test_photos_that_cannot_be_used_are_one_line(
