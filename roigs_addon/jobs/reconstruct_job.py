@@ -13,7 +13,7 @@ import bpy
 from ..engine import reconstruction
 from ..errors import AddonError
 from ..properties import scene_props
-from . import import_job, run_folders
+from . import import_job, options_files, run_folders
 from .spec import RECONSTRUCTING, JobSpec
 
 NO_PHOTOS = "Choose the folder of the photos first."
@@ -56,6 +56,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
             *("reconstruct", str(photos), "--out", str(project)),
             *("--max-side", str(props.feature_side)),
             *("--pairs", props.pairs, "--cameras", props.shared_cameras),
+            *options_files.threads_option(),
         ],
         log=log,
         then=then,

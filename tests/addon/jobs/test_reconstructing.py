@@ -205,7 +205,10 @@ def test_where_the_project_goes(addon: ModuleType, tmp_path: Path) -> None:
     assert proposed(garden) == tmp_path / "garden_colmap-2"
 
 
-def test_what_it_asks_of_the_engine(blender: ModuleType, addon: ModuleType, tmp_path: Path) -> None:
+def test_what_it_asks_of_the_engine(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon import settings
     from roigs_addon.jobs import reconstruct_job
 
     (tmp_path / "garden").mkdir()
@@ -218,6 +221,8 @@ def test_what_it_asks_of_the_engine(blender: ModuleType, addon: ModuleType, tmp_
     assert reconstruct_job.spec(blender.context.scene).arguments == asked
     props.feature_side, props.pairs, props.shared_cameras = 800, "ordered", "one"
     asked[5::2] = ["800", "ordered", "one"]
+    monkeypatch.setattr(settings, "get", lambda: settings.Settings(threads=1))
+    asked += ["--threads", "1"]
     assert reconstruct_job.spec(blender.context.scene).arguments == asked
 
 
