@@ -103,4 +103,4 @@ def proposed(photos: Path) -> Path:
 
 
 def _absolute(path: str) -> Path:
-    return Path(os.path.normpath(bpy.path.abspath(path)))
+    return Path(os.path.abspath(bpy.path.abspath(path)))

@@ -65,6 +65,8 @@ def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus) -> No
     if status.holder:
         text = f"Another Blender or terminal is at work here (process {status.holder})"
         show.paused(layout, text)
+    elif status.unfinished and status.summary and not status.done:
+        show.wrong(layout, status.summary)  # no photo could be placed
     elif status.unfinished:
         show.paused(layout, "Stopped before the end; Continue resumes")
     elif not status.done:

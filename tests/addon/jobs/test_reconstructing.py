@@ -10,6 +10,7 @@ from types import ModuleType
 
 import pytest
 
+from tests.addon.engine.test_run_status import write
 from tests.addon.fake_engine import alive, fake, until
 from tests.addon.jobs.test_deaths import engine_pid, other_blender
 from tests.addon.jobs.test_refining import use
@@ -203,6 +204,21 @@ def test_where_the_project_goes(addon: ModuleType, tmp_path: Path) -> None:
     assert proposed(garden) == tmp_path / "garden_colmap-2"
     (tmp_path / "garden_colmap-2" / "reconstruction").mkdir(parents=True)
     assert proposed(garden) == tmp_path / "garden_colmap-2"
+
+
+def test_photos_of_which_none_was_placed(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    """Also when the file is opened again: there is a report, but no model."""
+    (tmp_path / "garden").mkdir()
+    project = tmp_path / "garden_colmap"
+    write(project / "reconstruction" / "state.json", '{"done": null}')
+    blender.ops.roigs.choose_photos(directory=str(tmp_path / "garden"))
+    assert "Stopped before the end" in panel(blender)
+    write(project / "reconstruction.md", "# Reconstruction\n\nNo two photos could be placed.\n")
+    said = panel(blender)
+    assert "No two photos could be placed." in said and "Stopped" not in said
+    assert blender.ops.roigs.show_reconstruction.poll()
 
 
 def test_what_it_asks_of_the_engine(
