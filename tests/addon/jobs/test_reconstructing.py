@@ -281,7 +281,7 @@ def test_it_shows_its_progress_and_can_be_stopped(
     assert blender.ops.roigs.reconstruct.poll()
 
 
-def test_panels_of_a_running_job_do_not_read_the_disk(
+def test_drawing_the_panel_again_does_not_read_the_disk(
     blender: ModuleType, addon: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from roigs_addon.engine import reconstruction
