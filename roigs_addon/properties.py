@@ -62,6 +62,17 @@ RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else
 
 PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9"}
 JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage"}
+PAIRS = (
+    ("auto", "Auto", "All pairs of few photos, else the photos that look alike"),
+    ("all", "All", "Every pair: slow with many photos"),
+    ("similar", "Similar", "Each photo with those that look most alike"),
+    ("ordered", "Ordered", "Photos in the order of their names: each with its neighbours"),
+)
+SHARED_CAMERAS = (
+    ("auto", "Auto", "Photos of one device, lens, focal length and size share a camera"),
+    ("one", "One", "All photos of one size share a camera"),
+    ("each", "Each", "Each photo has a camera of its own"),
+)
 LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
     ("SCENE", "Coarse", "The whole-scene model, before the boxes were refined"),
@@ -136,8 +147,45 @@ def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
             setattr(settings, name, value)
 
 
+def _other_photos(settings: RoigsScene, _: bpy.types.Context) -> None:
+    """Other photos get another project folder."""
+    settings.project = ""
+
+
 class RoigsScene(bpy.types.PropertyGroup):
     """What a scene is trained on, and how."""
+
+    photos: StringProperty(
+        name="Photos",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        update=_other_photos,
+        description="Folder of the photos to reconstruct",
+    )
+    project: StringProperty(
+        name="Project Folder",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Where the COLMAP project of the photos goes; what is there is resumed"
+        " (empty: beside the photos)",
+    )
+    feature_side: IntProperty(
+        name="Photo Size",
+        default=1600,
+        min=64,
+        max=8192,
+        subtype="PIXEL",
+        description="Longest side of the photos in which features are found",
+    )
+    pairs: EnumProperty(
+        items=PAIRS, name="Pairs", default="auto", description="Which photos are matched"
+    )
+    shared_cameras: EnumProperty(
+        items=SHARED_CAMERAS,
+        name="Cameras",
+        default="auto",
+        description="Which photos share a camera",
+    )
 
     root: PointerProperty(
         type=bpy.types.Object,

@@ -10,6 +10,10 @@ from pathlib import Path
 from ..shared import run_files
 
 CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
+LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
+MATCHING, MAPPING = "matching", "mapping"
+UNITS = {CHECK: "Photo", LOOK: "Photo", FEATURES: "Photo", COMPARE: "Photo", MATCHING: "Pair"}
+"""What a stage counts, where that is not steps."""
 
 OWN = "blender"
 """The add-on's own folder in it; all that follows is in there."""
@@ -28,10 +32,23 @@ def stage_in_words(stage: str) -> str:
         CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
         CAMERAS: "cameras",
+        LOOK: "looking at photos",
+        FEATURES: "finding features",
+        COMPARE: "comparing photos",
+        MATCHING: "matching photos",
+        MAPPING: "placing photos",
     }
     if stage.startswith(run_files.OBJECT_STAGE):
         return f"box '{stage.removeprefix(run_files.OBJECT_STAGE)}'"
     return words.get(stage, stage)
+
+
+def step_in_words(stage: str, step: int, total: int) -> str:
+    """'Step 3 of 20', or what the stage counts instead."""
+    share = f"{step:,} of {total:,}"
+    if stage == MAPPING:
+        return f"{share} photos registered"
+    return f"{UNITS.get(stage, 'Step')} {share}"
 
 
 def warning_in_words(text: str) -> str:

@@ -25,6 +25,7 @@ FOR_READING = ("numpy",)
 FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
 FOR_REFINING = ("numpy", "pycolmap")
 FOR_DISTORTION = ("numpy", "PIL", "pycolmap")
+FOR_RECONSTRUCTING = ("numpy", "PIL", "pycolmap")
 FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
 
 MARKER = "roigs-complete.json"

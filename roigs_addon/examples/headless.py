@@ -1,5 +1,6 @@
-"""From a COLMAP folder to a saved .blend, a PLY and a picture, without a window.
+"""From photos or a COLMAP folder to a saved .blend, a PLY and a picture, without a window.
 
+    blender -b --python headless.py -- --photos photos --out out
     blender -b --python headless.py -- --colmap garden --roi vase=-0.4,0,-0.4,0.4,1.3,0.4 --out out
 
 Also with the `bpy` module: `python headless.py --colmap …`. Exit status: 0 done, 2 an error (one
@@ -27,7 +28,12 @@ def parse(argv: list[str]) -> argparse.Namespace:
     """The options; those of Blender itself come before `--`."""
     own = argv[argv.index("--") + 1 :] if "--" in argv else argv[1:]
     parser = argparse.ArgumentParser(prog="headless.py", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--colmap", type=Path, required=True, help="folder of the COLMAP project")
+    parser.add_argument("--photos", type=Path, help="folder of photos to reconstruct first")
+    parser.add_argument(
+        "--colmap",
+        type=Path,
+        help="folder of the COLMAP project; with --photos, where it goes (default: OUT/colmap)",
+    )
     parser.add_argument("--images", type=Path, help="folder of the photos (default: found)")
     parser.add_argument(
         "--roi",
@@ -55,8 +61,11 @@ def parse(argv: list[str]) -> argparse.Namespace:
         "--photo", help="the photo to render (default: the best one of the first box)"
     )
     options = parser.parse_args(own)
-    if not options.roi and not options.rois:
+    if not options.photos and not options.colmap:
+        parser.error("give --photos or --colmap")
+    if not options.photos and not options.roi and not options.rois:
         parser.error("give at least one box, with --roi or --rois")
+    options.colmap = options.colmap or options.out / "colmap"
     options.roi = [_corners(parser, text) for text in options.roi]
     return options
 
@@ -95,12 +104,13 @@ def make(options: argparse.Namespace) -> None:
     settings.max_side, settings.steps_factor = options.max_side, options.steps_factor
     settings.test_every = options.test_every
 
-    images = str(options.images.resolve()) if options.images else ""
-    do(ops.roigs.import_colmap, directory=str(options.colmap.resolve()), images=images)
+    import_scene(options)
     if options.rois:
         do(ops.roigs.load_rois, filepath=str(options.rois.resolve()))
     for name, numbers in options.roi:
         do(ops.roigs.add_box, name=name, low=numbers[:3], high=numbers[3:])
+    if not options.rois and not options.roi:
+        do(ops.roigs.add_roi)  # where most photos look
     do(ops.roigs.select_cameras)
     do(ops.roigs.train_roi)
 
@@ -114,6 +124,16 @@ def make(options: argparse.Namespace) -> None:
         ("picture", "picture.png"),
     ):
         print(f"{what + ':':10}{options.out / where}")
+
+
+def import_scene(options: argparse.Namespace) -> None:
+    """The COLMAP project; made from photos first, if there are some."""
+    colmap = str(options.colmap.resolve())
+    if options.photos:
+        do(ops.roigs.reconstruct, photos=str(options.photos.resolve()), project=colmap)
+        return
+    images = str(options.images.resolve()) if options.images else ""
+    do(ops.roigs.import_colmap, directory=colmap, images=images)
 
 
 def render(scene: Any, path: Path) -> None:

@@ -6,13 +6,21 @@ import bpy
 
 from ..blender import persistent
 from ..jobs import current, estimate_job
-from . import engine_ability, photo_names, photo_pictures, point_counts, run_facts
+from . import (
+    engine_ability,
+    photo_names,
+    photo_pictures,
+    point_counts,
+    reconstructions,
+    run_facts,
+)
 
 
 @persistent
 def forget(*_: object) -> None:
     """Look at everything again."""
     run_facts.forget()
+    reconstructions.forget()
     photo_names.forget()
     photo_pictures.forget()
     point_counts.forget()

@@ -49,7 +49,7 @@ _missing: dict[str, tuple[float, list[str]]] = {}
 def run(scene: bpy.types.Scene) -> RunStatus:
     """What the scene's run folder says."""
     folder = run_folders.run_folder(scene)
-    if _is_old(_runs.get(folder)):
+    if is_old(_runs.get(folder)):
         _runs.clear()
         _runs[folder] = time.monotonic(), run_status.read(folder)
     return _runs[folder][1]
@@ -58,7 +58,7 @@ def run(scene: bpy.types.Scene) -> RunStatus:
 def earlier(scene: bpy.types.Scene) -> list[EarlierResult]:
     """Earlier results in the scene's run folder, newest first."""
     folder = run_folders.run_folder(scene)
-    if _is_old(_earlier.get(folder)):
+    if is_old(_earlier.get(folder)):
         _earlier.clear()
         _earlier[folder] = time.monotonic(), earlier_results(folder)
     return _earlier[folder][1]
@@ -67,7 +67,7 @@ def earlier(scene: bpy.types.Scene) -> list[EarlierResult]:
 def result(scene: bpy.types.Scene) -> ResultFacts:
     """What is known of the last result."""
     folder = run_folders.run_folder(scene)
-    if _is_old(_results.get(folder)):
+    if is_old(_results.get(folder)):
         _results.clear()
         found = ResultFacts(settings=run(scene).settings, psnr=report.psnr(folder))
         _results[folder] = time.monotonic(), found
@@ -77,7 +77,7 @@ def result(scene: bpy.types.Scene) -> ResultFacts:
 def disk(scene: bpy.types.Scene) -> Disk:
     """What the scene's run folder takes."""
     folder = run_folders.run_folder(scene)
-    if _is_old(_disk.get(folder), DISK_SECONDS):
+    if is_old(_disk.get(folder), DISK_SECONDS):
         _disk.clear()
         total, removable = clean_up.disk_size([folder]), clean_up.removable(folder)
         found = Disk(total=total, removable=clean_up.disk_size(removable))
@@ -87,7 +87,7 @@ def disk(scene: bpy.types.Scene) -> Disk:
 
 def is_file(path: Path) -> bool:
     """Whether a file exists."""
-    if _is_old(_files.get(path)):
+    if is_old(_files.get(path)):
         _files.clear()
         _files[path] = time.monotonic(), os.path.isfile(path)  # False where it may not look
     return _files[path][1]
@@ -95,7 +95,7 @@ def is_file(path: Path) -> bool:
 
 def missing_splats(scene: bpy.types.Scene) -> list[str]:
     """Names of the Gaussians whose file is missing: nothing of them can be drawn."""
-    if _is_old(_missing.get(scene.name)):
+    if is_old(_missing.get(scene.name)):
         items = (item for item in lookup.splats(scene) if not object_props(item).parked)
         files = {item.name: object_props(item).ply for item in items}
         _missing.clear()
@@ -115,7 +115,7 @@ def changed_boxes(scene: bpy.types.Scene, status: RunStatus) -> list[str]:
     ]
 
 
-def _is_old(fact: tuple[float, object] | None, seconds: float = SECONDS) -> bool:
+def is_old(fact: tuple[float, object] | None, seconds: float = SECONDS) -> bool:
     """Whether to look again; always in scripts, which need what is true now."""
     return fact is None or bpy.app.background or time.monotonic() - fact[0] > seconds
 

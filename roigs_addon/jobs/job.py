@@ -118,6 +118,8 @@ class Job:
         self.state = JobState(title=following.title, log=following.log, warnings=warnings)
 
     def _end(self, result: JobResult) -> None:
+        for option, name in self.spec.words.items():
+            result = replace(result, message=result.message.replace(option, name))
         self.result = result
         if result.stopped:
             self.state.message = STOPPED

@@ -95,8 +95,13 @@ def colmap_folder(scene: bpy.types.Scene) -> Path:
 def machine_options() -> list[str]:
     """The user's settings of device and threads, for a command without an options file."""
     chosen = settings.get()
-    threads = ["--threads", str(chosen.threads)] if chosen.threads else []
-    return ["--device", chosen.device, *threads]
+    return ["--device", chosen.device, *threads_option()]
+
+
+def threads_option() -> list[str]:
+    """The user's setting of threads; nothing if all are used."""
+    threads = settings.get().threads
+    return ["--threads", str(threads)] if threads else []
 
 
 def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:

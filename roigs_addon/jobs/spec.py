@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-IMPORTING, REFINING, SELECTING = "Importing", "Refining", "Selecting"
-ESTIMATING, TRAINING, EXPORTING = "Estimating", "Training", "Exporting"
+RECONSTRUCTING, IMPORTING, REFINING = "Reconstructing", "Importing", "Refining"
+SELECTING, ESTIMATING = "Selecting", "Estimating"
+TRAINING, EXPORTING = "Training", "Exporting"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 
@@ -30,6 +31,7 @@ class JobSpec:
             stopped; returns the command with which the job goes on, or None if there is none; may
             raise AddonError.
         done_text: what the user is told then; empty where the window shows it anyway.
+        words: option of the command -> the panel's name of it, for the engine's errors.
     """
 
     title: str
@@ -40,3 +42,4 @@ class JobSpec:
     on_done: Callable[[], None] = nothing
     then: Callable[[Mapping[str, str]], JobSpec | None] | None = None
     done_text: str = ""
+    words: Mapping[str, str] = field(default_factory=dict)

@@ -13,7 +13,8 @@ from ..jobs.import_job import project_folder
 from ..shared import EngineError, files
 
 FILE = "folders.json"
-IMPORT, BOXES, BOXES_OF, EXPORT = "import", "boxes", "boxes of", "export"
+IMPORT, PHOTOS, BOXES, BOXES_OF = "import", "photos", "boxes", "boxes of"
+EXPORT = "export"
 
 
 def for_import(colmap: str) -> str:
@@ -38,6 +39,16 @@ def for_boxes(colmap: str) -> str:
 def for_export() -> str:
     """Folder to export to."""
     return _first(_last().get(EXPORT, ""), _beside_blend())
+
+
+def for_photos(photos: str) -> str:
+    """Folder to choose photos in: the scene's own, else beside the last one."""
+    return _first(photos, _last().get(PHOTOS, ""), _beside_blend())
+
+
+def chosen_photos(folder: Path) -> None:
+    """Remember where photos were chosen."""
+    _remember({PHOTOS: str(folder.parent)})
 
 
 def imported(folder: Path) -> None:

@@ -8,22 +8,19 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty
 
-from .. import blender
 from ..blender import registration, scene_of
 from ..engine.own_files import log_file
 from ..facts import engine_ability, run_facts
 from ..jobs import current, estimate_job, run_folders, train_job
 from ..jobs.spec import JobSpec
 from ..scene import lookup
-from ..shared import files
+from . import texts
 from .base import FRESH, EngineOperator, available, engine_problem, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 LOG = "ROI-GS log"
-LAST_LINES = 20
-"""How many lines at the end of the log are visible when it is opened."""
 NO_LOG = "There is no log yet"
 
 
@@ -118,23 +115,8 @@ class ShowLog(bpy.types.Operator):
         path = log_path(scene_of(context))
         if path is None:
             return failed(self, f"{NO_LOG}.")
-        text = bpy.data.texts.get(LOG) or bpy.data.texts.new(LOG)
-        text.from_string(files.read_bytes(path).decode("utf-8", "replace"))
-        if bpy.app.background:
-            return {"FINISHED"}
-        editor = next(blender.areas("TEXT_EDITOR"), None) or _new_editor()
-        space = editor.spaces.active
-        if isinstance(space, bpy.types.SpaceTextEditor):
-            space.text, space.show_word_wrap = text, True
-            space.top = max(0, len(text.lines) - LAST_LINES)
+        texts.show(LOG, path, end=True)
         return {"FINISHED"}
-
-
-def _new_editor() -> bpy.types.Area:
-    bpy.ops.wm.window_new()
-    area = blender.windows()[-1].screen.areas[0]
-    area.type = "TEXT_EDITOR"
-    return area
 
 
 def log_path(scene: bpy.types.Scene) -> Path | None:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from .. import blender
-from ..engine.own_files import stage_in_words, warning_in_words
+from .. import blender, settings
+from ..engine.own_files import stage_in_words, step_in_words, warning_in_words
 from ..jobs import current
 from ..jobs.state import JobState
 from ..operators import train
@@ -71,6 +71,14 @@ def setting_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return column
 
 
+def engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
+    """Why the engine cannot train, and the button that leads to its set-up."""
+    box = layout.box()
+    wrong(box, problem)
+    button = box.operator("preferences.addon_show", text="Set Up the Engine", icon="PREFERENCES")
+    button.module = settings.ADDON
+
+
 def job(layout: bpy.types.UILayout, title: str) -> bool:
     """What is to be said of the job of this title; whether it runs or has failed."""
     state = current.state()
@@ -100,7 +108,7 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
     row.operator(train.StopJob.bl_idname, text="", icon="CANCEL")
     column = layout.column(align=True)
     if state.total:
-        column.label(text=f"Step {state.step:,} of {state.total:,}")
+        column.label(text=step_in_words(state.stage, state.step, state.total))
         if left := state.time_left():
             column.label(text=f"About {left} in this stage")
     if state.gaussians:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bpy
 
-from .. import settings
 from ..blender import layout_of, registration, scene_of
 from ..engine.own_files import stage_in_words
 from ..engine.run_status import RunStatus
@@ -43,7 +42,7 @@ class TrainPanel(SidebarPanel):
             button.active_only = True
         row.operator(ShowLog.bl_idname, text="", icon="TEXT")
         if problem := engine_ability.problem():
-            _draw_engine_problem(layout, problem)
+            show.engine_problem(layout, problem)
         if not show.job(layout, ESTIMATING) and not show.job(layout, TRAINING):
             _draw_status(layout, scene, status)
 
@@ -80,13 +79,6 @@ def _draw_status(layout: bpy.types.UILayout, scene: bpy.types.Scene, status: Run
         show.wrong(layout, changes)
     for old, new in outdated.renamed(scene, status).items():
         show.say(layout, f"'{new}' was trained as '{old}': Train renames its files", "INFO")
-
-
-def _draw_engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
-    box = layout.box()
-    show.wrong(box, problem)
-    button = box.operator("preferences.addon_show", text="Set Up the Engine", icon="PREFERENCES")
-    button.module = settings.ADDON
 
 
 class TrainSettingsPanel(SidebarPanel):

@@ -98,11 +98,16 @@ roigs_addon.unregister()
 
 def blender_process(folder: Path, project: Path, factor: float) -> subprocess.Popen[str]:
     """Another Blender like this one that trains in folder/run."""
+    values = {"root": str(ROOT), "project": str(project), "run": str(folder / "run")}
+    return other_blender(folder, BLENDER_SCRIPT.format(**values, factor=factor))
+
+
+def other_blender(folder: Path, code: str) -> subprocess.Popen[str]:
+    """Another Blender like this one that runs a script."""
     import bpy
 
-    script = folder / "train.py"
-    values = {"root": str(ROOT), "project": str(project), "run": str(folder / "run")}
-    script.write_text(BLENDER_SCRIPT.format(**values, factor=factor), encoding="utf-8")
+    script = folder / "script.py"
+    script.write_text(code, encoding="utf-8")
     command = [sys.executable, str(script)]
     program = bpy.app.binary_path and (os.environ.get("ROIGS_BLENDER") or bpy.app.binary_path)
     if program:

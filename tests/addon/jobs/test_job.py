@@ -320,11 +320,11 @@ def test_nothing_follows_a_stop(blender: ModuleType, spec, tmp_path: Path) -> No
 
 def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
     """Called by the file browser, such an operator ends before its engine does."""
-    from roigs_addon.operators import photos, scene, train
+    from roigs_addon.operators import photos, reconstruct, scene, train
     from roigs_addon.operators.base import EngineOperator
 
     running = (
-        *(photos.SelectCameras, scene.ImportColmap),
+        *(photos.SelectCameras, reconstruct.Reconstruct, scene.ImportColmap),
         *(scene.RefineCameras, train.EstimateTime, train.TrainRoi),
     )
     assert set(EngineOperator.__subclasses__()) == set(running)

@@ -88,17 +88,21 @@ def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
 def test_panels_draw(blender: ModuleType, run) -> None:
     """Every panel's `draw`, on a layout that accepts everything."""
     from roigs_addon.jobs import current
-    from roigs_addon.ui import boxes, cameras, look, placement, result, scene, train
+    from roigs_addon.ui import (
+        boxes,
+        cameras,
+        look,
+        placement,
+        reconstruct,
+        result,
+        scene,
+        train,
+    )
 
     panels = (
-        *(
-            placement.PlacementPanel,
-            look.LookPanel,
-            scene.ScenePanel,
-            boxes.BoxesPanel,
-            boxes.PlacePanel,
-            cameras.CamerasPanel,
-        ),
+        *(reconstruct.PhotosPanel, reconstruct.PhotosOptionsPanel),
+        *(placement.PlacementPanel, look.LookPanel),
+        *(scene.ScenePanel, boxes.BoxesPanel, boxes.PlacePanel, cameras.CamerasPanel),
         *(train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
     )
 

@@ -1,0 +1,84 @@
+"""What the folder of a reconstruction says (docs/files.md, section Reconstruction). No bpy."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..shared import EngineError, files, lock, projects, run_files
+
+WORK, STATE = "reconstruction", "state.json"
+"""The engine's own folder, and its record in there."""
+DATABASE, REPORT = "database.db", "reconstruction.md"
+"""Beside that folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionStatus:
+    """The folder of a reconstruction at one moment.
+
+    Attributes:
+        done: whether the model is there.
+        unfinished: whether a reconstruction was started and has not been finished.
+        summary: the report's first sentence; empty without a report.
+        remarks: what else it says of all photos, a sentence each.
+        holder: process of an engine that works there now; 0 if there is none.
+    """
+
+    done: bool = False
+    unfinished: bool = False
+    summary: str = ""
+    remarks: tuple[str, ...] = ()
+    holder: int = 0
+
+
+def read(folder: Path) -> ReconstructionStatus:
+    """Look into a folder; one that is missing or unreadable counts as empty."""
+    work = folder / WORK
+    try:
+        state = files.read_json(work / STATE)
+    except EngineError:
+        state = None
+    begun = isinstance(state, dict)
+    model = folder / projects.SPARSE / "0"
+    done = begun and bool(state.get("done")) and projects.model_suffix(model) is not None
+    held = work / run_files.LOCK
+    holder = lock.holder(held)
+    killed = os.path.lexists(held) and not holder
+    summary, remarks = _told(folder / REPORT)
+    return ReconstructionStatus(
+        done=done,
+        unfinished=begun and (killed or not done) and not holder,
+        summary=summary,
+        remarks=remarks,
+        holder=holder,
+    )
+
+
+def is_free(folder: Path) -> bool:
+    """Whether nothing but a reconstruction is in a folder, or nothing at all."""
+    try:
+        return (folder / WORK).is_dir() or not next(iter(os.scandir(folder)), None)
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+
+
+def is_others(folder: Path) -> bool:
+    """Whether a folder has a database that another program made, which the engine would replace."""
+    return os.path.lexists(folder / DATABASE) and not os.path.isfile(folder / WORK / STATE)
+
+
+def _told(report: Path) -> tuple[str, tuple[str, ...]]:
+    """Summary and remarks, which stand before the first table."""
+    try:
+        lines = files.read_bytes(report).decode("utf-8", "replace").splitlines()
+    except OSError:
+        return "", ()
+    head = list(itertools.takewhile(lambda line: not line.startswith("|"), lines))
+    said = [line for line in head if line and not line.startswith("#")]
+    remarks = tuple(line[2:] for line in said if line.startswith("- "))
+    return next((line for line in said if not line.startswith("- ")), ""), remarks

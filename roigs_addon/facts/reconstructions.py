@@ -1,0 +1,42 @@
+"""What the folder of the scene's reconstruction says, cached."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+
+from ..engine import reconstruction
+from ..engine.reconstruction import ReconstructionStatus
+from ..jobs import reconstruct_job
+from ..properties import scene_props
+from .run_facts import is_old
+
+Found = tuple[Path, ReconstructionStatus]
+
+_found: dict[tuple[str, str], tuple[float, Found]] = {}
+
+
+def of(scene: bpy.types.Scene) -> Found:
+    """The folder and what it says; for a scene that has photos."""
+    props = scene_props(scene)
+    key = props.photos, props.project
+    if is_old(_found.get(key)):
+        _found.clear()
+        folder = reconstruct_job.project_folder(scene)
+        _found[key] = time.monotonic(), (folder, reconstruction.read(folder))
+    return _found[key][1]
+
+
+def report(scene: bpy.types.Scene) -> Path | None:
+    """The report of the scene's reconstruction, if there is one."""
+    if not scene_props(scene).photos:
+        return None
+    folder, status = of(scene)
+    return folder / reconstruction.REPORT if status.summary else None
+
+
+def forget() -> None:
+    """Look again at the next question."""
+    _found.clear()

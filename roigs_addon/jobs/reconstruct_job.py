@@ -1,0 +1,106 @@
+"""Reconstructing: the engine makes a COLMAP project from photos, which is then imported."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+
+from ..engine import reconstruction
+from ..errors import AddonError
+from ..properties import scene_props
+from . import import_job, options_files, run_folders
+from .spec import RECONSTRUCTING, JobSpec
+
+NO_PHOTOS = "Choose the folder of the photos first."
+FOLDER = "Project Folder"
+MOST_TRIED = 100
+"""Names for a new folder; if none can be looked into, the engine says why."""
+WORDS = {"--out": FOLDER, "--run-dir": FOLDER}
+
+
+def spec(scene: bpy.types.Scene) -> JobSpec:
+    """The job that reconstructs the scene's photos and imports the model.
+
+    Raises:
+        AddonError: there is no folder of photos, the project folder has another program's
+            database, or the cache cannot be written to.
+    """
+    props = scene_props(scene)
+    if not props.photos:
+        raise AddonError(NO_PHOTOS)
+    photos, project = photos_folder(props.photos), project_folder(scene)
+    if reconstruction.is_others(project):
+        raise AddonError(f"{project} has a COLMAP database already. Choose another {FOLDER}.")
+    log = import_job.made_export_folder(project) / import_job.LOG
+    # The file keeps both, so that Continue finds them.
+    _keep(scene, photos, project)
+    find = run_folders.finder(scene)
+
+    def then(_: Mapping[str, str]) -> JobSpec:
+        now = find()
+        if now is None:
+            raise AddonError(f"The scene is gone. Import the model from {project}.")
+        _keep(now, photos, project)
+        done_text = reconstruction.read(project).summary
+        job = import_job.spec(now, str(project), "")
+        return replace(job, title=RECONSTRUCTING, done_text=done_text)
+
+    return JobSpec(
+        title=RECONSTRUCTING,
+        arguments=[
+            *("reconstruct", str(photos), "--out", str(project)),
+            *("--max-side", str(props.feature_side)),
+            *("--pairs", props.pairs, "--cameras", props.shared_cameras),
+            *options_files.threads_option(),
+        ],
+        log=log,
+        then=then,
+        words=WORDS,
+    )
+
+
+def _keep(scene: bpy.types.Scene, photos: Path, project: Path) -> None:
+    """Store both; in this order, for other photos clear the project."""
+    scene_props(scene).photos, scene_props(scene).project = str(photos), str(project)
+
+
+def photos_folder(chosen: str) -> Path:
+    """The folder that was chosen; of a photo, its folder.
+
+    Raises:
+        AddonError: there is no such folder.
+    """
+    folder = _absolute(chosen)
+    if os.path.isfile(folder):
+        folder = folder.parent
+    if not os.path.isdir(folder):
+        raise AddonError(f"There is no folder {folder}. Choose the folder of the photos.")
+    return folder
+
+
+def project_folder(scene: bpy.types.Scene) -> Path:
+    """The folder of the scene's reconstruction, or the one that it would get."""
+    props = scene_props(scene)
+    return _absolute(props.project) if props.project else proposed(_absolute(props.photos))
+
+
+def proposed(photos: Path) -> Path:
+    """A folder beside the photos that holds a reconstruction or nothing.
+
+    It is named after the photos; after the folder above if theirs is called `images`, by which a
+    COLMAP project would be known.
+    """
+    named = photos.parent if photos.name.lower().startswith("images") else photos
+    name = f"{named.name or 'photos'}_colmap"
+    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    folders = (photos.parent / name for name in itertools.islice(names, MOST_TRIED))
+    return next((f for f in folders if reconstruction.is_free(f)), photos.parent / name)
+
+
+def _absolute(path: str) -> Path:
+    return Path(os.path.abspath(bpy.path.abspath(path)))
