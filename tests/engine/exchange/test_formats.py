@@ -1,0 +1,201 @@
+"""Files of other programs: what is written comes back, as readers of each have it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.errors import ConfigError, EngineError, RunFolderError
+from roigs_engine.exchange import axes, formats, packages
+from roigs_engine.formats.splat_ply import read_ply, write_ply
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.local_frame import LocalFrame
+from roigs_engine.rasterize.placed import PlacedModel, render_placed
+from tests.engine.rasterize.test_placed import CAMERA, POSE, cloud, on_black
+
+NEEDS = {
+    "compressed_ply": ("gsply",),
+    "spz": ("gsply",),
+    "sog": ("gsply", "imagecodecs", "sklearn"),
+    "gltf": ("pygltflib",),
+    "usd": ("pxr",),
+}
+READABLE = [form for form in formats.FORMATS if form.reads]
+LEAST = {".sog": 25.0, ".spz": 36.0, ".compressed.ply": 40.0}
+"""PSNR, dB, of small Gaussians with random colours, which no palette fits; others are exact."""
+
+
+def arrays(count: int = 400, seed: int = 0) -> dict[str, np.ndarray]:
+    """Gaussians in front of the camera."""
+    return cloud(count, seed).arrays()
+
+
+def needed(form: formats.FileFormat) -> None:
+    """Skip without the packages of a format."""
+    for name in NEEDS.get(form.module, ()):
+        pytest.importorskip(name)
+
+
+def picture(values: dict[str, np.ndarray]) -> np.ndarray:
+    """Of the model from the front."""
+    model = PlacedModel(
+        gaussians=Gaussians.from_arrays(values), frame=LocalFrame.world(), matrix=np.eye(4)
+    )
+    return on_black(render_placed([model], CAMERA, POSE)).numpy()
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(a - b).mean() + 1e-12))
+
+
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_what_is_written_comes_back(form: formats.FileFormat, tmp_path: Path) -> None:
+    needed(form)
+    path = tmp_path / f"model{form.suffix}"
+    formats.write(path, arrays())
+    back = formats.read(path)
+    assert len(back["means"]) == 400
+    assert psnr(picture(dict(back)), picture(arrays())) > LEAST.get(form.suffix, 90.0)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_fewer_degrees(form: formats.FileFormat, degree: int, tmp_path: Path) -> None:
+    needed(form)
+    bands = (degree + 1) ** 2
+    path, values = tmp_path / f"model{form.suffix}", arrays()
+    formats.write(path, {**values, "sh": values["sh"][:, :bands]})
+    assert formats.read(path)["sh"].shape == (400, bands, 3)
+
+
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_there_and_back_stands_upright(form: formats.FileFormat, tmp_path: Path) -> None:
+    """`convert` turns a model into the frame of the format, and back."""
+    needed(form)
+    write_ply(tmp_path / "in.ply", arrays())
+    made, back = tmp_path / f"made{form.suffix}", tmp_path / "back.ply"
+    assert main(["convert", str(tmp_path / "in.ply"), str(made)]) == 0
+    if form.up == "y":
+        inside = np.median(formats.read(made)["means"][:, 1])
+        assert inside == pytest.approx(-np.median(arrays()["means"][:, 1]), abs=0.01)
+    assert main(["convert", str(made), str(back)]) == 0
+    least = LEAST.get(form.suffix, 90.0)
+    assert psnr(picture(read_ply(back)), picture(arrays())) > least
+
+
+def test_another_axis_points_up(tmp_path: Path) -> None:
+    write_ply(tmp_path / "in.ply", arrays())
+    out = tmp_path / "out.ply"
+    assert main(["convert", str(tmp_path / "in.ply"), str(out), "--up", "z"]) == 0
+    x, y, z = arrays()["means"].T
+    np.testing.assert_allclose(read_ply(out)["means"], np.column_stack((x, z, -y)), atol=1e-5)
+
+
+@pytest.mark.parametrize("before", axes.UP)
+@pytest.mark.parametrize("after", axes.UP)
+def test_turning_is_a_rotation(before: str, after: str) -> None:
+    turn = axes.turn(before, after)
+    assert np.linalg.det(turn[:3, :3]) == pytest.approx(1)
+    assert (turn @ axes.turn(after, before) == np.eye(4)).all()
+    pointing = {"-y": (0, -1, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+    assert (turn[:3, :3] @ pointing[before] == pointing[after]).all()
+
+
+def test_only_what_is_in_a_box(tmp_path: Path) -> None:
+    write_ply(tmp_path / "in.ply", arrays())
+    rois = [{"name": "half", "min": [0, -9, -9], "max": [9, 9, 9]}]
+    (tmp_path / "rois.json").write_text(json.dumps({"rois": rois}))
+    out = tmp_path / "out.ply"
+    boxes = ["--rois", str(tmp_path / "rois.json"), "--only", "half"]
+    assert main(["convert", str(tmp_path / "in.ply"), str(out), *boxes]) == 0
+    assert (read_ply(out)["means"][:, 0] >= 0).all()
+
+
+def test_splat_files_have_32_bytes_each(tmp_path: Path) -> None:
+    path = tmp_path / "model.splat"
+    formats.write(path, arrays())
+    raw = np.frombuffer(path.read_bytes(), np.float32).reshape(400, 8)
+    size = np.sort(arrays()["means"][:, 0])
+    np.testing.assert_array_equal(np.sort(raw[:, 0]), size)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        formats.read(path)
+
+
+def test_spz_keeps_what_is_far_away_if_it_can(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    values = arrays()
+    values["means"][0] = (50, 0, 0)
+    formats.write(tmp_path / "a.spz", values)
+    assert formats.read(tmp_path / "a.spz")["means"][:, 0].max() == pytest.approx(50, abs=0.01)
+    values["means"][0] = (1e6, 0, 0)
+    formats.write(tmp_path / "a.spz", values)
+    assert len(formats.read(tmp_path / "a.spz")["means"]) == 399
+
+
+def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    far = arrays()
+    far["means"] = far["means"].astype(np.float64) + np.array((4e6, 5e6, 0))
+    with pytest.raises(ConfigError, match="too far from the origin"):
+        formats.write(tmp_path / "far.spz", far)
+    tiny = arrays()
+    tiny["log_scales"] -= 20
+    with pytest.raises(ConfigError, match="too small or too large"):
+        formats.write(tmp_path / "tiny.spz", tiny)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_drawn_is_left_out(tmp_path: Path) -> None:
+    pytest.importorskip("pygltflib")
+    values = arrays()
+    values["means"][0, 0], values["quats"][1] = np.nan, 0
+    formats.write(tmp_path / "a.glb", values)
+    assert len(formats.read(tmp_path / "a.glb")["means"]) == 398
+
+
+def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def missing(name: str, package: str | None = None) -> None:
+        raise ImportError(f"No module named '{name}'")
+
+    monkeypatch.setattr(packages, "import_module", missing)
+    for suffix, package in ((".spz", "gsply"), (".glb", "pygltflib"), (".usdc", "usd-core")):
+        with pytest.raises(EngineError, match=f"needs {package}, which is not installed") as caught:
+            formats.write(tmp_path / f"a{suffix}", arrays())
+        assert "extra 'formats'" in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_damaged_files_are_one_line(form: formats.FileFormat, tmp_path: Path) -> None:
+    needed(form)
+    path = tmp_path / f"model{form.suffix}"
+    formats.write(path, arrays())
+    whole = path.read_bytes()
+    # USD reads a USDZ without the ZIP's last record.
+    last = () if form.suffix == ".usdz" else (len(whole) - 9,)
+    for cut in (0, 3, 20, len(whole) // 2, *last):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(RunFolderError) as caught:
+            formats.read(path)
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(RunFolderError):
+        formats.read(tmp_path / f"gone{form.suffix}")
+
+
+TOOL = shutil.which("splat-transform")
+
+
+@pytest.mark.skipif(TOOL is None, reason="needs npm's @playcanvas/splat-transform")
+@pytest.mark.parametrize("suffix", [".compressed.ply", ".spz", ".sog"])
+def test_another_program_reads_it(suffix: str, tmp_path: Path) -> None:
+    write_ply(tmp_path / "in.ply", arrays())
+    made, back = tmp_path / f"made{suffix}", tmp_path / "back.ply"
+    assert main(["convert", str(tmp_path / "in.ply"), str(made)]) == 0
+    subprocess.run([str(TOOL), "-q", "-w", made, back], check=True, capture_output=True)
+    assert psnr(picture(read_ply(back)), picture(arrays())) > LEAST[suffix]
