@@ -21,6 +21,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         rois,
         run_files,
         splat_ply,
+        subject,
         text,
         upright,
     )
@@ -37,6 +38,7 @@ else:
         rois,
         run_files,
         splat_ply,
+        subject,
         text,
         upright,
     )
@@ -53,6 +55,7 @@ __all__ = [
     "rois",
     "run_files",
     "splat_ply",
+    "subject",
     "text",
     "upright",
 ]
