@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,12 @@ from .database import (
 )
 from .findings import NOTHING, Reconstruction, as_markdown, findings
 from .folder import Folder
+from .frames import take_frames
 from .look import Found, Photo, camera_groups, look_at
 from .mapping import map_models, map_rest
 from .settings import Settings
 from .similarity import LARGEST, similarities
+from .video import is_video
 
 FEATURES, MATCHING, MAPPING = "features", "matching", "mapping"
 # Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.
@@ -198,16 +200,19 @@ def reconstruct(
     threads: int | None,
     context: Context,
     ready: Callable[[Path], None] = lambda folder: None,
+    *,
+    frames: int = 0,
 ) -> Path:
     """Reconstruct the photos below the folder `source` as the COLMAP project `out`.
 
     Args:
-        source: folder of the photos.
+        source: folder of the photos, or a video, whose frames follow one another.
         out: folder of the project; what an earlier call has left there is resumed.
         settings: see there.
         threads: of the CPU; None: all cores.
         context: gets progress and messages; checked for cancellation.
         ready: called with the folder for a log, once this process may write there.
+        frames: about how many frames of a video to use; 0: as many as its motion asks for.
 
     Returns:
         The folder of the model.
@@ -215,13 +220,17 @@ def reconstruct(
     Raises:
         SceneError: the photos cannot be used, or `out` has something else.
         RunFolderError: `out` cannot be written, or another engine is at work there.
-        EngineError: pycolmap is missing or too old.
+        EngineError: pycolmap is missing or too old, or PyAV is missing and needed.
         Stopped: on request; the next call resumes.
     """
-    folder = Folder(out)
-    files = folder.photos_of(source)
+    folder, film = Folder(out), is_video(source)
+    if film and settings.pairs == "auto":
+        settings = replace(settings, pairs="ordered")
+    files = {} if film else folder.photos_of(source)
     with folder.held(context.warn):
         ready(folder.work())
+        if film:
+            files = take_frames(source, folder, frames, context)
         found = look_at(files, folder.work("photos.json"), context)
         for text in warnings_of(found):
             context.warn(text)
