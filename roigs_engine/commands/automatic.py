@@ -14,7 +14,7 @@ from ..formats.rois import rois_document
 from ..formats.text import counted
 from ..model.roi import OrientedBox, load_rois
 from ..model.scene import SfmScene
-from ..photos.files import PhotoFolder
+from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
 from .console import Console
 from .options import AUTO, boxes, only
 
@@ -68,7 +68,12 @@ def is_photos(scene: Path) -> bool:
     """Whether the scene is a folder of photos without a COLMAP model."""
     if not scene.is_dir() or model_folders(project_folder(scene)):
         return False
-    return bool(PhotoFolder(scene).others([]))
+    return _count(scene) > 0
+
+
+def _count(folder: Path) -> int:
+    """The number of photos below a folder."""
+    return len(PhotoFolder(folder, EXTENSIONS | HEIC).others([]))
 
 
 def project_of(args: argparse.Namespace) -> Path:
@@ -114,11 +119,11 @@ def reconstructed(args: argparse.Namespace, console: Console) -> None:
 
 def photos_plan(args: argparse.Namespace) -> str:
     """What a run of photos does that have no model yet."""
-    count = len(PhotoFolder(args.scene).others([]))
+    photos = counted(_count(args.scene), "photo")
     return "\n".join(
         [
             f"Plan of {args.run_dir}: preset {args.preset}",
-            f"1. Make a COLMAP project from {counted(count, 'photo')} in {project_of(args)}",
+            f"1. Make a COLMAP project from {photos} in {project_of(args)}",
             f"2. Put a box around what most photos show: {args.run_dir / run_files.BOXES}",
             "3. Train. Stages, memory and minutes can be told after step 1, which is",
             f"   python -m roigs_engine reconstruct {args.scene} --out {project_of(args)}",

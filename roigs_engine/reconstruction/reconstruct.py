@@ -20,6 +20,7 @@ from ..machine import machine_memory, usable_cores
 from . import pairs
 from .checks import warnings_of, warnings_of_matches
 from .child import run_task
+from .convert import converted
 from .database import (
     Pair,
     camera_ids,
@@ -175,7 +176,7 @@ def solve(
             rest = [pair for pair in pairs.all_pairs(names) if missing & {*pair}]
             match(folder, rest[:REST_PAIRS], settings, threads, context)
         with _timed(seconds, MAPPING):
-            models = map_rest(folder, models, len(names), task, context)
+            models = map_rest(folder, models, names, task, context)
     return Reconstruction(
         found=found,
         features=feature_counts(folder.database),
@@ -220,7 +221,8 @@ def reconstruct(
     Raises:
         SceneError: the photos cannot be used, or `out` has something else.
         RunFolderError: `out` cannot be written, or another engine is at work there.
-        EngineError: pycolmap is missing or too old, or PyAV is missing and needed.
+        EngineError: pycolmap is missing or too old, or PyAV or
+            pillow-heif is missing and needed.
         Stopped: on request; the next call resumes.
     """
     folder, film = Folder(out), is_video(source)
@@ -231,6 +233,7 @@ def reconstruct(
         ready(folder.work())
         if film:
             files = take_frames(source, folder, frames, context)
+        files = converted(files, folder, context)
         found = look_at(files, folder.work("photos.json"), context)
         for text in warnings_of(found):
             context.warn(text)
