@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -225,19 +225,15 @@ def reconstruct(
             pillow-heif is missing and needed.
         Stopped: on request; the next call resumes.
     """
-    folder, film = Folder(out), is_video(source)
-    if film and settings.pairs == "auto":
+    folder, video = Folder(out), is_video(source)
+    if video and settings.pairs == "auto":
         settings = replace(settings, pairs="ordered")
-    files = {} if film else folder.photos_of(source)
+    files = {} if video else folder.photos_of(source)
     with folder.held(context.warn):
         ready(folder.work())
-        if film:
+        if video:
             files = take_frames(source, folder, frames, context)
-        files = converted(files, folder, context)
-        found = look_at(files, folder.work("photos.json"), context)
-        for text in warnings_of(found):
-            context.warn(text)
-        folder.take_photos(list(found.photos))
+        found = _taken(files, folder, context)
         key = json_digest({"settings": asdict(settings), "photos": digests_of(found)})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
@@ -255,6 +251,16 @@ def reconstruct(
         folder.take_model(Path(result.models[0].folder))
         folder.finish(key)
     return folder.model
+
+
+def _taken(files: Mapping[str, Path], folder: Folder, context: Context) -> Found:
+    """The photos, looked at, in the folder's images."""
+    files = converted(files, folder, context)
+    found = look_at(files, folder.work("photos.json"), context)
+    for text in warnings_of(found):
+        context.warn(text)
+    folder.take_photos(list(found.photos))
+    return found
 
 
 def digests_of(found: Found) -> dict[str, str]:
