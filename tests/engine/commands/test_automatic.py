@@ -13,6 +13,7 @@ from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from roigs_engine.model.roi import load_rois
 from tests.engine.commands.command_line import BOX, refused
+from tests.engine.reconstruction.photo_sets import copy_photos, demo_photos
 from tests.engine.synthetic_colmap import Project, write_project
 
 TINY = ("--steps-factor", "0.003", "--test-every", "4", "--device", "cpu")
@@ -122,3 +123,17 @@ def test_photos_that_cannot_be_used_so_are_one_line(
     assert "has no COLMAP model, in whose frame boxes are" in line
     assert not (tmp_path / "run").exists() and not (photos / "runs").exists()
     assert "has no COLMAP model" in refused(capsys, "select", photos, "--roi", "auto")
+
+
+@pytest.mark.slow
+def test_from_photos_to_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chosen = demo_photos("wide/*.jpg", 10)
+    copy_photos(tmp_path / "photos", chosen, [f"ü {number}.jpg" for number in range(10)])
+    words = [str(tmp_path / "photos"), "--roi", "auto", "--run-dir", str(tmp_path / "run"), *TINY]
+    assert main(["run", *words, "--max-side", "160"]) == 0
+    assert "ROI PSNR" in capsys.readouterr().out
+    assert load_rois(tmp_path / "run" / run_files.BOXES)
+    assert (tmp_path / "run" / run_files.RESULT).exists()
+    assert main(["run", *words, "--max-side", "160"]) == 0
+    said = capsys.readouterr().err
+    assert "is up to date" in said and said.count("finished in an earlier training") == 3
