@@ -65,7 +65,11 @@ def keep_box(
 
 
 def is_photos(scene: Path) -> bool:
-    """Whether the scene is a folder of photos without a COLMAP model."""
+    """Whether the scene is a folder of photos without a COLMAP model, or a video."""
+    from ..reconstruction.video import is_video
+
+    if is_video(scene):
+        return True
     if not scene.is_dir() or model_folders(project_folder(scene)):
         return False
     return _count(scene) > 0
@@ -119,7 +123,7 @@ def reconstructed(args: argparse.Namespace, console: Console) -> None:
 
 def photos_plan(args: argparse.Namespace) -> str:
     """What a run of photos does that have no model yet."""
-    photos = counted(_count(args.scene), "photo")
+    photos = counted(_count(args.scene), "photo") if args.scene.is_dir() else str(args.scene)
     return "\n".join(
         [
             f"Plan of {args.run_dir}: preset {args.preset}",

@@ -112,6 +112,14 @@ def test_photos_become_a_project_in_the_run_folder(
     assert capsys.readouterr().out.count(" done\n") == 3
 
 
+def test_a_video_is_planned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "walk.mp4").write_bytes(b"")
+    words = [str(tmp_path / "walk.mp4"), "--roi", "auto", "--run-dir", str(tmp_path / "run")]
+    assert main(["run", *words, "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert f"1. Make a COLMAP project from {tmp_path / 'walk.mp4'}" in shown
+
+
 def test_photos_that_cannot_be_used_so_are_one_line(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
