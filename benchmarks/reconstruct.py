@@ -2,7 +2,9 @@
 
 Reconstructs SCENE/images and compares the cameras with those of SCENE's own model, which is used
 for nothing else. `--colmap` does the same with the settings of COLMAP's automatic reconstructor.
-DIR/NAME has the result; one that is there is not made again.
+`--mappers` maps the database of our reconstruction with COLMAP's incremental and its global mapper
+(GLOMAP), with their own settings; seconds are then of the mapping alone. DIR/NAME has the result;
+one that is there is not made again.
 """
 
 from __future__ import annotations
@@ -63,6 +65,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--colmap", action="store_true", help="also with COLMAP's settings")
+    parser.add_argument("--mappers", action="store_true", help="also COLMAP's two mappers")
     parser.add_argument("--options", default="", help="further options of reconstruct, one string")
     return parser.parse_args()
 
@@ -78,24 +81,35 @@ def automatic(images: Path, out: Path, threads: int) -> None:
     database = out / "database.db"
     colmap.extract_features(database, images, extraction_options=extraction)
     colmap.match_exhaustive(database, matching_options=matching)
-    found = colmap.incremental_mapping(database, images, out, mapping)
+    _keep(colmap.incremental_mapping(database, images, out, mapping), out)
+
+
+def mapped(database: Path, images: Path, out: Path, mapper: str, threads: int) -> None:
+    """What a mapper of COLMAP makes of a database, with its own settings."""
+    colmap = pycolmap_module("The comparison")
+    kind = {
+        "incremental": colmap.IncrementalPipelineOptions,
+        "global": colmap.GlobalPipelineOptions,
+    }
+    options = kind[mapper]()
+    options.num_threads, options.random_seed = threads, 0
+    _keep(getattr(colmap, f"{mapper}_mapping")(database, images, out, options), out)
+
+
+def _keep(found: dict[int, Any], out: Path) -> None:
+    """Write the largest model as a project has it."""
     best = max(found.values(), key=lambda model: model.num_reg_images())
     (out / "sparse/0").mkdir(parents=True)
     best.write_binary(str(out / "sparse/0"))
 
 
-def measured(scene: Path, out: Path, args: argparse.Namespace, *, colmap: bool) -> Row:
-    """Reconstruct a scene, unless it is done."""
+def measured(scene: Path, out: Path, words: list[Any]) -> Row:
+    """Run Python with these arguments, unless it is done, and compare what is then in `out`."""
     done = out / "row.json"
     if done.exists():
         return Row(**read_json(done))
     out.mkdir(parents=True, exist_ok=True)
     began, before = time.monotonic(), os.times()
-    words = ["-m", "roigs_engine", "reconstruct", scene / "images", "--out", out]
-    words += ["--threads", args.threads, *args.options.split()]
-    if colmap:
-        call = f"automatic(Path({str(scene / 'images')!r}), Path({str(out)!r}), {args.threads})"
-        words = ["-c", f"from pathlib import Path; from {__spec__.name} import automatic; {call}"]
     subprocess.run([sys.executable, *map(str, words)], check=True)
     after = os.times()
     cpu = after.children_user + after.children_system
@@ -103,6 +117,19 @@ def measured(scene: Path, out: Path, args: argparse.Namespace, *, colmap: bool) 
     row = compared(scene, out, time.monotonic() - began, cpu)
     write_json(done, asdict(row))
     return row
+
+
+def own_way(scene: Path, out: Path, args: argparse.Namespace) -> list[Any]:
+    """Our reconstruction."""
+    words = ["-m", "roigs_engine", "reconstruct", scene / "images", "--out", out]
+    return [*words, "--threads", args.threads, *args.options.split()]
+
+
+def call_of(function: str, *arguments: Path | str | int) -> list[str]:
+    """A call of one of this file's functions."""
+    values = (f"Path({str(v)!r})" if isinstance(v, Path) else repr(v) for v in arguments)
+    name = __spec__.name
+    return ["-c", f"from pathlib import *; from {name} import *; {function}({', '.join(values)})"]
 
 
 def compared(scene: Path, out: Path, wall: float, cpu: float) -> Row:
@@ -150,11 +177,17 @@ def main() -> None:
     for scene in args.scenes:
         name = scene.resolve().name
         name = scene.resolve().parent.name if name == "scene" else name
-        row = measured(scene, args.out / name, args, colmap=False)
-        rows.append(cells(name, "ours", row))
+        images, own = scene / "images", args.out / name
+        ways = {"ours": (own, own_way(scene, own, args))}
         if args.colmap:
-            row = measured(scene, args.out / f"{name}-colmap", args, colmap=True)
-            rows.append(cells(name, "COLMAP's", row))
+            out = args.out / f"{name}-colmap"
+            ways["COLMAP's"] = out, call_of("automatic", images, out, args.threads)
+        for mapper in ("incremental", "global") if args.mappers else ():
+            out = args.out / f"{name}-{mapper}"
+            words = call_of("mapped", own / "database.db", images, out, mapper, args.threads)
+            ways[f"our matches, {mapper}"] = out, words
+        for way, (out, words) in ways.items():
+            rows.append(cells(name, way, measured(scene, out, words)))
     sys.stdout.write("\n".join(table(HEAD, rows, names=2)) + "\n")
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         rois,
         run_files,
         splat_ply,
+        subject,
         text,
         upright,
     )
@@ -43,6 +44,7 @@ else:
         rois,
         run_files,
         splat_ply,
+        subject,
         text,
         upright,
     )
@@ -62,6 +64,7 @@ __all__ = [
     "rois",
     "run_files",
     "splat_ply",
+    "subject",
     "text",
     "upright",
 ]

@@ -54,6 +54,7 @@ PRINTING = {"commands", "cli", "kernels.build"}
 IMPORT_NAMES = {
     "flip-evaluator": "flip_evaluator",
     "pillow": "PIL",
+    "pillow-heif": "pillow_heif",
     "scikit-learn": "sklearn",
 }
 
@@ -258,7 +259,8 @@ def test_only_the_command_line_prints() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    asked = [*project["dependencies"], *extras["train"], *extras["cuda"], *extras["flip"]]
+    used = ("train", "cuda", "flip", "video", "heic")
+    asked = [*project["dependencies"], *(name for extra in used for name in extras[extra])]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}
     importable = {IMPORT_NAMES.get(name, name) for name in declared}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ from ..blender import mesh_of
 from ..engine.own_files import ROIS
 from ..errors import AddonError
 from ..geometry.box import Box
-from ..geometry.subject import subject
 from ..properties import object_props, scene_props
 from ..shared import EngineError, files
 from ..shared import names as name_format
 from ..shared import rois as roi_format
+from ..shared import subject as subject_rule
 from . import clouds, lookup
 
 Place = tuple[Vector, Vector]
@@ -156,7 +157,8 @@ def where_photos_look(scene: bpy.types.Scene) -> Place | None:
         with suppress(AddonError):
             points = points[~lookup.box(roi, scene).contains(points)]
     records = map(lookup.photo_record, lookup.cameras(scene).values())
-    bounds = subject([photo for photo in records if photo], points, frame)
+    views = [subject_rule.View(pose=p.pose, **asdict(p.intrinsics)) for p in records if p]
+    bounds = subject_rule.subject(views, points, frame)
     return _around(np.array(bounds), margin=0.0) if bounds else None
 
 

@@ -65,9 +65,13 @@ class Console:
     def log_to(self, folder: Path) -> None:
         """Also append every event as a JSON line to `folder`/events.jsonl, those kept first.
 
+        Does nothing if there is a log already.
+
         Raises:
             RunFolderError: the file cannot be written.
         """
+        if self._log is not None:
+            return
         path = folder / EVENTS
         try:
             self._log = open_log(path)

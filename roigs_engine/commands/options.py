@@ -24,6 +24,7 @@ from .console import Console
 from .values import NAME, PATH, Number, integer
 
 MAX_THREADS = 1024
+AUTO = "auto"  # the value of --roi for a box around what most photos show
 TEST_EVERY = integer(2, zero=True)
 
 
@@ -90,7 +91,8 @@ def add_roi_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=x0,y0,z0,x1,y1,z1",
-        help="one box by its corners in the COLMAP frame; repeatable",
+        help="one box by its corners in the COLMAP frame; repeatable. auto (select, train, run):"
+        " a box around what most photos show, written to rois.json",
     )
     group.add_argument(
         "--only",
@@ -252,21 +254,30 @@ def boxes(args: argparse.Namespace, *, required: bool = True) -> list[OrientedBo
     Raises:
         RoiError: there is no box, two share a name, or `--only` names an unknown one.
     """
+    if AUTO in args.roi:
+        raise ConfigError(
+            f"--roi {AUTO} is an option of select, train and run.",
+            "Give --rois the rois.json that these write.",
+        )
     rois = load_rois(args.rois) if args.rois else []
     rois += [parse_roi(text) for text in args.roi]
-    names = [roi.name for roi in rois]
-    taken = first_taken(names)
+    taken = first_taken(roi.name for roi in rois)
     if taken is not None:
         raise RoiError(f"Two boxes are named '{taken}'.", "Give each its own name.")
+    rois = only(rois, args)
+    if required and not rois:
+        raise RoiError("There is no box.", "Add --rois FILE or --roi NAME=x0,y0,z0,x1,y1,z1.")
+    return rois
+
+
+def only(rois: list[OrientedBox], args: argparse.Namespace) -> list[OrientedBox]:
+    """The boxes that `--only` names, all without it; RoiError if it names an unknown one."""
+    names = [roi.name for roi in rois]
     for name in args.only:
         if name not in names:
             hint = f"The boxes are: {', '.join(names)}." if names else "Add --rois or --roi."
             raise RoiError(f"There is no box '{name}'.", hint)
-    if args.only:
-        rois = [roi for roi in rois if roi.name in args.only]
-    if required and not rois:
-        raise RoiError("There is no box.", "Add --rois FILE or --roi NAME=x0,y0,z0,x1,y1,z1.")
-    return rois
+    return [roi for roi in rois if roi.name in args.only] if args.only else rois
 
 
 def given_options(args: argparse.Namespace, *names: str) -> dict[str, Any]:

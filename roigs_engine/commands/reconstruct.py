@@ -18,16 +18,18 @@ from .console import Console
 from .options import add_threads_option
 from .values import PATH, integer
 
-HELP = "make a COLMAP project from a folder of photos"
+HELP = "make a COLMAP project from a folder of photos, or a video"
 EXAMPLES = """\
   python -m roigs_engine reconstruct photos --out garden
-  python -m roigs_engine reconstruct garden/images --out garden --pairs all"""
+  python -m roigs_engine reconstruct garden/images --out garden --pairs all
+  python -m roigs_engine reconstruct walk.mp4 --out garden"""
 MOST_FEATURES, LARGEST_SIDE, MOST_NEIGHBOURS = 32_768, 8_192, 1_000
+MOST_FRAMES = 10_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("photos", type=PATH, help="folder of the photos")
+    parser.add_argument("photos", type=PATH, help="folder of the photos, or a video")
     parser.add_argument(
         "--out",
         type=PATH,
@@ -41,6 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=PATH,
         metavar="DIR",
         help="masks, NAME.png for the photo NAME; black parts of a photo are not used",
+    )
+    parser.add_argument(
+        "--frames",
+        type=integer(2, MOST_FRAMES),
+        metavar="N",
+        help="use about N frames of a video (default: as many as its motion asks for)",
     )
     add_method_options(parser.add_argument_group("method"))
     add_threads_option(parser)
@@ -99,6 +107,7 @@ def add_method_options(group: argparse._ArgumentGroup) -> None:
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Reconstruct the photos."""
     from ..reconstruction.reconstruct import reconstruct  # needs Pillow, which others do not
+    from ..reconstruction.video import is_video
 
     settings = Settings(
         max_side=args.max_side,
@@ -112,9 +121,17 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     )
     if args.masks and not args.masks.is_dir():
         raise ConfigError(f"{args.masks} is not a folder.", "Give --masks the folder of the masks.")
+    if args.frames and not is_video(args.photos):
+        raise ConfigError(f"{args.photos} is no video.", "Leave out --frames.")
     console.log_later()
     model = reconstruct(
-        args.photos, args.out, settings, args.threads, console.context, console.log_to
+        args.photos,
+        args.out,
+        settings,
+        args.threads,
+        console.context,
+        console.log_to,
+        frames=args.frames or 0,
     )
     outputs = {"scene": str(args.out), "report": str(args.out / "reconstruction.md")}
     console.print_places(outputs | {"model": str(model)})

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
 
 from ..formats.files import write_json
 from ..formats.text import counted
+from ..model.roi import OrientedBox
 from ..selection import SelectionConfig, format_selection, select_cameras
+from .automatic import boxes_of, is_auto, keep_box
 from .console import Console
 from .options import (
     add_roi_options,
@@ -37,11 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Select photos for every box; `--test-every` removes test photos first."""
-    rois = boxes(args)
-    files = {roi.name: args.out / f"{roi.name}.json" for roi in rois} if args.out else {}
-    refuse_inputs(files.values(), read_files(args))
+    if not is_auto(args):
+        _files(args, boxes(args))  # what is wrong with them is said before the scene is read
     config = replace(SelectionConfig(), **selection_options(args))
     scene = load_scene(args, console)
+    rois = boxes_of(args, scene, args.out)
+    files = _files(args, rois)
+    keep_box(args, rois, args.out, console.context)
     tests = None
     if args.test_every is not None:
         from ..selection.split import choose_test_views
@@ -58,3 +63,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if outputs:
         console.print(f"{counted(len(outputs), 'list')} of photos in {args.out}")
     return outputs
+
+
+def _files(args: argparse.Namespace, rois: list[OrientedBox]) -> dict[str, Path]:
+    """Box -> file to write, none of which is an input."""
+    files = {roi.name: args.out / f"{roi.name}.json" for roi in rois} if args.out else {}
+    refuse_inputs(files.values(), read_files(args))
+    return files

@@ -12,7 +12,17 @@ from ..context import QUIET, Context
 from ..formats import run_files
 from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
 from ..formats.lock import locked
+from ..formats.projects import model_folders
 from ..selection.manual import load_manual
+from .automatic import (
+    boxes_of,
+    check_photos,
+    is_auto,
+    keep_box,
+    photos_plan,
+    project_of,
+    reconstructed,
+)
 from .console import Console
 from .options import (
     add_device_option,
@@ -31,6 +41,7 @@ from .out_folder import refuse_inputs, refuse_run_files
 from .values import PATH, Number
 
 if TYPE_CHECKING:
+    from ..model.roi import OrientedBox
     from ..model.scene import SfmScene
     from ..run.definition import Run
 
@@ -115,19 +126,26 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.provenance import recorded
 
     console.log_later()
-    inputs = _inputs(args)
+    photos, inputs = check_photos(args), _early_inputs(args)
     with locked(args.run_dir, console.context.warn):
         refuse_linked_folders(args.run_dir)
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)
+        if photos:
+            if not (args.run_dir / run_files.MANIFEST).exists():
+                console.log_to(args.run_dir)
+            reconstructed(args, console)
         context = _context(args, console)
         quiet = replace(context, emit=QUIET.emit)
 
         def check(cameras: SfmScene) -> None:
             """What is wrong with the options is said before minutes go into the photos."""
+            if is_auto(args):
+                inputs.update(_inputs(args, boxes_of(args, cameras, args.run_dir)))
             without_pixels = define_run(args.run_dir, cameras, context=quiet, **inputs)
             if not args.update:
                 refuse_other_run(args.run_dir, without_pixels.manifest())
+            keep_box(args, inputs["rois"], args.run_dir, context)
             console.log_to(args.run_dir)
 
         # Damaged photos are found only now: without them, other photos may be test photos.
@@ -152,21 +170,33 @@ def show_plan(
     from ..run.definition import define_run
     from ..run.dry_run import describe_plan
 
-    inputs = _inputs(args)
+    if check_photos(args):
+        if not model_folders(project_of(args)):
+            console.print(photos_plan(args))
+            return {}
+        args.scene = project_of(args)
+    inputs = _early_inputs(args)
     context = _context(args, console)
     # What is in the photos matters only if there are results to compare them with.
     cache = args.run_dir / run_files.CACHE
     cache = cache if (cache / CONTENTS).exists() else None
     scene = load_scene(args, console, cache, pixels=False)
+    inputs = inputs or _inputs(args, boxes_of(args, scene, args.run_dir))
     run = define_run(args.run_dir, scene, context=context, **inputs)
     console.print(describe_plan(run, compare, context, update=args.update))
     return {}
 
 
-def _inputs(args: argparse.Namespace) -> dict[str, Any]:
-    """Boxes, settings and manual photos for `define_run`, whose folder is not another run's."""
+def _early_inputs(args: argparse.Namespace) -> dict[str, Any]:
+    """`_inputs`, as far as the options alone tell them: nothing with `--roi auto`."""
     refuse_run_files(args.run_dir, option="--run-dir")
-    rois, config = boxes(args), run_config(args)
+    run_config(args)
+    return {} if is_auto(args) else _inputs(args, boxes(args))
+
+
+def _inputs(args: argparse.Namespace, rois: Sequence[OrientedBox]) -> dict[str, Any]:
+    """Boxes, settings and manual photos for `define_run`."""
+    config = run_config(args)
     if args.selection:
         own = (args.run_dir / run_files.SELECTION / f"{roi.name}.json" for roi in rois)
         given = [args.selection / f"{roi.name}.json" for roi in rois]

@@ -15,6 +15,10 @@ ARCHIVED_RESULTS = "results"
 """In the archive, followed by `-` and a hash: results of a run; the other folders are stages."""
 CACHE, UNDISTORTED = "cache", "undistorted"
 """The latter is in the former."""
+BOXES = "rois.json"
+"""The box of `--roi auto`."""
+PROJECT = "colmap"
+"""The COLMAP project of a run of photos."""
 SELECTION = "selection"
 """Folder with a list of photos for each box."""
 
@@ -37,8 +41,8 @@ TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its run. No stage is called that."""
 
-_FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, RESULT, BACKGROUND, PREVIEW)
-_RESULTS = (FINE, COARSE, REPORT, REPORT_DATA, CROPS, SELECTION, ARCHIVE, CACHE)
+_FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, BOXES, RESULT, BACKGROUND)
+_RESULTS = (PREVIEW, PROJECT, FINE, COARSE, REPORT, REPORT_DATA, CROPS, SELECTION, ARCHIVE, CACHE)
 _STAGES = (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, FULL_SCENE_STAGE, MATCHED_STAGE)
 _PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
 _NAMES = {*_FILES, *_RESULTS, *_STAGES}

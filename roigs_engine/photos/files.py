@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -13,6 +13,7 @@ from ..errors import SceneError
 from ..formats.projects import PHOTO_FOLDERS, SPARSE
 
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
+HEIC = {".heic", ".heif"}  # read by `reconstruct` alone, which converts them
 
 
 class PhotoFolder:
@@ -20,10 +21,12 @@ class PhotoFolder:
 
     Attributes:
         folder: need not exist.
+        extensions: of the files that are photos.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, extensions: Set[str] = EXTENSIONS) -> None:
         self.folder = folder
+        self.extensions = extensions
 
     @cached_property
     def _files(self) -> dict[str, Path]:
@@ -33,7 +36,7 @@ class PhotoFolder:
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             for name in sorted(names):
                 path = Path(parent, name)
-                if path.suffix.lower() not in EXTENSIONS or name.startswith("."):
+                if path.suffix.lower() not in self.extensions or name.startswith("."):
                     continue
                 if path.is_file():  # not a pipe or a device, whose reading could block forever
                     files[path.relative_to(self.folder).as_posix()] = path

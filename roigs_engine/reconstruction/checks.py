@@ -10,7 +10,6 @@ from ..formats.text import counted
 from .database import FEWEST_INLIERS, PANORAMIC, STILL, Pair
 from .look import Found, Photo
 
-NOT_FOR_COLMAP = {".webp", ".jp2"}  # pycolmap's wheels cannot read them
 GROUP = 3  # photos: fewer that match nothing else are single photos
 # Of the pairs. Real scenes with walls and tables have up to 54 % that a plane explains too.
 ONE_PLACE, BEHIND = 0.9, 0.5
@@ -24,10 +23,6 @@ def warnings_of(found: Found) -> list[str]:
     checks = [
         (list(found.unreadable), "cannot be read and {is} left out"),
         (list(found.copies), "{is} a copy of another and {is} left out"),
-        (
-            foreign(found.photos),
-            "{is} of a format that pycolmap cannot read; convert them to JPEG or PNG",
-        ),
         (small(found.photos), f"{{is}} smaller than {SMALL} px and may not be placed"),
         (blurred(found.photos), "{is} less sharp than the others and may not be placed"),
     ]
@@ -83,11 +78,6 @@ def connected(names: Sequence[str], matched: Mapping[Pair, int]) -> list[list[st
     for name in names:
         groups.setdefault(leading(name), []).append(name)
     return sorted(groups.values(), key=len, reverse=True)
-
-
-def foreign(photos: Sequence[Photo]) -> list[str]:
-    """Names of the photos that only the engine can read."""
-    return [photo.name for photo in photos if photo.path.suffix.lower() in NOT_FOR_COLMAP]
 
 
 def small(photos: Sequence[Photo]) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..formats.text import counted, printable
-from .checks import blurred, foreign, named, small, warnings_of
+from .checks import blurred, named, small, warnings_of
 from .database import FEWEST_INLIERS, Pair
 from .look import Found
 from .mapping import Mapped
@@ -55,8 +55,6 @@ class Reconstruction:
 def reason(result: Reconstruction, name: str) -> str:
     """Why a photo was not registered."""
     features = result.features.get(name, 0)
-    if features == 0 and name in foreign(result.found.photos):
-        return "pycolmap cannot read its format; convert it to JPEG or PNG"
     if features == 0:
         return "no features: it shows nothing, or pycolmap cannot read it"
     if features < FEW_FEATURES:

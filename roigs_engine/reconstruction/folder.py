@@ -17,7 +17,7 @@ from ..errors import RunFolderError, SceneError
 from ..formats.files import cannot_write, own_folder, read_json, write_json
 from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, SPARSE, model_suffix
-from ..photos.files import PhotoFolder
+from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
 from .look import Photo
 from .settings import Settings
 
@@ -153,7 +153,7 @@ class Folder:
         own = [Path(os.path.realpath(path)) for path in (self.images, self.root / WORK)]
         here = Path(os.path.realpath(source))
         skipped = [path for path in own if path != here and path.is_relative_to(here)]
-        photos = PhotoFolder(source)
+        photos = PhotoFolder(source, EXTENSIONS | HEIC)
         found = {}
         for name in photos.others([]):
             path = source / name

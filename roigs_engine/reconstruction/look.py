@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..context import Context
 from ..errors import SceneError
@@ -141,7 +142,12 @@ def _sharpness(path: Path, size: tuple[int, int]) -> float:
     """See `Photo.sharpness`."""
     factor = min(1.0, LOOK_SIDE / max(size))
     small = max(1, round(size[0] * factor)), max(1, round(size[1] * factor))
-    grey = decode(path, small).mean(axis=2, dtype=np.float32)
+    return fine_detail(decode(path, small).mean(axis=2, dtype=np.float32))
+
+
+def fine_detail(grey: NDArray[np.float32] | NDArray[np.uint8]) -> float:
+    """The share of fine detail in the contrast of an (H, W) picture, see `Photo.sharpness`."""
+    grey = grey.astype(np.float32, copy=False)
     if min(grey.shape) < 3:
         return 0.0
     inner = grey[1:-1, 1:-1]

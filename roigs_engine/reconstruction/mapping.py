@@ -16,6 +16,7 @@ from .folder import Folder
 
 STAGE = "mapping"
 FEWEST = 3  # photos of a model that is named
+JOINED = 0.5  # of a photo's points in its own model: if it has fewer here, its place is a chance
 Options = dict[str, dict[str, Any]]
 """Values of pycolmap's options by the part that has them; "": the pipeline's own."""
 # First COLMAP's own limits; then, to begin at all, or to add photos to a model, lower ones.
@@ -77,16 +78,42 @@ def map_models(
 
 
 def map_rest(
-    folder: Folder, models: Sequence[Mapped], total: int, settings: dict[str, Any], context: Context
+    folder: Folder,
+    models: Sequence[Mapped],
+    names: Sequence[str],
+    settings: dict[str, Any],
+    context: Context,
 ) -> list[Mapped]:
-    """The models, the largest with more photos if lower limits bring any; see `map_models`."""
-    out, best = folder.work("models", "rest"), models[0]
-    shutil.rmtree(out, ignore_errors=True)
-    found = _map(folder, out, LOW, settings, total, context, best.folder)
+    """The models, the largest with more photos if lower limits bring any; see `map_models`.
+
+    Photos of other models are added only if they fit as well as there.
+    """
+    best, total = models[0], len(names)
+
+    def low(place: str, options: Options) -> list[Mapped]:
+        out = folder.work("models", place)
+        shutil.rmtree(out, ignore_errors=True)
+        return _map(folder, out, options, settings, total, context, best.folder)
+
+    found = low("rest", LOW)
+    if found and _by_chance(found[0], models):
+        others = {name for model in models[1:] for name in model.photos}
+        kept = [name for name in names if name in best.photos or name not in others]
+        found = low("apart", LOW | {"": LOW[""] | {"image_names": kept}})
     if not found or len(found[0].photos) <= len(best.photos):
         return list(models)
     rest = [model for model in models[1:] if not model.photos.keys() <= found[0].photos.keys()]
     return [found[0], *rest]
+
+
+def _by_chance(found: Mapped, models: Sequence[Mapped]) -> bool:
+    """Whether a photo of another model was added that observes far fewer points than there."""
+    return any(
+        found.photos.get(name, points) < JOINED * points
+        for model in models[1:]
+        for name, points in model.photos.items()
+        if name not in models[0].photos
+    )
 
 
 def _map(

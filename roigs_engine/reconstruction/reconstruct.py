@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..machine import machine_memory, usable_cores
 from . import pairs
 from .checks import warnings_of, warnings_of_matches
 from .child import run_task
+from .convert import converted
 from .database import (
     Pair,
     camera_ids,
@@ -32,10 +33,12 @@ from .database import (
 )
 from .findings import NOTHING, Reconstruction, as_markdown, findings
 from .folder import Folder
+from .frames import take_frames
 from .look import Found, Photo, camera_groups, look_at
 from .mapping import map_models, map_rest
 from .settings import Settings
 from .similarity import LARGEST, similarities
+from .video import is_video
 
 FEATURES, MATCHING, MAPPING = "features", "matching", "mapping"
 # Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.
@@ -173,7 +176,7 @@ def solve(
             rest = [pair for pair in pairs.all_pairs(names) if missing & {*pair}]
             match(folder, rest[:REST_PAIRS], settings, threads, context)
         with _timed(seconds, MAPPING):
-            models = map_rest(folder, models, len(names), task, context)
+            models = map_rest(folder, models, names, task, context)
     return Reconstruction(
         found=found,
         features=feature_counts(folder.database),
@@ -198,16 +201,19 @@ def reconstruct(
     threads: int | None,
     context: Context,
     ready: Callable[[Path], None] = lambda folder: None,
+    *,
+    frames: int = 0,
 ) -> Path:
     """Reconstruct the photos below the folder `source` as the COLMAP project `out`.
 
     Args:
-        source: folder of the photos.
+        source: folder of the photos, or a video, whose frames follow one another.
         out: folder of the project; what an earlier call has left there is resumed.
         settings: see there.
         threads: of the CPU; None: all cores.
         context: gets progress and messages; checked for cancellation.
         ready: called with the folder for a log, once this process may write there.
+        frames: about how many frames of a video to use; 0: as many as its motion asks for.
 
     Returns:
         The folder of the model.
@@ -215,17 +221,19 @@ def reconstruct(
     Raises:
         SceneError: the photos cannot be used, or `out` has something else.
         RunFolderError: `out` cannot be written, or another engine is at work there.
-        EngineError: pycolmap is missing or too old.
+        EngineError: pycolmap is missing or too old, or PyAV or
+            pillow-heif is missing and needed.
         Stopped: on request; the next call resumes.
     """
-    folder = Folder(out)
-    files = folder.photos_of(source)
+    folder, video = Folder(out), is_video(source)
+    if video and settings.pairs == "auto":
+        settings = replace(settings, pairs="ordered")
+    files = {} if video else folder.photos_of(source)
     with folder.held(context.warn):
         ready(folder.work())
-        found = look_at(files, folder.work("photos.json"), context)
-        for text in warnings_of(found):
-            context.warn(text)
-        folder.take_photos(list(found.photos))
+        if video:
+            files = take_frames(source, folder, frames, context)
+        found = _taken(files, folder, context)
         key = json_digest({"settings": asdict(settings), "photos": digests_of(found)})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
@@ -243,6 +251,16 @@ def reconstruct(
         folder.take_model(Path(result.models[0].folder))
         folder.finish(key)
     return folder.model
+
+
+def _taken(files: Mapping[str, Path], folder: Folder, context: Context) -> Found:
+    """The photos, looked at, in the folder's images."""
+    files = converted(files, folder, context)
+    found = look_at(files, folder.work("photos.json"), context)
+    for text in warnings_of(found):
+        context.warn(text)
+    folder.take_photos(list(found.photos))
+    return found
 
 
 def digests_of(found: Found) -> dict[str, str]:

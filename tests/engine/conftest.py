@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -27,3 +31,23 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
         yield request.param
         library.set_threads(None)
         cpu.KernelView._idle.clear()
+
+
+@pytest.fixture
+def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
+    """Mounts a file system in memory with the given options, or changes those it has."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+
+    def mount(options: str) -> Path:
+        change = ["-o", f"remount,{options}"] if os.path.ismount(folder) else ["-o", options]
+        command = ["mount", "-t", "tmpfs", *change, "tmpfs", str(folder)]
+        if subprocess.run(command, capture_output=True, check=False).returncode:
+            pytest.skip("file systems cannot be mounted here")
+        return folder
+
+    if sys.platform != "linux":
+        pytest.skip("tmpfs is Linux's")
+    yield mount
+    if os.path.ismount(folder):
+        subprocess.run(["umount", str(folder)], check=True)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -46,26 +44,6 @@ def test_a_disk_that_is_full_for_a_while(request_: Request, tmp_path: Path) -> N
         refused(ended, FULL, str(tmp_path), "Free some space")
         assert not list(tmp_path.rglob("*.part"))
     request_.finish(tmp_path)
-
-
-@pytest.fixture
-def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
-    """Mounts a file system in memory with the given options, or changes those it has."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-
-    def mount(options: str) -> Path:
-        change = ["-o", f"remount,{options}"] if os.path.ismount(folder) else ["-o", options]
-        command = ["mount", "-t", "tmpfs", *change, "tmpfs", str(folder)]
-        if subprocess.run(command, capture_output=True, check=False).returncode:
-            pytest.skip("file systems cannot be mounted here")
-        return folder
-
-    if sys.platform != "linux":
-        pytest.skip("tmpfs is Linux's")
-    yield mount
-    if os.path.ismount(folder):
-        subprocess.run(["umount", str(folder)], check=True)
 
 
 @pytest.mark.slow

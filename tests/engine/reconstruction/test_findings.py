@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.reconstruction.checks import connected, warnings_of, warnings_of_matches
+from roigs_engine.reconstruction.checks import connected, warnings_of_matches
 from roigs_engine.reconstruction.findings import Reconstruction, as_markdown, findings, reason
 from roigs_engine.reconstruction.look import Found, Photo
 from roigs_engine.reconstruction.mapping import Mapped
@@ -96,10 +96,3 @@ def test_without_a_model_there_is_a_report() -> None:
     text = as_markdown(result(models=[], matched={}))
     assert "No two photos could be placed" in text
     assert text.count("| no photo matches it |") == 8
-
-
-def test_formats_that_pycolmap_cannot_read_are_named() -> None:
-    odd = replace(photo("a.webp"), path=Path("a.webp"))
-    found = Found(photos=(odd, *map(photo, NAMES)), unreadable=(), copies={})
-    assert "convert them to JPEG" in " ".join(warnings_of(found))
-    assert "convert it" in reason(result(found=found), "a.webp")

@@ -1,4 +1,4 @@
-"""What the photos of a model were taken of. Numpy only, no bpy.
+"""What the photos of a model were taken of: where a first box goes.
 
 People aim: the sparse points near the middle of many photos, and close together, are on what they
 wanted to show.
@@ -7,11 +7,10 @@ wanted to show.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from .photo import Photo
 
 Vectors = NDArray[np.float64]
 Bounds = tuple[Vectors, Vectors]
@@ -22,12 +21,26 @@ FEWEST_POINTS = 10
 MIDDLE = 0.4  # how far from the middle a photo shows its subject, in half its shorter side
 REACH = 0.3  # of the photos' distance: how far the subject extends from its centre
 OUTLIERS = 0.02  # share of the subject's points that is ignored at each side
+FLOATING = 0.005  # share of the points above the subject's foot that is ignored at its top
 MARGIN = 1.1  # factor on the size, for what has no points
 ROUNDS = 10  # of moving the centre to the middle of the points around it
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """A photo's pinhole camera, in pixels, and its (4, 4) world_to_camera, OpenCV axes."""
+
+    pose: Vectors
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
 def subject(
-    photos: Sequence[Photo], points: NDArray[np.float32], upright: Vectors
+    photos: Sequence[View], points: Vectors | NDArray[np.float32], upright: Vectors
 ) -> Bounds | None:
     """The bounds of what most photos look at; None if photos or points are too few to tell.
 
@@ -65,19 +78,19 @@ def _top(points: Vectors, low: Vectors, high: Vectors, reach: float) -> float:
     Photos of something tall are often aimed at its foot.
     """
     above = ((points >= low) & (points <= (*high[:2], high[2] + reach))).all(axis=1)
-    return float(np.quantile(points[above][:, 2], 1 - OUTLIERS)) if above.any() else high[2]
+    return float(np.quantile(points[above][:, 2], 1 - FLOATING)) if above.any() else high[2]
 
 
-def attention(photos: Sequence[Photo], points: Vectors) -> Vectors:
+def attention(photos: Sequence[View], points: Vectors) -> Vectors:
     """(N,) how near the middle of the photos each point is, on average: from 0 to 1."""
     total = np.zeros(len(points))
     for photo in photos:
-        k, local = photo.intrinsics, points @ photo.pose[:3, :3].T + photo.pose[:3, 3]
+        local = points @ photo.pose[:3, :3].T + photo.pose[:3, 3]
         ahead = local[:, 2] > 0
         depth = np.where(ahead, local[:, 2], 1.0)
-        x = k.fx * local[:, 0] / depth + k.cx - k.width / 2
-        y = k.fy * local[:, 1] / depth + k.cy - k.height / 2
-        off = (x**2 + y**2) / (MIDDLE * min(k.width, k.height) / 2) ** 2
+        x = photo.fx * local[:, 0] / depth + photo.cx - photo.width / 2
+        y = photo.fy * local[:, 1] / depth + photo.cy - photo.height / 2
+        off = (x**2 + y**2) / (MIDDLE * min(photo.width, photo.height) / 2) ** 2
         total += np.where(ahead, np.exp(-off / 2), 0.0)
     return total / len(photos)
 

@@ -7,25 +7,14 @@ import time
 import numpy as np
 import pytest
 
-from roigs_addon.geometry.frames import Intrinsics
-from roigs_addon.geometry.photo import Photo
-from roigs_addon.geometry.subject import subject
+from roigs_engine.formats.subject import View, subject
 from tests.addon.colmap_project import ring
 
-LENS = Intrinsics(width=64, height=48, fx=60.0, fy=54.0, cx=30.0, cy=26.0)
 
-
-def photos(count: int = 24) -> list[Photo]:
+def photos(count: int = 24) -> list[View]:
     """Of the origin, from all around."""
-    return [
-        Photo(
-            name=f"{number}.png",
-            path="",
-            intrinsics=LENS,
-            world_to_camera=tuple(tuple(float(v) for v in row) for row in pose),
-        )
-        for number, pose in enumerate(ring(count))
-    ]
+    lens = {"width": 64, "height": 48, "fx": 60.0, "fy": 54.0, "cx": 30.0, "cy": 26.0}
+    return [View(pose=pose, **lens) for pose in ring(count)]
 
 
 def room(seed: int = 0, offset: tuple[float, ...] = (0, 0, 0)) -> np.ndarray:
@@ -73,3 +62,13 @@ def test_many_photos_take_no_longer_than_few() -> None:
     started = time.perf_counter()
     assert subject(photos(2000), np.tile(room(), (100, 1)), np.eye(4))
     assert time.perf_counter() - started < 2
+
+
+def test_a_thin_top_is_inside() -> None:
+    random = np.random.default_rng(0)
+    upright = np.eye(4)
+    upright[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    foot = random.uniform((-0.2, -0.1, -0.2), (0.2, 0.1, 0.2), (4000, 3))
+    neck = random.uniform((-0.03, -0.6, -0.03), (0.03, 0.1, 0.03), (70, 3))
+    _, high = subject(photos(), np.concatenate([foot, neck, room()[2000:]]), upright)
+    assert high[2] > 0.4

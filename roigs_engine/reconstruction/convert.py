@@ -1,0 +1,138 @@
+"""Photos in formats that pycolmap cannot read become JPEG files, with their EXIF data."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import closing, suppress
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from ..context import Context
+from ..errors import EngineError, RunFolderError, SceneError
+from ..formats.events import StageStarted
+from ..formats.files import atomic_write, own_folder, read_json, write_json
+from ..formats.text import counted
+from ..photos.damage import check_whole
+from ..photos.decode import to_rgb
+from ..photos.files import HEIC
+from ..photos.headers import PhotoError, content_digest, open_photo
+from ..photos.parallel import in_parallel, threads_for
+from .folder import IMAGES, Folder
+
+STAGE = "convert photos"
+FOREIGN = {*HEIC, ".webp", ".jp2"}  # pycolmap's wheels cannot read them
+QUALITY = 95
+ORIENTATION = 0x0112  # EXIF tag
+BYTES = 20 * 50_000_000  # that converting a large photo takes
+RECORD = "converted.json"
+
+
+def converted(files: Mapping[str, Path], folder: Folder, context: Context) -> dict[str, Path]:
+    """The photos, those of foreign formats replaced by JPEG files in the folder's images.
+
+    `a.heic` becomes `a.heic.jpg`. A photo that cannot be read stays as it is.
+
+    Args:
+        files: name -> file.
+        folder: of the reconstruction; what an earlier call has converted is used again.
+        context: gets the progress; checked for cancellation.
+
+    Raises:
+        EngineError: pillow-heif is not installed, and needed.
+        SceneError: another photo has been converted to that name.
+        RunFolderError: the folder cannot be written.
+        Stopped: on request; what is done stays.
+    """
+    foreign = [name for name in files if Path(name).suffix.lower() in FOREIGN]
+    if not foreign:
+        return dict(files)
+    heic = [name for name in foreign if Path(name).suffix.lower() in HEIC]
+    if heic:
+        _register(len(heic))
+    names = {name: f"{name}.jpg" for name in foreign}
+    found = {name: path for name, path in files.items() if name not in {*foreign, *names.values()}}
+    made = _made(folder)
+    context.emit(StageStarted(stage=STAGE, total=len(foreign)))
+    began = time.monotonic()
+
+    def convert(name: str) -> str:
+        target = own_folder(folder.root, IMAGES) / names[name]
+        return _convert(files[name], target, made.get(name, ""))
+
+    try:
+        with closing(in_parallel(convert, foreign, threads_for(BYTES), context)) as work:
+            for step, (name, job) in enumerate(work, start=1):
+                with suppress(PhotoError):
+                    made[name] = job.result()
+                good = job.exception() is None
+                key = names[name] if good else name
+                found[key] = folder.images / names[name] if good else files[name]
+                context.progress(STAGE, step, len(foreign), began)
+    finally:
+        write_json(folder.work(RECORD), made)
+    return dict(sorted(found.items()))
+
+
+def _register(photos: int) -> None:
+    """Make Pillow read HEIC files."""
+    try:
+        import pillow_heif
+    except ImportError as error:
+        raise EngineError(
+            f"{counted(photos, 'photo')} in HEIC format: reading them needs pillow-heif, which is"
+            f" not installed ({error}).",
+            "Run: pip install pillow-heif. Or convert them to JPEG.",
+        ) from error
+    pillow_heif.register_heif_opener()
+
+
+def _made(folder: Folder) -> dict[str, str]:
+    """Name -> digest, of the photos that were converted."""
+    record: Any = {}
+    with suppress(RunFolderError):
+        record = read_json(folder.work(RECORD))
+    return record if isinstance(record, dict) else {}
+
+
+def _convert(source: Path, target: Path, known: str) -> str:
+    """Write a photo as JPEG unless that is done; returns the digest of its file.
+
+    Raises:
+        PhotoError: it cannot be read.
+        SceneError: the target is another photo.
+    """
+    try:
+        digest = content_digest(source)
+    except OSError as error:
+        raise PhotoError(f"Cannot read photo {source} ({error.strerror or error}).") from error
+    if target.exists() and digest == known:
+        return digest
+    try:
+        data = _as_jpeg(source)
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
+        raise PhotoError(f"Cannot read photo {source} ({error}).") from error
+    if not target.exists():
+        with atomic_write(target, durable=False) as file:
+            file.write(data)
+    elif target.read_bytes() != data:
+        raise SceneError(
+            f"{target} is another photo than {source}.", "Remove it, or give another --out."
+        )
+    return digest
+
+
+def _as_jpeg(source: Path) -> bytes:
+    """The photo as a JPEG file; raises nearly anything on damaged files."""
+    from PIL import Image
+
+    heic, file = source.suffix.lower() in HEIC, BytesIO()
+    if not heic:
+        check_whole(source)
+    with Image.open(source, formats=("HEIF",)) if heic else open_photo(source) as photo:
+        exif = photo.getexif()
+        if heic:
+            exif.pop(ORIENTATION, None)  # it is turned as it is read
+        to_rgb(photo).save(file, format="JPEG", quality=QUALITY, subsampling=0, exif=exif)
+    return file.getvalue()

@@ -1,0 +1,168 @@
+"""Videos: which frames become photos, upright, resumed; what is no video is one line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_engine.context import QUIET, Context
+from roigs_engine.errors import EngineError, SceneError, Stopped
+from roigs_engine.formats.events import Event, Progress
+from roigs_engine.reconstruction.folder import Folder
+from roigs_engine.reconstruction.frames import Seen, choose, take_frames
+from roigs_engine.reconstruction.video import Video
+from tests.engine.commands.command_line import refused
+
+av = pytest.importorskip("av")
+
+SIZE = (320, 240)
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    """A wall of large, middle and small blots, larger than the picture."""
+    random, wall = np.random.default_rng(seed), np.zeros((400, 1200))
+    for side in (100, 20, 3):
+        noise = random.integers(0, 85, (400 // side, 1200 // side), dtype=np.uint8)
+        wall += np.asarray(Image.fromarray(noise).resize((1200, 400), Image.Resampling.BICUBIC))
+    return wall.astype(np.uint8)
+
+
+def film(
+    path: Path, shifts: list[int], *, blurred: tuple[int, ...] = (), turned: int = 0, seed: int = 0
+) -> Path:
+    """A pan along the wall: the picture's left edge at these pixels."""
+    wall = texture(seed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as video:
+        stream = video.add_stream("mpeg4", rate=Fraction(10), options={"q:v": "2"})
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        if turned:
+            stream.set_display_rotation(turned)
+        for number, left in enumerate(shifts):
+            picture = Image.fromarray(wall[: SIZE[1], left : left + SIZE[0]])
+            if number in blurred:
+                picture = picture.resize((32, 24)).resize(SIZE)
+            frame = av.VideoFrame.from_image(picture.convert("RGB"))
+            video.mux(stream.encode(frame))
+        video.mux(stream.encode(None))
+    return path
+
+
+def taken(path: Path, out: Path, wanted: int = 0, context: Context = QUIET) -> list[int]:
+    folder = Folder(out)
+    folder.work().mkdir(parents=True, exist_ok=True)
+    files = take_frames(path, folder, wanted, context)
+    assert all(file.is_file() for file in files.values())
+    return [int(name[6:12]) for name in sorted(files)]
+
+
+def test_equal_and_blurred_frames_are_left_out(tmp_path: Path) -> None:
+    lefts = [0] * 15 + list(range(0, 600, 8))
+    path = film(tmp_path / "a pan.mp4", lefts, blurred=(20, 40, 41, 60))
+    numbers = taken(path, tmp_path / "scene")
+    assert len(numbers) >= 25
+    assert sum(number < 15 for number in numbers) <= 1
+    assert not {20, 40, 41, 60} & set(numbers)
+    assert np.diff([lefts[number] for number in numbers]).max() <= 48
+
+
+def test_so_many_frames_are_used_as_asked_for(tmp_path: Path) -> None:
+    path = film(tmp_path / "pan.mkv", list(range(0, 800, 8)))
+    assert len(taken(path, tmp_path / "scene", 10)) == 10
+    assert len(taken(path, tmp_path / "scene", 20)) in (19, 20)
+
+
+def test_the_sharpest_of_each_part_is_chosen() -> None:
+    seen = [
+        Seen(number=number, moved=number / 100, sharpness=1.0 + (number % 10 == 7))
+        for number in range(100)
+    ]
+    assert [frame.number for frame in choose(seen, 10)] == list(range(7, 100, 10))
+    assert choose([]) == []
+
+
+@pytest.mark.parametrize("turned", [0, 90, 180, -90])
+def test_frames_are_upright(tmp_path: Path, turned: int) -> None:
+    path = film(tmp_path / "phone.mov", list(range(0, 200, 20)), turned=turned)
+    taken(path, tmp_path / "scene", 4)
+    number, file = sorted(
+        (int(file.stem[6:]), file) for file in (tmp_path / "scene/images").iterdir()
+    )[1]
+    stored = texture()[: SIZE[1], number * 20 : number * 20 + SIZE[0]]
+    shown = np.rot90(stored, turned // 90)
+    with Image.open(file) as photo:
+        pixels = np.asarray(photo.convert("L")).astype(float)
+        assert not photo.getexif()
+    assert pixels.shape == shown.shape
+    assert np.corrcoef(pixels.ravel(), shown.ravel())[0, 1] > 0.98
+
+
+def test_a_stop_is_resumed_and_nothing_is_done_twice(tmp_path: Path) -> None:
+    path, done = film(tmp_path / "pan.mp4", list(range(0, 400, 8))), list[str]()
+    asked = False
+
+    def emit(event: Event) -> None:
+        nonlocal asked
+        if isinstance(event, Progress):
+            done.append(event.stage)
+            asked = done.count("write frames") == 3
+
+    stopping = Context(emit=emit, should_stop=lambda: asked)
+    with pytest.raises(Stopped):
+        taken(path, tmp_path / "scene", 8, stopping)
+    images = tmp_path / "scene/images"
+    before = {file.name: file.stat().st_mtime_ns for file in images.iterdir()}
+    assert len(before) == 3
+    asked, rest = False, list[str]()
+    numbers = taken(
+        path, tmp_path / "scene", 8, Context(emit=lambda e: rest.append(type(e).__name__))
+    )
+    assert len(numbers) == len(list(images.iterdir())) == 8
+    assert all((images / name).stat().st_mtime_ns == then for name, then in before.items())
+    assert rest.count("Progress") == 5
+    record = json.loads((tmp_path / "scene/reconstruction/video.json").read_text("utf-8"))
+    assert len(record["frames"]) == 50
+
+
+def test_a_truncated_video_is_used_as_far_as_it_goes(tmp_path: Path) -> None:
+    whole = film(tmp_path / "whole.mkv", list(range(0, 800, 8))).read_bytes()
+    path = tmp_path / "cut.mkv"
+    path.write_bytes(whole[: len(whole) // 2])
+    said = list[str]()
+    numbers = taken(path, tmp_path / "scene", 5, Context(emit=lambda e: said.append(repr(e))))
+    assert len(numbers) == 5 and numbers[-1] < 70
+
+
+def test_what_is_no_video_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = film(tmp_path / "cut.mp4", list(range(0, 200, 8)))
+    cut.write_bytes(cut.read_bytes()[:4000])
+    (tmp_path / "text.mp4").write_text("this is no video\n" * 1000)
+    (tmp_path / "empty.mov").write_bytes(b"")
+    for name in ("cut.mp4", "text.mp4", "empty.mov", "missing.avi"):
+        line = refused(capsys, "reconstruct", tmp_path / name, "--out", tmp_path / "scene")
+        assert "Cannot read the video" in line and name in line
+    still = film(tmp_path / "still.mp4", [0] * 20)
+    with pytest.raises(SceneError, match="hardly moves"):
+        taken(still, tmp_path / "still")
+    line = refused(capsys, "reconstruct", tmp_path, "--out", tmp_path / "scene", "--frames", 5)
+    assert "is no video" in line
+
+
+def test_frames_of_another_video_are_not_mixed_in(tmp_path: Path) -> None:
+    taken(film(tmp_path / "one.mp4", list(range(0, 200, 8))), tmp_path / "scene", 4)
+    before = {file: file.read_bytes() for file in (tmp_path / "scene/images").iterdir()}
+    with pytest.raises(SceneError, match="frames of another video"):
+        taken(film(tmp_path / "two.mp4", list(range(0, 200, 9)), seed=1), tmp_path / "scene", 4)
+    assert {file: file.read_bytes() for file in (tmp_path / "scene/images").iterdir()} == before
+
+
+def test_a_missing_pyav_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(EngineError, match="Reading videos needs PyAV"):
+        Video(tmp_path / "walk.mp4")
