@@ -1,8 +1,8 @@
-"""File formats: `python -m benchmarks.formats RUN ...`; see README.md.
+"""File formats: `python -m benchmarks.formats PLY SCENE [--max-side PX]`; see README.md.
 
-Writes RUN/result.ply in every format, reads it back and compares its pictures with those of the PLY,
-from cameras of the run's scene. With npm's splat-transform on the PATH, that program reads what it
-can, and its pictures are compared too. Prints a table.
+Writes the PLY in every format, reads it back and compares its pictures with those of the PLY, from
+cameras of its scene. With npm's splat-transform on the PATH, that program reads what it can, and
+its pictures are compared too. Prints a table.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.convert import turned
 from roigs_engine.exchange import axes, formats
 from roigs_engine.exchange.arrays import Arrays
-from roigs_engine.formats.files import read_json
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import PosedImage
@@ -59,15 +58,11 @@ def foreign(path: Path, folder: Path) -> Arrays | None:
     return read_ply(back)
 
 
-def rows(run: Path, folder: Path) -> list[tuple[str, ...]]:
-    """The rows of a run."""
-    config = read_json(run / "manifest.json")["config"]
-    scene = load_colmap(Path(config["scene"]), max_side=config["max_side"])
-    photos = scene.images[:: max(1, len(scene.images) // PHOTOS)][:PHOTOS]
-    whole = run / "result.ply"
+def rows(whole: Path, photos: list[PosedImage], folder: Path) -> list[tuple[str, ...]]:
+    """The rows of a model."""
     arrays = read_ply(whole)
     wanted, size = pictures(arrays, photos), whole.stat().st_size
-    found = []
+    found: list[tuple[str, ...]] = []
     for form in formats.FORMATS:
         if form.suffix in (".ply", ".usda", ".usdz"):
             continue
@@ -99,16 +94,19 @@ def rows(run: Path, folder: Path) -> list[tuple[str, ...]]:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="a finished run")
-    for run in parser.parse_args().runs:
-        with tempfile.TemporaryDirectory() as folder:
-            found = rows(run, Path(folder))
-        count = len(read_ply(run / "result.ply")["means"])
-        size = (run / "result.ply").stat().st_size / 1e6
-        print(f"\n{run.name}: {count:,} Gaussians, {size:.1f} MB as PLY\n")
-        print("\n".join(table(HEAD, found, names=1)), flush=True)
+    parser.add_argument("ply", type=Path, help="a trained model")
+    parser.add_argument("scene", type=Path, help="its COLMAP project")
+    parser.add_argument("--max-side", type=int, default=640, help="of the pictures, px")
+    given = parser.parse_args()
+    scene = load_colmap(given.scene, max_side=given.max_side, pixels=False)
+    photos = list(scene.images[:: max(1, len(scene.images) // PHOTOS)][:PHOTOS])
+    with tempfile.TemporaryDirectory() as folder:
+        found = rows(given.ply, photos, Path(folder))
+    count, size = len(read_ply(given.ply)["means"]), given.ply.stat().st_size / 1e6
+    print(f"\n{count:,} Gaussians, {size:.1f} MB as PLY, {len(photos)} pictures\n")
+    print("\n".join(table(HEAD, found, names=1)), flush=True)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         arrays = _placed(args, turn)
     else:
         refuse_inputs([args.out], [args.source])
-        arrays = _turned(_cropped(formats.read(args.source), args), turn)
+        arrays = turned(_cropped(formats.read(args.source), args), turn)
     if args.sh_degree is not None:
         arrays = {**arrays, "sh": arrays["sh"][:, : (args.sh_degree + 1) ** 2]}
     formats.write(args.out, arrays)
@@ -99,7 +99,7 @@ def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:
     return {name: values[inside] for name, values in arrays.items()}
 
 
-def _turned(arrays: Arrays, matrix: Float64) -> Arrays:
+def turned(arrays: Arrays, matrix: Float64) -> Arrays:
     """The model after a rotation; bit for bit the same if that changes nothing."""
     from ..model.gaussians import Gaussians
     from ..rasterize.placed import PlacedModel
