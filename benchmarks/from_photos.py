@@ -1,8 +1,8 @@
 """Trained objects from photos alone: `python -m benchmarks.from_photos SCENE ... --out DIR`.
 
 Trains the preset `draft` on DIR/NAME, which `benchmarks.reconstruct` has made of SCENE/images, and
-on SCENE's own model, with SCENE's boxes in both. Prints the PSNR of the boxes on the test photos
-that both have. See README.md.
+on SCENE's own model, with SCENE's boxes in both. Prints the PSNR of the boxes on the same test
+photos. See README.md.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from roigs_engine.colmap.project import find_model
 from roigs_engine.formats.files import read_json, write_json
 from roigs_engine.formats.rois import RoiRecord, read_rois
 
+EVERY = 8  # one photo in so many is a test photo, of those that both models have
 HEAD = ("box", "test photos", "own model, dB", "from photos, dB", "difference")
 
 
@@ -40,26 +41,50 @@ def moved(box: RoiRecord, matrix: Vectors) -> dict[str, Any]:
     }
 
 
-def boxes_for(scene: Path, project: Path) -> list[dict[str, Any]]:
-    """The scene's boxes in the frame of another model of the same photos."""
+def registered(project: Path) -> dict[str, Vectors]:
+    """Name -> place of each photo's camera."""
     colmap = pycolmap_module("The comparison")
-    own, found = (centres(colmap.Reconstruction(str(find_model(f)))) for f in (scene, project))
+    return centres(colmap.Reconstruction(str(find_model(project))))
+
+
+def boxes_for(
+    scene: Path, own: dict[str, Vectors], found: dict[str, Vectors]
+) -> list[dict[str, Any]]:
+    """The scene's boxes in the frame of another model, from both models' cameras."""
     both = sorted(own.keys() & found.keys())
     here, there = (np.array([places[name] for name in both]) for places in (own, found))
     matrix = np.eye(4)
-    matrix[:3] = colmap.estimate_sim3d(here, there).matrix()
+    matrix[:3] = pycolmap_module("The comparison").estimate_sim3d(here, there).matrix()
     return [moved(box, matrix) for box in read_rois(scene / "rois.json")]
 
 
-def trained(project: Path, boxes: Path, run: Path, max_side: int) -> dict[str, dict[str, float]]:
-    """Box -> test photo -> PSNR in the box."""
-    if not (run / "report.json").exists():
-        words = ["run", project, "--rois", boxes, "--run-dir", run, "--max-side", max_side]
-        words += ["--preset", "draft", "--compare"]
-        subprocess.run([sys.executable, "-m", "roigs_engine", *map(str, words)], check=True)
-    report = read_json(run / "report.json")
-    ours = {roi["roi"]: roi["rows"][-1]["views"] for roi in report["rois"]}
-    return {box: {view["view"]: view["roi_psnr"] for view in ours[box]} for box in ours}
+def trained(
+    project: Path, boxes: Path, run: Path, tests: list[str], max_side: int
+) -> dict[str, tuple[float, int]]:
+    """Box -> mean PSNR in it, and on how many of the test photos; none was trained on."""
+    size = ("--max-side", max_side)
+    words: list[Any]
+    if not (run / "result.ply").exists():
+        words = ["train", project, "--rois", boxes, "--run-dir", run, *size]
+        words += ["--preset", "draft", "--test-every", 0]
+        for name in tests:
+            words += ["--exclude", name]
+        _engine(words)
+    out = run.with_name(f"{run.name}-scores")
+    split = run.with_name(f"{run.name}-split.json")
+    write_json(split, {"evaluate_on": "test", "test": tests})
+    model = f"Ours={run / 'result.ply'}"
+    words = ["evaluate", project, "--rois", boxes, "--model", model, "--split", split]
+    _engine([*words, "--out", out, *size])
+    found = {}
+    for roi in read_json(out / "report.json")["rois"]:
+        views = roi["rows"][-1]["views"]
+        found[roi["roi"]] = float(np.mean([view["roi_psnr"] for view in views])), len(views)
+    return found
+
+
+def _engine(words: list[Any]) -> None:
+    subprocess.run([sys.executable, "-m", "roigs_engine", *map(str, words)], check=True)
 
 
 def main() -> None:
@@ -73,16 +98,19 @@ def main() -> None:
     for scene in given.scenes:
         name = scene.resolve().name
         name = scene.resolve().parent.name if name == "scene" else name
-        project = given.out / name
-        boxes = given.out / f"{name}-rois.json"
-        write_json(boxes, {"rois": boxes_for(scene, project)})
-        own = trained(scene, scene / "rois.json", given.out / f"{name}-own", given.max_side)
-        found = trained(project, boxes, given.out / f"{name}-found", given.max_side)
-        for box, scores in own.items():
-            both = sorted(scores.keys() & found[box].keys())
-            here, there = (np.mean([s[view] for view in both]) for s in (scores, found[box]))
+        project, boxes = given.out / name, given.out / f"{name}-rois.json"
+        places = [registered(folder) for folder in (scene, project)]
+        both = sorted(places[0].keys() & places[1].keys())
+        tests = both[EVERY // 2 :: EVERY]
+        write_json(boxes, {"rois": boxes_for(scene, *places)})
+        run = given.out / f"{name}-run"
+        sides = given.max_side
+        own = trained(scene, scene / "rois.json", Path(f"{run}-own"), tests, sides)
+        found = trained(project, boxes, Path(f"{run}-found"), tests, sides)
+        for box, (here, count) in own.items():
+            there = found[box][0]
             numbers = (f"{here:.2f}", f"{there:.2f}", f"{there - here:+.2f}")
-            rows.append([f"{name}: {box}", str(len(both)), *numbers])
+            rows.append([f"{name}: {box}", str(count), *numbers])
             print(*rows[-1], flush=True)
     print("\n".join(table(HEAD, rows, names=1)))
 
