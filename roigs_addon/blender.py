@@ -6,10 +6,14 @@ be of any kind. The functions here say where that is not so.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import bpy
+
+from .errors import AddonError
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import OperatorReturnItems
@@ -89,6 +93,17 @@ def camera_of(item: bpy.types.Object) -> bpy.types.Camera:
     """The data of a camera object."""
     assert isinstance(item.data, bpy.types.Camera)
     return item.data
+
+
+def absolute(path: str) -> Path:
+    """The file or folder of a property, in full.
+
+    Raises:
+        AddonError: it is beside a .blend that has never been saved.
+    """
+    if path.startswith("//") and not bpy.data.filepath:
+        raise AddonError(f"{path} is beside this .blend. Save the .blend first.")
+    return Path(os.path.abspath(bpy.path.abspath(path)))
 
 
 def delete(item: bpy.types.Object) -> None:

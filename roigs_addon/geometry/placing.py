@@ -31,8 +31,9 @@ class Plane:
 
 
 def plane_through(points: Vector) -> Plane | None:
-    """The plane through most of (N, 3) points; None if they are fewer than 3 or on one line."""
-    if len(points) < 3:
+    """The plane through most of (N, 3) points; None if they are fewer than 3, on one line, or \
+nowhere."""
+    if len(points) < 3 or not np.isfinite(points).all():
         return None
     if len(points) > 3:
         points = points[_near_one_plane(points)]
@@ -85,9 +86,9 @@ def levelling(plane: Plane, eyes: Vector, *, flip: bool = False) -> Matrix:
 
 
 def scaling(first: Vector, second: Vector, length: float) -> Matrix | None:
-    """Makes two points so far apart; the origin stays. None if they are one point."""
+    """Makes two points so far apart; the origin stays. None if they are one point, or nowhere."""
     apart = float(np.linalg.norm(second - first))
-    if not apart > 0:
+    if not 0 < apart < np.inf:
         return None
     factor = length / apart
     return np.diag([factor, factor, factor, 1.0])

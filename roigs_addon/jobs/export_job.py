@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
+from ..blender import leave_edit_mode
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..geometry.frames import Matrix
@@ -52,6 +53,7 @@ def spec(
     items = shown(scene)
     if selected:
         items = [item for item in items if item in context.selected_objects]
+    leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
     models = models_of(items, context.evaluated_depsgraph_get())
     if problem := edits.problem(items):
         raise AddonError(problem)

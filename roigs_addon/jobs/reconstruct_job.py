@@ -10,6 +10,7 @@ from pathlib import Path
 
 import bpy
 
+from ..blender import absolute
 from ..engine import reconstruction
 from ..errors import AddonError
 from ..properties import scene_props
@@ -33,6 +34,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
     props = scene_props(scene)
     if not props.photos:
         raise AddonError(NO_PHOTOS)
+    absolute(props.project)  # raises, which panels must not
     photos, project = photos_folder(props.photos), project_folder(scene)
     if reconstruction.is_others(project):
         raise AddonError(f"{project} has a COLMAP database already. Choose another {FOLDER}.")
@@ -73,9 +75,9 @@ def photos_folder(chosen: str) -> Path:
     """The folder that was chosen; of a photo, its folder.
 
     Raises:
-        AddonError: there is no such folder.
+        AddonError: there is no such folder, or the .blend that it is beside was never saved.
     """
-    folder = _absolute(chosen)
+    folder = absolute(chosen)
     if os.path.isfile(folder):
         folder = folder.parent
     if not os.path.isdir(folder):

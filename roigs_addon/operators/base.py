@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -28,8 +28,14 @@ FRESH = {"SKIP_SAVE"}
 
 def failed(operator: bpy.types.Operator, error: AddonError | str) -> OperatorResult:
     """Report an error: a line in the window, RuntimeError in a script."""
-    operator.report({"ERROR"}, str(error))
+    tell(operator, "ERROR", str(error))
     return {"CANCELLED"}
+
+
+def tell(operator: bpy.types.Operator, level: str, text: str) -> None:
+    """Report a line; of names on disk that are no text, Blender takes none."""
+    shown: set[Any] = {level}
+    operator.report(shown, text.encode("utf-8", "backslashreplace").decode())
 
 
 def available(cls: type[bpy.types.Operator], reason: str) -> bool:
@@ -131,7 +137,7 @@ class EngineOperator(bpy.types.Operator):
         if job.result is not None:
             if job.result.failed:
                 # An error would pop up over the panel, which shows the message anyway.
-                self.report({"WARNING"}, job.result.message)
+                tell(self, "WARNING", job.result.message)
                 return {"CANCELLED", "PASS_THROUGH"}
             if not job.result.stopped:
                 self._tell(job)
@@ -143,7 +149,7 @@ class EngineOperator(bpy.types.Operator):
 
     def _tell(self, job: Job) -> None:
         if job.spec.done_text:
-            self.report({"INFO"}, job.spec.done_text)
+            tell(self, "INFO", job.spec.done_text)
 
 
 class BrowsingOperator(EngineOperator):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..blender import registration, scene_of
+from ..blender import absolute, registration, scene_of
 from ..errors import AddonError
 from ..jobs import current, export_job, import_job
 from ..jobs.spec import JobSpec
@@ -68,7 +69,10 @@ turned as they are now"""
         """Write what is shown."""
         if not self.filepath:
             raise AddonError("Give a filepath.")
-        path = Path(bpy.path.ensure_ext(bpy.path.abspath(self.filepath), self.filename_ext))
+        chosen = absolute(self.filepath)
+        if not chosen.name.strip() or self.filepath.endswith(("/", os.sep)):
+            raise AddonError(f"{self.filepath} is a folder. Give the name of a file.")
+        path = Path(bpy.path.ensure_ext(str(chosen), self.filename_ext))
         spec = export_job.spec(
             context, path, up=self.up, sh_degree=self.sh_degree, selected=self.selected
         )

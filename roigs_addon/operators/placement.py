@@ -15,7 +15,7 @@ from ..geometry import placing
 from ..geometry.frames import Matrix
 from ..properties import scene_props
 from ..scene import lookup, placement
-from .base import FRESH, available, box_problem, failed
+from .base import FRESH, available, box_problem, failed, tell
 from .box_tools import checked_box
 from .picking import PickTool, selected
 
@@ -34,6 +34,8 @@ def root_problem(context: bpy.types.Context) -> str:
 def _place(operator: bpy.types.Operator, context: bpy.types.Context, matrix: Matrix) -> None:
     """Move the scene, and write where it stands."""
     scene = scene_of(context)
+    if context.mode != "OBJECT":  # an undo step of edit mode holds no objects
+        bpy.ops.object.mode_set(mode="OBJECT")
     placement.move(scene, matrix)
     _keep(operator, scene)
 
@@ -42,9 +44,9 @@ def _keep(operator: bpy.types.Operator, scene: bpy.types.Scene) -> None:
     try:
         path = placement.keep(scene)
     except AddonError as error:
-        operator.report({"WARNING"}, f"Kept in this .blend only: {error}")
+        tell(operator, "WARNING", f"Kept in this .blend only: {error}")
     else:
-        operator.report({"INFO"}, f"Kept in {path}")
+        tell(operator, "INFO", f"Kept in {path}")
 
 
 class PlaceTool(PickTool):
@@ -203,7 +205,7 @@ class KeepPlacement(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Write it."""
         try:
-            self.report({"INFO"}, f"Kept in {placement.keep(scene_of(context))}")
+            tell(self, "INFO", f"Kept in {placement.keep(scene_of(context))}")
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender import registration, scene_of
+from ..blender import absolute, registration, scene_of
 from ..engine.python import FOR_RECONSTRUCTING
 from ..errors import AddonError
 from ..facts import reconstructions
@@ -101,10 +101,11 @@ resumes"""
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Make the project, then import it."""
         scene = scene_of(context)
+        project = str(absolute(self.project)) if self.project else ""
         if self.photos:
             take_photos(scene, self.photos)
-        if self.project:
-            scene_props(scene).project = self.project
+        if project:
+            scene_props(scene).project = project
         return reconstruct_job.spec(scene)
 
 

@@ -28,7 +28,8 @@ def frame_request(
         out: where the engine's files go.
 
     Raises:
-        AddonError: the camera is of a kind that the engine cannot render.
+        AddonError: the camera is of a kind that the engine cannot render, or something stands
+            nowhere.
     """
     models = models_of(shown(scene), depsgraph)
     if not models or scene.camera is None:
@@ -37,7 +38,7 @@ def frame_request(
     # Blender lets any object be the camera.
     if camera.type != "CAMERA" or camera_of(camera).type != "PERSP":
         raise AddonError("The render lacks the Gaussians: the camera is not a perspective camera.")
-    matrix = lookup.matrix_world(camera)
+    matrix = lookup.stands(scene.camera, depsgraph)
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise AddonError("The render lacks the Gaussians: a scale of the camera is zero.")
     whole = cameras.intrinsics_of(
@@ -53,12 +54,18 @@ def frame_request(
 def models_of(
     items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
 ) -> list[dict[str, Any]]:
-    """The objects that are not hidden in renders, with their edits, looks and where they stand."""
+    """The objects that are not hidden in renders, with their edits, looks and where they stand.
+
+    Raises:
+        AddonError: one of them stands nowhere.
+    """
     models = []
     for item in items:
         moved = item.evaluated_get(depsgraph)
-        matrix = lookup.matrix_world(moved)
-        if moved.hide_render or np.linalg.matrix_rank(matrix[:3, :3]) < 3:  # or scaled to 0
+        if moved.hide_render:
+            continue
+        matrix = lookup.stands(item, depsgraph)
+        if np.linalg.matrix_rank(matrix[:3, :3]) < 3:  # scaled to 0
             continue
         edits.look_again(item)
         if ply := edits.file_of(item):

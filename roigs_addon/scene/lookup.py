@@ -24,6 +24,9 @@ TYPES = {
 }
 """Blender's types of the objects of each kind; checked first, which is three times as fast."""
 
+FAR = 1e15
+"""As for boxes and placements."""
+
 
 def of_kind(scene: bpy.types.Scene, kind: str) -> Iterator[bpy.types.Object]:
     """The scene's objects of a kind, in the order of their names."""
@@ -102,6 +105,32 @@ def splats(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def matrix_world(item: bpy.types.Object | None) -> Matrix:
     """An object's `matrix_world`; the identity if there is no object."""
     return np.eye(4) if item is None else np.array(item.matrix_world, dtype=np.float64)
+
+
+def stands(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
+    """Where an object stands in a depsgraph.
+
+    In a viewport's, Blender does not move what is hidden there, which a render may show.
+
+    Raises:
+        AddonError: too far away, or not at numbers.
+    """
+    hidden = depsgraph.mode != "RENDER" and not item.visible_get(view_layer=depsgraph.view_layer)
+    matrix = _unseen(item, depsgraph) if hidden else matrix_world(item.evaluated_get(depsgraph))
+    if not (np.abs(matrix) < FAR).all():  # catches NaN too
+        raise AddonError(f"'{item.name}' is too far away or too large. Clear its transformation.")
+    return matrix
+
+
+def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
+    """Where an object stands by its own transformation and its parent's place."""
+    if item.constraints or (item.parent is not None and item.parent_type != "OBJECT"):
+        return matrix_world(item.evaluated_get(depsgraph))
+    basis: Matrix = np.array(item.matrix_basis, dtype=np.float64)
+    if item.parent is None:
+        return basis
+    place: Matrix = stands(item.parent, depsgraph) @ np.array(item.matrix_parent_inverse, float)
+    return place @ basis
 
 
 def root_scale(scene: bpy.types.Scene) -> float:

@@ -45,29 +45,56 @@ def root_of(scene: bpy.types.Scene) -> bpy.types.Object:
     if root is None or root.name not in scene.objects:
         raise AddonError("There is no model. Import a COLMAP model first.")
     view_layer_of(bpy.context).update()  # after an undo, as for F9, `matrix_world` is of before
-    flaw = poses.similarity_flaw(lookup.matrix_world(root))
+    flaw = _flaw(lookup.matrix_world(root))
     if flaw:
-        raise AddonError(f"'{root.name}' cannot be placed: {flaw}. Clear its scale first.")
+        raise AddonError(f"'{root.name}' cannot be placed: {flaw}. Clear its transformation first.")
+    if root.library is not None:
+        raise AddonError(f"'{root.name}' is linked from another .blend. Place the scene there.")
     return root
+
+
+def _flaw(matrix: Matrix) -> str:
+    """Why a scene cannot stand there; empty if it can."""
+    if not (np.abs(matrix) < lookup.FAR).all():  # catches NaN too
+        return "it is too far away or too large"
+    return poses.similarity_flaw(matrix)
 
 
 def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
     """Apply a similarity (4, 4) to the world of the model; what is not of it stays.
 
     Raises:
-        AddonError: there is no model, or the root is stretched or mirrored.
+        AddonError: there is no model, the root is stretched or mirrored or does not stay where it
+            is put, or it would be nowhere.
     """
     root, path = root_of(scene), _file(scene)
+    if flaw := _flaw(matrix @ lookup.matrix_world(root)):
+        raise AddonError(f"The scene cannot be put there: {flaw}. Take other points.")
     factor = poses.scale_of(matrix)
     if path is not None:
         _scales.setdefault(path, lookup.root_scale(scene))
     own = {item for kind in MOVED for item in lookup.of_kind(scene, kind)} | {root}
     tops = [item for item in own if not own.intersection(_ancestors(item))]
-    placed = [matrix @ lookup.matrix_world(item) for item in tops]
-    for item, place in zip(tops, placed, strict=True):
+    before = {item: lookup.matrix_world(item) for item in tops}
+    _put({item: matrix @ place for item, place in before.items()})
+    if root in before and not _stays(scene, root, matrix @ before[root]):
+        _put(before)
+        raise AddonError(f"'{root.name}' is animated or has constraints. Remove them first.")
+    _follow_scale(scene, path, factor)
+
+
+def _put(places: dict[bpy.types.Object, Matrix]) -> None:
+    for item, place in places.items():
         item.matrix_world = BlenderMatrix(place.tolist())
     view_layer_of(bpy.context).update()
-    _follow_scale(scene, path, factor)
+
+
+def _stays(scene: bpy.types.Scene, root: bpy.types.Object, wanted: Matrix) -> bool:
+    """Whether the root is where it was put, also when the frame is shown again."""
+    if root.animation_data is not None:
+        scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+    found = lookup.matrix_world(root)
+    return bool(np.abs(found - wanted).max() <= 1e-3 * np.abs(wanted).max())
 
 
 def _ancestors(item: bpy.types.Object) -> list[bpy.types.Object]:

@@ -106,13 +106,24 @@ def turned(arrays: Arrays, matrix: Float64) -> Arrays:
 
     if (matrix == np.eye(4)).all():
         return arrays
-    gaussians, frame = Gaussians.framed(arrays)
+    gaussians, frame = Gaussians.framed(_drawable(arrays))
     return _merged([PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)])
+
+
+def _drawable(arrays: Arrays) -> Arrays:
+    """The Gaussians that can be turned."""
+    from ..exchange.arrays import usable
+
+    arrays = usable(arrays)
+    if not len(arrays["means"]):
+        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
+    return arrays
 
 
 def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
     """The models of a list, in their places, as one."""
     from ..exchange import formats
+    from ..exchange.arrays import usable
     from ..model.gaussians import Gaussians
     from ..rasterize.placed import PlacedModel
 
@@ -124,7 +135,7 @@ def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
     refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)])
     read = {
-        name: Gaussians.framed(formats.read(Path(name)))
+        name: Gaussians.framed(usable(formats.read(Path(name))))
         for name in dict.fromkeys(item.file for item in wanted)
     }
     if not any(len(gaussians) for gaussians, _ in read.values()):

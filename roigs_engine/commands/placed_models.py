@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from ..model.scene import Float64
 
 HINT = "docs/files.md describes requests."
-MOST = 1e6  # gain of a colour
+MOST = 2.0**20  # gain of a colour: 16 stops of a tint of 16
+FAR = 1e15  # as for boxes
 
 
 class Placed(NamedTuple):
@@ -45,8 +46,8 @@ def placed_models(record: Any) -> list[Placed]:
 def _affine(rows: Any) -> Float64:
     """A matrix of a request; ValueError unless it can be inverted."""
     matrix = np.array(rows, dtype=float)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError("matrix must be 4 x 4 finite numbers")
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < FAR).all():  # catches NaN too
+        raise ValueError(f"matrix must be 4 x 4 numbers below {FAR:g}")
     if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError("matrix must be affine, and no scale may be zero")
     return matrix

@@ -36,9 +36,38 @@ def logits(opacity: Float32) -> Float32:
     return values
 
 
+MOST = {"means": 1e15, "quats": 1e15, "log_scales": 60.0, "sh": 1e6}
+"""Largest numbers with which a Gaussian can be drawn."""
+
+CERTAIN = 80.0
+"""Logit of an opacity that is 1 to float32."""
+
+
 def usable(arrays: Arrays) -> Arrays:
-    """Without Gaussians that have a number that is not finite, or a rotation of length zero."""
-    good = np.linalg.norm(arrays["quats"], axis=1) > 0
-    for values in arrays.values():
-        good &= np.isfinite(values).reshape(len(values), -1).all(axis=1)
-    return arrays if good.all() else {name: values[good] for name, values in arrays.items()}
+    """Without Gaussians that cannot be drawn: with a number that is not finite or too large, or a
+    rotation of length zero.
+    """
+    good = np.isfinite(arrays["logit_opacities"])
+    for name, most in MOST.items():
+        values = arrays[name]
+        # Scales may be as small as they like.
+        inside = np.isfinite(values) & ((values if name == "log_scales" else np.abs(values)) < most)
+        good &= inside.all(axis=tuple(range(1, values.ndim)))
+    good &= (arrays["quats"] != 0).any(axis=1)
+    found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
+    opacity: Floats = found["logit_opacities"]
+    if (np.abs(opacity) > CERTAIN).any():
+        clipped: Floats = np.clip(opacity, -CERTAIN, CERTAIN).astype(np.float32)
+        found = {**found, "logit_opacities": clipped}
+    return found
+
+
+def flaw(arrays: Arrays) -> str:
+    """Why these arrays are not those of Gaussians; empty if they are."""
+    count, bands = len(arrays["means"]), arrays["sh"].shape[1:2]
+    if bands not in {(1,), (4,), (9,), (16,)}:
+        return "its colours have no degree from 0 to 3"
+    shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": ()}
+    shapes["sh"] = (*bands, 3)
+    wrong = [name for name, shape in shapes.items() if arrays[name].shape != (count, *shape)]
+    return f"its attributes do not belong together ({wrong[0]})" if wrong else ""

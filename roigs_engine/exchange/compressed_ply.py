@@ -87,6 +87,8 @@ def _check(path: Path) -> None:
                 raise damaged(path, TITLE, f"'{line:.40}'")
             counts[element], bytes_of[element] = int(words[2]), 0
         elif words[:1] == ["property"] and element:
+            if len(words) != 3:
+                raise damaged(path, TITLE, f"'{line:.40}'")
             bytes_of[element] += {"float": 4, "uint": 4, "uchar": 1}.get(words[1], 1 << 40)
     if not {"chunk", "vertex"} <= counts.keys() <= BYTES.keys():
         raise damaged(path, TITLE, "its elements are not those of a compressed PLY")

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import EngineError, RunFolderError
+from ..formats.text import in_gb
 
 HINT = "Write or download the file again."
+MOST_RATIO, SMALL = 100, 64 << 20
+"""Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
 
 
 def damaged(path: Path, title: str, why: object) -> RunFolderError:
@@ -22,11 +27,27 @@ def reading(path: Path, title: str) -> Iterator[None]:
     """Wrap a library that reads: whatever it raises says that the file is damaged.
 
     Raises:
-        RunFolderError: it raised anything but an EngineError or an error of the file system.
+        RunFolderError: it raised anything but an EngineError, an error of the file system or one of
+            memory.
     """
     try:
-        yield
-    except (EngineError, OSError, KeyboardInterrupt):
+        with np.errstate(all="ignore"):  # what is not finite is left out later
+            yield
+    except (EngineError, OSError, MemoryError, KeyboardInterrupt):
         raise
     except Exception as error:  # of struct, zlib, json, numpy, and of the libraries themselves
-        raise damaged(path, title, error or type(error).__name__) from error
+        raise damaged(path, title, _words(error)) from error
+
+
+def _words(error: Exception) -> str:
+    """What an error says, else its kind: OpenUSD's may quote bytes that are no text."""
+    with suppress(UnicodeError):
+        if text := str(error).strip():
+            return text
+    return type(error).__name__
+
+
+def refuse_bomb(path: Path, title: str, unpacked: int) -> None:
+    """Raise RunFolderError if a file would unpack to far more bytes than files of Gaussians do."""
+    if unpacked > SMALL and unpacked > MOST_RATIO * path.stat().st_size:
+        raise damaged(path, title, f"it would unpack to {in_gb(unpacked)}")

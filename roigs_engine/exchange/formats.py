@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ConfigError, RunFolderError
+from ..formats.files import regular
 from ..formats.splat_ply import read_ply, write_ply
-from .arrays import Arrays, usable
+from .arrays import Arrays, flaw, usable
+from .damage import HINT, damaged
 
 FAR = 1e4
 """So many times its size away from the origin, float32 shows a model's Gaussians moved."""
@@ -104,15 +106,17 @@ def read(path: Path) -> Arrays:
         return read_ply(path)
     reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
     try:
+        # Libraries would wait for a pipe, and have their own errors for a missing file.
+        with open(path, "rb", opener=regular):
+            pass
         found = reader(path)
     except OSError as error:
         raise RunFolderError(
             f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
         ) from error
+    if problem := flaw(found):
+        raise damaged(path, form.title, problem)
     arrays = usable(found)
     if not len(arrays["means"]):
-        raise RunFolderError(f"{path} has no Gaussians that can be drawn.", DAMAGED)
+        raise RunFolderError(f"{path} has no Gaussians that can be drawn.", HINT)
     return arrays
-
-
-DAMAGED = "Write or download the file again."

@@ -119,23 +119,22 @@ def read(path: Path) -> Arrays:
         if len(found) != 1:
             raise damaged(path, TITLE, f"{len(found)} primitives with {NAME}, not one")
         (at,) = found
-        get = {name: _values(record, blob, int(number)) for name, number in at.items()}
-        sh = []
-        for degree, number in _coefficients(16):
-            if _sh_name(degree, number) not in get:
-                break
-            sh.append(get[_sh_name(degree, number)])
-        bands = max(k for k in (1, 4, 9, 16) if k <= len(sh))
-        arrays = {
-            "means": get["POSITION"],
-            "quats": np.roll(get[f"{NAME}:ROTATION"], 1, axis=1),
-            "log_scales": np.log(np.maximum(get[f"{NAME}:SCALE"], 1e-30)),
-            "logit_opacities": logits(get[f"{NAME}:OPACITY"].reshape(-1)),
-            "sh": np.stack(sh[:bands], axis=1),
+
+        def get(name: str) -> NDArray[np.float32]:
+            if name not in at:
+                raise ValueError(f"no attribute {name}")
+            return _values(record, blob, int(at[name]))
+
+        sh = [_sh_name(degree, number) for degree, number in _coefficients(16)]
+        there = next((k for k, name in enumerate(sh) if name not in at), len(sh))
+        bands = max((k for k in (1, 4, 9, 16) if k <= there), default=1)
+        return {
+            "means": get("POSITION"),
+            "quats": np.roll(get(f"{NAME}:ROTATION"), 1, axis=1),
+            "log_scales": np.log(np.maximum(get(f"{NAME}:SCALE"), 1e-30)),
+            "logit_opacities": logits(get(f"{NAME}:OPACITY").reshape(-1)),
+            "sh": np.stack([get(name) for name in sh[:bands]], axis=1),
         }
-        if len({len(values) for values in arrays.values()}) != 1:
-            raise ValueError("attributes of different lengths")
-        return arrays
 
 
 def _parts(path: Path) -> tuple[dict[str, Any], bytes]:

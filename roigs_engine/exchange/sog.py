@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from ..formats.files import atomic_write
 from .arrays import Arrays, Float32, opacities, unit_quats
 from .compressed_ply import arrays_of
-from .damage import damaged, reading
+from .damage import reading, refuse_bomb
 from .packages import package
 
 TITLE = "SOG"
@@ -26,7 +27,8 @@ PALETTE = 4096  # sets of SH coefficients that Gaussians share, at most
 ACROSS = 64  # sets in a row of the picture of the palette
 SAMPLE = 40_000  # rows that palettes are fitted to
 MOST = 50_000_000  # Gaussians
-MOST_BYTES = 4 << 30  # of a file, unpacked
+MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
+MOST_META = 16 << 20  # bytes
 
 Bytes = NDArray[np.uint8]
 
@@ -190,26 +192,43 @@ def _check(path: Path) -> None:
     images: Any = package("PIL.Image", "Pillow", TITLE)
     with reading(path, TITLE), zipfile.ZipFile(path) as packed:
         sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
-        if sum(sizes.values()) > MOST_BYTES or sizes.get("meta.json", 0) > 16 << 20:
-            raise damaged(path, TITLE, "it is too large when unpacked")
+        if len(sizes) < len(packed.infolist()) or sizes.get("meta.json", 0) > MOST_META:
+            raise ValueError("two entries of one name, or a meta.json of another kind")
+        refuse_bomb(path, TITLE, sum(sizes.values()))
         meta = json.loads(packed.read("meta.json"))
         parts = [meta[name] for name in ("means", "scales", "quats", "sh0")]
         count = meta["count"] if "version" in meta else meta["means"]["shape"][0]
-        if not isinstance(count, int) or not 0 < count <= MOST:
+        if type(count) is not int or not 0 < count <= MOST:
             raise ValueError(f"{count} Gaussians")
         names = [name for part in parts for name in part["files"]]
         if "shN" in meta:
             names.append(meta["shN"]["files"][1])
-            parts.append(meta["shN"])
+        refuse_bomb(path, TITLE, 4 * count * len(names))
         for name in names:
-            with packed.open(name) as file, images.open(file) as picture:
-                if not count <= picture.width * picture.height <= 4 * count + (1 << 16):
-                    raise ValueError(f"{name} does not belong to {count} Gaussians")
-        if "version" in meta and any(
-            len(part.get("codebook", range(CODES))) != CODES for part in parts
-        ):
-            raise ValueError("a codebook of another length")
-        if "shN" in meta:
-            with packed.open(meta["shN"]["files"][0]) as file, images.open(file) as picture:
-                if picture.width * picture.height > 1 << 26:
-                    raise ValueError("a palette that is too large")
+            if not count <= _pixels(images, packed, name) <= 4 * count + (1 << 16):
+                raise ValueError(f"{name} does not belong to {count} Gaussians")
+        _check_numbers(meta)
+        if "shN" in meta and _pixels(images, packed, meta["shN"]["files"][0]) > MOST_PALETTE:
+            raise ValueError("a palette that is too large")
+
+
+def _pixels(images: Any, packed: zipfile.ZipFile, name: str) -> int:
+    """How many pixels a picture of the archive has."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # Pillow's, of pictures that are far too large
+        with packed.open(name) as file, images.open(file) as picture:
+            return int(picture.width) * int(picture.height)
+
+
+def _check_numbers(meta: dict[str, Any]) -> None:
+    """Raise ValueError unless lists of numbers are as long as compiled code takes them to be."""
+    lists = [(meta["means"][name], 3) for name in ("mins", "maxs")]
+    if "version" in meta:
+        parts = [meta[name] for name in ("scales", "sh0", "shN") if name in meta]
+        lists += [(part["codebook"], CODES) for part in parts]
+    else:
+        lists += [(meta["scales"][name], 3) for name in ("mins", "maxs")]
+        lists += [(meta["sh0"][name], 4) for name in ("mins", "maxs")]
+    for numbers, length in lists:
+        if np.array(numbers, np.float64).shape != (length,):
+            raise ValueError(f"a list that has not {length} numbers")

@@ -18,7 +18,7 @@ from ..errors import ConfigError
 from ..formats.files import atomic_write
 from .arrays import Arrays, Float32, unit_quats
 from .compressed_ply import arrays_of
-from .damage import damaged, reading
+from .damage import damaged, reading, refuse_bomb
 from .packages import package
 
 TITLE = "SPZ"
@@ -112,8 +112,18 @@ def _check(path: Path) -> None:
     widths = (9, 1, 3, 3, 4, 3 * SH_ROWS[degree])[:streams]
     if [count * width for width in widths] != list(sizes[1::2]):
         raise damaged(path, TITLE, "its parts do not belong to its Gaussians")
-    if table + 16 * streams + sum(sizes[::2]) > len(raw):
+    start = table + 16 * streams
+    if start + sum(sizes[::2]) > len(raw):
         raise damaged(path, TITLE, "it is truncated")
+    refuse_bomb(path, TITLE, sum(sizes[1::2]))
+    zstd: Any = package("zstandard", "zstandard", "SPZ of version 4")
+    for packed, unpacked in zip(sizes[::2], sizes[1::2], strict=True):
+        with reading(path, TITLE):
+            # What a stream says of itself is what is allocated for it.
+            said = zstd.get_frame_parameters(raw[start : start + packed]).content_size
+            if said not in (0, unpacked, zstd.CONTENTSIZE_UNKNOWN):
+                raise ValueError("a part has another size than its header says")
+        start += packed
 
 
 def _check_gzip(path: Path, raw: bytes) -> None:
@@ -125,6 +135,7 @@ def _check_gzip(path: Path, raw: bytes) -> None:
         raise damaged(path, TITLE, "its header is not that of SPZ")
     if not 0 < count <= MOST:
         raise damaged(path, TITLE, f"{count} Gaussians")
+    refuse_bomb(path, TITLE, count * 16)
     width = 16 + 3 * SH_ROWS[degree] + (4 if version == 3 else 3)
     wanted, there = count * (width - (3 if version == 1 else 0)), 0
     with reading(path, TITLE):
@@ -135,3 +146,5 @@ def _check_gzip(path: Path, raw: bytes) -> None:
             there += len(part)
     if there != wanted or not unpacker.eof:
         raise damaged(path, TITLE, f"it has {there} of {wanted} bytes")
+    if unpacker.unused_data:  # gsply would unpack it too, whatever its size
+        raise damaged(path, TITLE, "something follows its end")

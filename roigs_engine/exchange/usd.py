@@ -80,8 +80,6 @@ def read(path: Path) -> Arrays:
         OSError: it cannot be read.
     """
     usd, *_ = _modules()
-    with open(path, "rb"):  # the library has its own errors for a missing file
-        pass
     with reading(path, TITLE):
         stage = usd.Stage.Open(os.fspath(path), usd.Stage.LoadNone)
         prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
@@ -98,13 +96,10 @@ def read(path: Path) -> Arrays:
         quats = np.array(
             [(q.GetReal(), *q.GetImaginary()) for q in orientations], np.float32
         ).reshape(-1, 4)
-        arrays = {
+        return {
             "means": means,
             "quats": quats,
             "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
             "logit_opacities": logits(np.array(get("opacities"), np.float32)),
             "sh": sh.reshape(len(means), bands, 3),
         }
-        if bands not in (1, 4, 9, 16) or len({len(v) for v in arrays.values()}) != 1:
-            raise ValueError("attributes of different lengths")
-        return arrays

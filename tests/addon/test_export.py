@@ -150,3 +150,81 @@ def test_the_next_file_is_offered_beside_the_last(
 
 def test_without_results_there_is_nothing_to_export(blender: ModuleType, addon) -> None:
     assert not blender.ops.roigs.export_gaussians.poll()
+
+
+def middle(bpy: ModuleType, path: Path) -> np.ndarray:
+    return export(bpy, path, up="Z", selected=False)["means"].mean(axis=0)
+
+
+def test_what_the_viewport_hides_is_exported_where_renders_show_it(
+    blender: ModuleType, scene, tmp_path: Path
+) -> None:
+    """Blender does not move hidden objects before they are shown again."""
+    items = objects(scene)
+    items["thing Gaussians"].hide_render = True
+    item = items["Background"]
+    start = middle(blender, tmp_path / "a.ply")
+    collection = item.users_collection[0]
+    layer = blender.context.view_layer.layer_collection.children[collection.name]
+    scene.view_layers.new("other")
+    switches = (
+        (item, "hide_viewport"),
+        (collection, "hide_viewport"),
+        (layer, "hide_viewport"),
+        (layer, "exclude"),
+    )
+    for number, (owner, switch) in enumerate(switches, start=1):
+        setattr(owner, switch, True)
+        item.location.x += 5
+        moved = middle(blender, tmp_path / "a.ply") - start
+        np.testing.assert_allclose(moved, (5 * number, 0, 0), atol=1e-4, err_msg=switch)
+        setattr(owner, switch, False)
+        blender.context.view_layer.update()
+    item.hide_set(True)
+    item.location.x -= 20
+    scene.roigs.root.location.y += 2
+    moved = middle(blender, tmp_path / "a.ply") - start
+    np.testing.assert_allclose(moved, (0, 2, 0), atol=1e-4)
+
+
+def test_what_was_deleted_in_edit_mode_is_not_exported(
+    blender: ModuleType, scene, tmp_path: Path
+) -> None:
+    before = len(export(blender, tmp_path / "a.ply")["means"])
+    item = objects(scene)["Background"]
+    blender.context.view_layer.objects.active = item
+    item.data.vertices.foreach_set("select", np.arange(len(item.data.vertices)) < 10)
+    blender.ops.object.mode_set(mode="EDIT")
+    blender.ops.mesh.delete(type="VERT")
+    assert len(export(blender, tmp_path / "a.ply")["means"]) == before - 10
+    assert blender.context.mode == "OBJECT"
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e38])
+@pytest.mark.parametrize("what", ["location", "scale"])
+def test_objects_that_stand_nowhere_are_named(
+    blender: ModuleType, scene, tmp_path: Path, what: str, number: float
+) -> None:
+    item = objects(scene)["Background"]
+    setattr(item, what, (number, number, number))
+    with pytest.raises(RuntimeError) as caught:
+        blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "a.ply"))
+    assert "'Background' is too far away or too large" in str(caught.value)
+    assert "Traceback" not in str(caught.value)
+
+
+def test_names_that_are_no_files(blender: ModuleType, scene, tmp_path: Path) -> None:
+    for name in (f"{tmp_path}/", f"{tmp_path}/ "):
+        with pytest.raises(RuntimeError, match="is a folder"):
+            blender.ops.roigs.export_gaussians(filepath=name)
+    with pytest.raises(RuntimeError, match=r"Save the \.blend first"):
+        blender.ops.roigs.export_gaussians(filepath="//a.ply")
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert blender.ops.roigs.export_gaussians(filepath="//a.ply") == {"FINISHED"}
+    assert (tmp_path / "a.ply").is_file()
+
+
+def test_a_name_that_is_no_text(blender: ModuleType, scene, tmp_path: Path) -> None:
+    path = tmp_path / "\udcff.ply"
+    assert blender.ops.roigs.export_gaussians(filepath=str(path)) == {"FINISHED"}
+    assert path.is_file()

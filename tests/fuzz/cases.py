@@ -7,7 +7,9 @@ that `python -m tests.fuzz.worker FAMILY NUMBER` repeats a case.
 from __future__ import annotations
 
 import copy
+import functools
 import json
+import operator
 import os
 import random
 from collections.abc import Callable
@@ -462,9 +464,10 @@ FAMILIES: dict[str, tuple[Family, int]] = {
 
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
-    from tests.fuzz import run_folders, texts, user_input
+    from tests.fuzz import exchange, run_folders, texts, user_input
 
-    return FAMILIES | run_folders.FAMILIES | user_input.FAMILIES | texts.FAMILIES
+    others = (run_folders, user_input, texts, exchange)
+    return functools.reduce(operator.or_, (room.FAMILIES for room in others), FAMILIES)
 
 
 def make(family: str, number: int, folder: Path) -> Case:

@@ -32,6 +32,7 @@ SECONDS = 20.0
 # What no terminal may get of names; only progress bars may go back to the start of a line.
 CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]")
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
+         "gsply.spz", "imagecodecs", "pygltflib", "sklearn.cluster", "zstandard",
          "roigs_engine.run.folder", "roigs_engine.evaluation.crops",
          "roigs_engine.rasterize.view")  # fmt: skip
 

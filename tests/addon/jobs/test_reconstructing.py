@@ -371,3 +371,20 @@ def test_the_handler_takes_photos_that_the_engine_reads(addon: ModuleType) -> No
     from roigs_engine.photos.files import EXTENSIONS
 
     assert set(PhotosHandler.bl_file_extensions.split(";")) <= EXTENSIONS
+
+
+def test_folders_beside_a_blend_that_was_never_saved(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    """They had become folders where Blender was started."""
+    props = blender.context.scene.roigs
+    photos = str(photos_in(tmp_path / "photos", 2))
+    assert "Save the .blend first" in refusal(blender, photos="//photos")
+    assert "Save the .blend first" in refusal(blender, photos=photos, project="//project")
+    assert (props.photos, props.project) == ("", "")
+    props.photos, props.project = photos, "//project"  # typed into the panel
+    assert "//project" in refusal(blender)
+    panel(blender)  # still draws
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    blender.ops.roigs.choose_photos(directory="//photos")
+    assert props.photos == photos

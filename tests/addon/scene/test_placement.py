@@ -328,3 +328,69 @@ def test_a_training_is_not_outdated_by_it(blender: ModuleType, garden, engine) -
         pose = np.array(image["world_to_camera"])
         eye = lookup.cameras(scene)[image["name"]].matrix_world.translation
         np.testing.assert_allclose(-pose[:3, :3].T @ pose[:3, 3], eye, rtol=1e-4, atol=1e-3)
+
+
+NOWHERE = float("nan"), float("inf"), 1e30
+
+
+@pytest.mark.parametrize("number", NOWHERE, ids=str)
+def test_points_that_are_nowhere_move_nothing(blender: ModuleType, garden, number: float) -> None:
+    """They had made the scene a point, or its file unreadable."""
+    scene, folder = garden
+    before = matrix(scene)
+    points = {"first": (number, 0, 0), "second": (1, number, 0), "third": (0, 1, number)}
+    two = {name: points[name] for name in ("first", "second")}
+    for place, given in (("set_floor", points), ("set_scale", two), ("set_scale", two)):
+        with pytest.raises(RuntimeError) as caught:
+            getattr(blender.ops.roigs, place)(**given)
+        assert "Traceback" not in str(caught.value)
+        np.testing.assert_array_equal(matrix(scene), before)
+    assert not (folder / FILE).exists()
+
+
+def test_a_length_out_of_any_range_moves_nothing(blender: ModuleType, garden) -> None:
+    scene, _ = garden
+    before = matrix(scene)
+    with pytest.raises(RuntimeError, match="cannot be put there: it is too far away or too large"):
+        blender.ops.roigs.set_scale(first=(0, 0, 0), second=(1, 0, 0), length=1e38)
+    np.testing.assert_array_equal(matrix(scene), before)
+
+
+def test_a_scene_that_is_too_far_away_is_not_kept(blender: ModuleType, garden) -> None:
+    scene, folder = garden
+    scene.roigs.root.location.x = 1e20
+    with pytest.raises(RuntimeError, match="too far away"):
+        blender.ops.roigs.keep_placement()
+    assert not (folder / FILE).exists()
+
+
+def test_a_root_that_does_not_stay_is_named(blender: ModuleType, garden) -> None:
+    scene, folder = garden
+    root = scene.roigs.root
+    scale = {"first": (0, 0, 0), "second": (1, 0, 0), "length": 3}
+    constraint = root.constraints.new("LIMIT_SCALE")
+    constraint.use_max_x = constraint.use_max_y = constraint.use_max_z = True
+    constraint.max_x = constraint.max_y = constraint.max_z = 1.0
+    before = matrix(scene)
+    with pytest.raises(RuntimeError, match="animated or has constraints"):
+        blender.ops.roigs.set_scale(**scale)
+    root.constraints.remove(constraint)
+    np.testing.assert_allclose(matrix(scene), before, atol=1e-5)
+    root.keyframe_insert("scale")
+    with pytest.raises(RuntimeError, match="animated or has constraints"):
+        blender.ops.roigs.set_scale(**scale)
+    np.testing.assert_allclose(matrix(scene), before, atol=1e-5)
+    assert not (folder / FILE).exists()
+    root.animation_data_clear()
+    assert blender.ops.roigs.set_scale(**scale) == {"FINISHED"}
+
+
+def test_edit_mode_ends_before_the_scene_is_moved(blender: ModuleType, garden) -> None:
+    """An undo step of edit mode holds no objects."""
+    scene, _ = garden
+    add_box(blender, "thing", (-0.3, -0.3, -0.3), (0.3, 0.3, 0.3))
+    floor = {"first": (0, 0, 0), "second": (1, 0, 0), "third": (0, 1, 0)}
+    for name, given in (("set_origin", {}), ("set_floor", floor)):
+        select_points(blender, scene, triangle(scene))
+        getattr(blender.ops.roigs, name)(**given)
+        assert blender.context.mode == "OBJECT"

@@ -1,0 +1,106 @@
+"""Files that are not what they promise are refused in one line, before memory is taken for them.
+
+tests/fuzz/exchange.py has thousands of them.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.errors import EngineError
+from roigs_engine.exchange import formats
+from roigs_engine.formats.splat_ply import read_ply, write_ply
+from tests.fuzz import exchange
+
+
+def refused(path: Path, data: bytes, said: str) -> None:
+    path.write_bytes(data)
+    with pytest.raises(EngineError, match=said):
+        formats.read(path)
+
+
+def test_gzip_that_goes_on_behind_the_model(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    more = gzip.compress(bytes(1 << 20))
+    refused(tmp_path / "a.spz", exchange.good(".spz", 1) + more, "something follows")
+
+
+def test_gzip_that_unpacks_to_a_thousand_times_its_size(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    head = bytearray(gzip.decompress(exchange.good(".spz", 1))[:16])
+    struct.pack_into("<I", head, 8, 10_000_000)
+    data = exchange.zeros_gzipped(200_000_000, bytes(head))
+    refused(tmp_path / "a.spz", data, "unpack to 0.2 GB")
+
+
+def test_pictures_of_nothing(tmp_path: Path) -> None:
+    for package in ("gsply", "imagecodecs"):
+        pytest.importorskip(package)
+    files = exchange.unzipped(exchange.good(".sog", 1))
+    meta = json.loads(files["meta.json"]) | {"count": 2000 * 2000}
+    files = dict.fromkeys(files, exchange.big_picture(2000))
+    data = exchange.zipped(files | {"meta.json": json.dumps(meta).encode()})
+    refused(tmp_path / "a.sog", data, "unpack to 80 MB")
+
+
+def test_attributes_of_another_width(tmp_path: Path) -> None:
+    pytest.importorskip("pygltflib")
+    record, blob = exchange.glb_parts(exchange.good(".glb", 1))
+    attributes = record["meshes"][0]["primitives"][0]["attributes"]
+    attributes["KHR_gaussian_splatting:ROTATION"] = attributes["POSITION"]
+    refused(tmp_path / "a.glb", exchange.glb_of(record, blob), r"do not belong together \(quats\)")
+
+
+def test_a_property_without_a_name(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    data = exchange.good(".compressed.ply", 1).replace(b"property float min_x", b"property")
+    refused(tmp_path / "a.compressed.ply", data, "'property'")
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".spz", ".glb", ".sog", ".compressed.ply"])
+def test_a_folder(suffix: str, tmp_path: Path) -> None:
+    (tmp_path / f"a{suffix}").mkdir()
+    with pytest.raises(EngineError, match="Is a directory"):
+        formats.read(tmp_path / f"a{suffix}")
+
+
+def test_openusd_with_bytes_that_are_no_text(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    data = exchange.good(".usda", 1)
+    refused(tmp_path / "a.usda", data[:200] + b"\xff\xe3" + data[202:], "not a whole OpenUSD")
+
+
+def test_gaussians_that_cannot_be_drawn_are_left_out_when_turned(tmp_path: Path) -> None:
+    """Models of other programs have some: they made the whole export fail."""
+    model = {name: values.copy() for name, values in exchange.arrays(4).items()}
+    model["quats"][0], model["means"][1], model["log_scales"][2] = 0, np.nan, 100
+    write_ply(tmp_path / "a.ply", model)
+    assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply"), "--up", "z"]) == 0
+    assert len(read_ply(tmp_path / "b.ply")["means"]) == exchange.GAUSSIANS - 3
+    placed = {"models": [{"ply": str(tmp_path / "a.ply"), "matrix": np.eye(4).tolist()}]}
+    (tmp_path / "list.json").write_text(json.dumps(placed))
+    assert main(["convert", str(tmp_path / "list.json"), str(tmp_path / "c.ply")]) == 0
+    assert len(read_ply(tmp_path / "c.ply")["means"]) == exchange.GAUSSIANS - 3
+
+
+def test_places_out_of_any_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ply(tmp_path / "a.ply", exchange.arrays(1))
+    for matrix in (np.diag([1e300, 1e300, 1e300, 1]), np.eye(4) + 1e200 * np.eye(4, k=3)):
+        placed = {"models": [{"ply": str(tmp_path / "a.ply"), "matrix": matrix.tolist()}]}
+        (tmp_path / "list.json").write_text(json.dumps(placed))
+        assert main(["convert", str(tmp_path / "list.json"), str(tmp_path / "c.ply")]) == 2
+        assert "below 1e+15" in capsys.readouterr().err
+
+
+def test_the_brightest_look_of_blender(tmp_path: Path) -> None:
+    write_ply(tmp_path / "a.ply", exchange.arrays(1))
+    placed = {"ply": str(tmp_path / "a.ply"), "matrix": np.eye(4).tolist(), "gains": [2.0**20] * 3}
+    (tmp_path / "list.json").write_text(json.dumps({"models": [placed]}))
+    assert main(["convert", str(tmp_path / "list.json"), str(tmp_path / "c.ply")]) == 0
