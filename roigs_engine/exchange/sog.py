@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.files import atomic_write
-from .arrays import Arrays, Float32, opacities, unit_quats
+from .arrays import Arrays, Float32, in_morton_order, opacities, unit_quats
 from .compressed_ply import arrays_of
 from .damage import reading, refuse_bomb
 from .packages import package
@@ -39,7 +39,7 @@ def write(path: Path, arrays: Arrays) -> None:
     Raises:
         EngineError: Pillow or scikit-learn is missing, or the file cannot be written.
     """
-    arrays = _sorted(arrays)
+    arrays = in_morton_order(arrays)
     count, side = len(arrays["means"]), int(np.ceil(np.sqrt(len(arrays["means"]))))
     low, high, bounds = _positions(arrays["means"].astype(np.float64))
     scales, scale_codes = _coded(arrays["log_scales"].astype(np.float32))
@@ -76,19 +76,6 @@ def write(path: Path, arrays: Arrays) -> None:
         packed.writestr("meta.json", json.dumps(meta))
         for name, picture in pictures.items():
             packed.writestr(name, _webp(picture))
-
-
-def _sorted(arrays: Arrays) -> Arrays:
-    """In Morton order: neighbours in space become neighbours in the pictures, which compress."""
-    means = arrays["means"].astype(np.float64)
-    low, high = means.min(axis=0), means.max(axis=0)
-    cells = ((means - low) / np.maximum(high - low, 1e-30) * 1023).astype(np.int64)
-    key = np.zeros(len(means), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            key |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
-    order = np.argsort(key, kind="stable")
-    return {name: values[order] for name, values in arrays.items()}
 
 
 def _positions(means: NDArray[np.float64]) -> tuple[Bytes, Bytes, dict[str, list[float]]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..formats.files import atomic_write
-from .arrays import Arrays, Float32, unit_quats
+from .arrays import Arrays, Float32, in_morton_order, unit_quats
 from .compressed_ply import arrays_of
 from .damage import damaged, reading, refuse_bomb
 from .packages import package
@@ -25,10 +25,11 @@ TITLE = "SPZ"
 MAGIC = 0x5053474E
 BITS = 24  # of a coordinate, with its sign
 MOST_FRACTION = 20  # bits behind the point
+SMALL, FINER = 0.05, 4  # a step is 2^-FINER of the size that this share of the Gaussians is below
 FARTHEST = 1000.0  # times the median distance from the origin: what is beyond is left out
 SCALES = (-10.0, 5.9375)  # logarithms that it can hold
 LOST = 0.01  # share of Gaussians whose size it may change
-STEP = 8 / 128  # of SH above degree 0; its own encoder has 16 / 128 above degree 1: 4 dB less
+STEP = 10 / 128  # of SH above degree 0; its own encoder has 16 / 128 above degree 1: 3 dB less
 SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
 MOST = 50_000_000  # Gaussians
 
@@ -42,6 +43,7 @@ def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
     """
     gsply: Any = package("gsply", "gsply", TITLE)
     spz: Any = package("gsply.spz", "gsply", TITLE)
+    arrays = in_morton_order(arrays)
     scales = arrays["log_scales"]
     outside = (scales < SCALES[0]).all(axis=1) | (scales > SCALES[1]).any(axis=1)
     if outside.mean() > LOST:
@@ -52,7 +54,8 @@ def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
     means = arrays["means"].astype(np.float32)
     reach = np.abs(means).max(axis=1)
     farthest = max(1e-6, min(float(reach.max()), FARTHEST * float(np.median(reach))))
-    fraction = int(np.clip(BITS - 1 - np.ceil(np.log2(farthest)), 1, MOST_FRACTION))
+    room = BITS - 1 - np.ceil(np.log2(farthest))
+    fraction = int(np.clip(room, 1, _enough(scales.astype(np.float32))))
     inside = reach < 2.0 ** (BITS - 1 - fraction)
     sh = _rounded(arrays["sh"].astype(np.float32))
     data = gsply.GSData.from_arrays(
@@ -71,6 +74,12 @@ def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
             raw = made.read_bytes()
             smaller = raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
             file.write(smaller)
+
+
+def _enough(log_scales: Float32) -> int:
+    """Bits behind the point after which small Gaussians move by less than anybody sees."""
+    small = np.quantile(log_scales.mean(axis=1), SMALL) / np.log(2)
+    return int(np.clip(np.ceil(FINER - small), 1, MOST_FRACTION))
 
 
 def _rounded(sh: Float32) -> Float32:
