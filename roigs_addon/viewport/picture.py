@@ -80,9 +80,10 @@ def checked(size: tuple[int, int], across: int) -> tuple[int, int]:
 
 def pose(item: bpy.types.Object) -> Matrix:
     """World -> camera; AddonError if the object's scale is zero."""
-    matrix: Matrix | None = item.matrix_world.normalized().inverted(None)
-    if matrix is None:
-        raise AddonError(f"The camera '{item.name}' sees nothing: its scale is zero.")
+    try:
+        matrix: Matrix = item.matrix_world.normalized().inverted()
+    except ValueError as error:
+        raise AddonError(f"The camera '{item.name}' sees nothing: its scale is zero.") from error
     return matrix
 
 
