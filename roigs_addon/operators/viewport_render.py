@@ -8,6 +8,7 @@ import bpy
 
 from .. import blender
 from ..blender import registration, scene_of, view_3d_of
+from ..errors import AddonError
 from ..scene import lookup
 from .base import available, failed
 
@@ -29,7 +30,8 @@ class RenderViewport(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a 3D view with Gaussians in it."""
-        if view_3d_of(context) is None or bpy.app.background:
+        inside = view_3d_of(context) is not None and context.region_data is not None
+        if not inside or bpy.app.background:
             return available(cls, "Use it in a 3D view")
         return available(cls, "" if lookup.splats(scene_of(context)) else "Load results first")
 
@@ -39,16 +41,18 @@ class RenderViewport(bpy.types.Operator):
 
         try:
             pixels = view_picture(context)
-        except RuntimeError as error:
+        except AddonError as error:
+            return failed(self, error)
+        except (RuntimeError, MemoryError) as error:
             return failed(self, f"There is no picture: {error}")
         _show(_image(pixels))
         return {"FINISHED"}
 
 
 def _image(pixels: NDArray[np.float32]) -> bpy.types.Image:
-    """The picture as an image, in place of an earlier one."""
+    """The picture as an image, in place of an earlier one that was not saved."""
     height, width = pixels.shape[:2]
-    image = bpy.data.images.get(IMAGE)
+    image = next((image for image in bpy.data.images if _is_free(image)), None)
     if image is None:
         image = bpy.data.images.new(IMAGE, width, height, alpha=True)
     if tuple(image.size) != (width, height):
@@ -57,6 +61,12 @@ def _image(pixels: NDArray[np.float32]) -> bpy.types.Image:
     values.foreach_set(pixels.ravel())
     image.update()
     return image
+
+
+def _is_free(image: bpy.types.Image) -> bool:
+    """Whether an image is an earlier picture that saving would not put into another's file."""
+    ours = image.name.startswith(IMAGE) and image.library is None
+    return ours and not image.filepath and image.packed_file is None
 
 
 def _show(image: bpy.types.Image) -> None:

@@ -9,11 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import gpu
 import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..blender import region_view_of, scene_of, view_3d_of, view_layer_of
+from ..errors import AddonError
 from ..scene.cameras import render_size
 from . import targets
 from .draw import painter
@@ -23,16 +25,20 @@ from .view import View, camera_frame
 KEY = "picture"
 """Of the order that belongs to pictures, not to a viewport."""
 
+MOST_PIXELS = 1 << 26
+"""Some 8 GB with all that Blender makes for it; with more, Blender itself may be ended."""
+
 
 def view_picture(context: bpy.types.Context) -> NDArray[np.float32]:
     """(H, W, 4) of a context's 3D view as it is shown, Gaussians in full; the bottom row is first.
 
     Raises:
         RuntimeError: the GPU has no memory for a picture of this size.
+        AddonError: the picture is too large, or the camera sees nothing.
     """
     scene, space, region = scene_of(context), view_3d_of(context), context.region
     assert space is not None and region is not None
-    size = render_size(scene.render)
+    size = checked(render_size(scene.render), gpu.capabilities.max_texture_size_get())
     matrix, projection = _view(context, size)
     made: Any = targets.TYPES.GPUOffScreen(*size, format="RGBA16F")
     try:
@@ -58,8 +64,27 @@ def view_picture(context: bpy.types.Context) -> NDArray[np.float32]:
     finally:
         made.free()
     pixels.dimensions = 4 * size[0] * size[1]
-    picture: NDArray[np.float32] = np.array(pixels, np.float32).reshape(size[1], size[0], 4)
+    picture: NDArray[np.float32] = np.asarray(pixels, np.float32).reshape(size[1], size[0], 4)
     return picture
+
+
+def checked(size: tuple[int, int], across: int) -> tuple[int, int]:
+    """The size; AddonError if a picture of it is too large, or wider or higher than `across`."""
+    if max(size) > across or size[0] * size[1] > MOST_PIXELS:
+        raise AddonError(
+            f"A picture of {size[0]} x {size[1]} pixels is too large."
+            " Lower the resolution in the Output properties."
+        )
+    return size
+
+
+def pose(item: bpy.types.Object) -> Matrix:
+    """World -> camera; AddonError if the object's scale is zero."""
+    try:
+        matrix: Matrix = item.matrix_world.normalized().inverted()
+    except ValueError as error:
+        raise AddonError(f"The camera '{item.name}' sees nothing: its scale is zero.") from error
+    return matrix
 
 
 def _view(context: bpy.types.Context, size: tuple[int, int]) -> tuple[Matrix, Matrix]:
@@ -76,7 +101,7 @@ def _view(context: bpy.types.Context, size: tuple[int, int]) -> tuple[Matrix, Ma
             scale_x=scene.render.pixel_aspect_x,
             scale_y=scene.render.pixel_aspect_y,
         )
-        return found.matrix_world.normalized().inverted(), projection
+        return pose(found), projection
     region = context.region
     assert region is not None
     projection = data.window_matrix.copy()

@@ -25,16 +25,17 @@ from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_engine import cli
 from roigs_engine.commands import train
 from roigs_engine.errors import EngineError
-from tests.fuzz import cases, run_folders
+from tests.fuzz import cases, exchange, run_folders
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
 SECONDS = 20.0
 # What no terminal may get of names; only progress bars may go back to the start of a line.
 CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]")
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
-         "gsply.spz", "imagecodecs", "pygltflib", "sklearn.cluster", "zstandard",
+         "sklearn.cluster",
          "roigs_engine.run.folder", "roigs_engine.evaluation.crops",
          "roigs_engine.rasterize.view")  # fmt: skip
+FORMATS = ("gsply.spz", "imagecodecs", "pygltflib", "zstandard")
 
 
 class Claim:
@@ -141,7 +142,7 @@ def main(chosen: list[tuple[str, int]]) -> None:
     """Run the cases and report."""
     report = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print themselves does not mix with it
-    for module in HEAVY:
+    for module in (*HEAVY, *(FORMATS if exchange.INSTALLED else ())):
         importlib.import_module(module)
     from roigs_engine.kernels.library import set_threads
 
