@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bpy
-import numpy as np
 
 from ..blender import leave_edit_mode
 from ..engine.writing import writing
 from ..errors import AddonError
-from ..geometry.frames import Matrix
 from ..scene import edits
 from ..scene.frame_request import models_of, shown
 from ..shared import files
 from .spec import EXPORTING, JobSpec
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 NAME = "roigs-export"
 """Of the list of models and of the log, in Blender's temporary folder."""
-
-UP = {
-    "-Y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "Y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-}
-"""The axis that points up in the file -> rotation from Blender's world."""
 
 NOTHING = "There is nothing to export: {}."
 
@@ -41,7 +28,7 @@ def spec(
     Args:
         context: its scene, and which objects are selected.
         path: of the file.
-        up: a key of `UP`.
+        up: axis that points up in the file, as `convert` has it; empty: the format's own.
         sh_degree: highest degree of view-dependent colour.
         selected: only selected objects.
 
@@ -64,18 +51,13 @@ def spec(
         raise AddonError(f"{path.parent} is not a folder.")
     listed = Path(bpy.app.tempdir) / f"{NAME}.json"
     with writing(listed.parent, "temporary folder in Blender's preferences"):
-        files.write_json(listed, {"models": _turned(models, UP[up])}, durable=False)
+        files.write_json(listed, {"models": models}, durable=False)
+    options = ["--from-up", "z", "--sh-degree", str(sh_degree)]
+    if up:
+        options.append(f"--up={up}")  # "-y" would be another option
     return JobSpec(
         title=EXPORTING,
-        arguments=["convert", str(listed), str(path), "--sh-degree", str(sh_degree)],
+        arguments=["convert", str(listed), str(path), *options],
         log=listed.with_suffix(".log"),
         done_text=f"Exported {path.name}",
     )
-
-
-def _turned(
-    models: list[dict[str, object]], rotation: Sequence[Sequence[float]]
-) -> list[dict[str, object]]:
-    turn: Matrix = np.eye(4)
-    turn[:3, :3] = rotation
-    return [model | {"matrix": (turn @ np.array(model["matrix"])).tolist()} for model in models]

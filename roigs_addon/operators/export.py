@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
+ENDINGS = (".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
+"""Of names that say the format, whatever is chosen."""
+GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
+
+
 class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
     """Write the Gaussians that renders show to one file for other programs, edited, moved and \
 turned as they are now"""
@@ -30,9 +35,21 @@ turned as they are now"""
     bl_idname = "roigs.export_gaussians"
     bl_label = "Export Gaussians"
 
-    filename_ext = ".ply"
+    file_format: EnumProperty(
+        name="Format",
+        items=[
+            (".ply", "PLY", "Exact; every program with Gaussians reads it"),
+            (".spz", "SPZ", "A tenth of the size. Needs the package gsply"),
+            (".compressed.ply", "Compressed PLY", "A quarter of the size. Needs gsply"),
+            (".sog", "SOG", "The smallest, for the web; colours suffer. Needs nothing more"),
+            (".glb", "glTF", "With KHR_gaussian_splatting. Needs the package pygltflib"),
+            (".usdc", "OpenUSD", "As ParticleField3DGaussianSplat. Needs the package usd-core"),
+            (".splat", ".splat", "For old viewers; colours are the same from all sides"),
+        ],
+        options=FRESH,
+    )
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN", *FRESH})
+    filter_glob: StringProperty(default=GLOB, options={"HIDDEN", *FRESH})
     check_existing: BoolProperty(default=True, options={"HIDDEN", *FRESH})
     selected: BoolProperty(
         name="Selected Only",
@@ -43,7 +60,8 @@ turned as they are now"""
         name="Up",
         description="Axis that points up in the file",
         items=[
-            ("-Y", "-Y, as other trainers", "Stands upright in SuperSplat and most viewers"),
+            ("AUTO", "As Its Readers Have It", "-Y in PLY and SOG, Y in SPZ, glTF and OpenUSD"),
+            ("-Y", "-Y", "Stands upright in SuperSplat and most viewers of PLY"),
             ("Y", "Y", "As in glTF and many game engines"),
             ("Z", "Z, as in Blender", "Comes back into Blender where it was"),
         ],
@@ -57,6 +75,11 @@ turned as they are now"""
         max=3,
         options=FRESH,
     )
+
+    @property
+    def filename_ext(self) -> str:
+        """What the file browser adds to the name."""
+        return str(self.file_format)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -72,9 +95,11 @@ turned as they are now"""
         chosen = absolute(self.filepath)
         if not chosen.name.strip() or self.filepath.endswith(("/", os.sep)):
             raise AddonError(f"{self.filepath} is a folder. Give the name of a file.")
-        path = Path(bpy.path.ensure_ext(str(chosen), self.filename_ext))
+        known = chosen.name.lower().endswith(ENDINGS)
+        path = chosen if known else Path(f"{chosen}{self.file_format}")
+        up = "" if self.up == "AUTO" else self.up.lower()
         spec = export_job.spec(
-            context, path, up=self.up, sh_degree=self.sh_degree, selected=self.selected
+            context, path, up=up, sh_degree=self.sh_degree, selected=self.selected
         )
         folders.exported(path)
         return spec
@@ -96,7 +121,7 @@ def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """The entry in File ▸ Export."""
     layout = menu.layout
     assert layout is not None
-    layout.operator(ExportGaussians.bl_idname, text="Gaussians (.ply, ROI-GS)")
+    layout.operator(ExportGaussians.bl_idname, text="Gaussians (.ply, .spz, .glb …, ROI-GS)")
 
 
 _register, _unregister = registration(ExportGaussians)

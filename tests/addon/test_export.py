@@ -104,6 +104,14 @@ def test_only_selected_and_fewer_degrees(blender: ModuleType, scene, tmp_path: P
     np.testing.assert_allclose(found["means"], points @ place[:3, :3].T + place[:3, 3], atol=1e-5)
 
 
+def test_other_formats_by_their_names(blender: ModuleType, scene, tmp_path: Path) -> None:
+    count = len(export(blender, tmp_path / "all.ply")["means"])
+    blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "all"), file_format=".splat")
+    blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "b.splat"), file_format=".ply")
+    for name in ("all", "b"):
+        assert (tmp_path / f"{name}.splat").stat().st_size == 32 * count
+
+
 def test_copies_are_exported_where_they_stand(blender: ModuleType, scene, tmp_path: Path) -> None:
     item = objects(scene)["thing Gaussians"]
     copy = item.copy()
