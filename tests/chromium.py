@@ -166,6 +166,13 @@ class Page:
                 clickCount=1,
             )
 
+    def swipe(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """With one finger."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        for kind, points in (("touchStart", [start]), ("touchMove", [end]), ("touchEnd", [])):
+            touched = [{"x": x, "y": y} for x, y in points]
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=touched)
+
     def picture(self) -> np.ndarray:
         """(H, W, 3) uint8: what is seen."""
         data = self.call("Page.captureScreenshot", format="png")["data"]

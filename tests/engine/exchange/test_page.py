@@ -104,6 +104,20 @@ def test_a_browser_shows_what_we_render(degree: int, tmp_path: Path) -> None:
 
 
 @browser
+def test_large_gaussians_reach_in_from_beside_the_picture(tmp_path: Path) -> None:
+    values = arrays(300)
+    angles = np.arange(16) * np.pi / 8
+    ring = 2.6 * np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
+    values["means"][:16] = ring
+    values["log_scales"][:16] = np.log(0.5)
+    values["logit_opacities"][:16] = 1.0
+    formats.write(tmp_path / "a.html", values)
+    with opened(tmp_path / "a.html") as shown:
+        picture = bare(shown)
+        assert psnr(picture, ours(values, shown)) > 33
+
+
+@browser
 def test_nothing_is_asked_of_the_network(tmp_path: Path) -> None:
     formats.write(tmp_path / "a.html", arrays())
     with opened(tmp_path / "a.html") as shown:
@@ -130,12 +144,13 @@ def test_buttons_fly_and_switch(tmp_path: Path) -> None:
 
 
 @browser
-def test_the_mouse_turns_the_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("hand", ["drag", "swipe"])
+def test_mouse_and_finger_turn_the_model(hand: str, tmp_path: Path) -> None:
     formats.write(tmp_path / "a.html", arrays())
     eye = "ready.then(v => v.camera.position.toArray())"
     with opened(tmp_path / "a.html") as shown:
         start = np.array(shown.run(eye))
-        shown.drag((100, 120), (200, 130))
+        getattr(shown, hand)((100, 120), (200, 130))
         time.sleep(0.5)
         end = np.array(shown.run(eye))
         middle = np.array(shown.run("ready.then(v => v.controls.target.toArray())"))
