@@ -14,6 +14,8 @@ from ..formats.text import counted
 from .console import Console
 from .options import add_roi_options, boxes
 from .out_folder import refuse_inputs
+from .page_options import SUFFIX as PAGE
+from .page_options import add_page_options, page_extras, refuse_page_options
 from .placed_models import HINT, placed_models
 from .values import PATH, integer
 
@@ -26,7 +28,8 @@ HELP = "write Gaussians in another format, turned, cropped to boxes, or placed a
 EXAMPLES = """\
   python -m roigs_engine convert runs/garden/result.ply garden.spz
   python -m roigs_engine convert result.ply vase.glb --rois rois.json --only vase --sh-degree 0
-  python -m roigs_engine convert placed.json garden.compressed.ply"""
+  python -m roigs_engine convert placed.json garden.compressed.ply
+  python -m roigs_engine convert result.ply vase.html --fly-to rois.json --before scene/model.ply"""
 LIST, AXES = ".json", ("-y", "y", "z")
 
 
@@ -43,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "out",
         type=PATH,
         metavar="OUT",
-        help="file to write; the end of its name says how: as above, or .usda, .usdz, .splat",
+        help="file to write; the end of its name says how: as above, or .usda, .usdz, .splat;"
+        " .html: a web page to send, with the viewer inside",
     )
     parser.add_argument(
         "--up",
@@ -62,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="highest degree of view-dependent colour, 0 to 3 (default: as it is)",
     )
     add_roi_options(parser)
+    add_page_options(parser)
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -71,6 +76,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     target = formats.format_of(args.out)
     if not target.writes:
         raise ConfigError(f"{target.title} files cannot be written.", "Choose another format.")
+    refuse_page_options(args)
     listed = args.source.suffix.lower() == LIST
     before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
     turn = axes.turn(before, args.up or target.up)
@@ -79,12 +85,32 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     else:
         refuse_inputs([args.out], [args.source])
         arrays = turned(_cropped(formats.read(args.source), args), turn)
-    if args.sh_degree is not None:
-        arrays = {**arrays, "sh": arrays["sh"][:, : (args.sh_degree + 1) ** 2]}
-    formats.write(args.out, arrays)
+    arrays = _shortened(arrays, args)
+    if target.suffix == PAGE:
+        formats.write(args.out, arrays, extras=page_extras(args, _before(args, target.up), turn))
+    else:
+        formats.write(args.out, arrays)
     size = args.out.stat().st_size / 1e6
     console.print(f"{counted(len(arrays['means']), 'Gaussian')}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
+
+
+def _shortened(arrays: Arrays, args: argparse.Namespace) -> Arrays:
+    """With the SH that were asked for."""
+    if args.sh_degree is None:
+        return arrays
+    return {**arrays, "sh": arrays["sh"][:, : (args.sh_degree + 1) ** 2]}
+
+
+def _before(args: argparse.Namespace, up: str) -> Arrays | None:
+    """The model of `--before`, as the first one is shown."""
+    if args.before is None:
+        return None
+    from ..exchange import axes, formats
+
+    refuse_inputs([args.out], [args.before])
+    turn = axes.turn(args.from_up or formats.format_of(args.before).up, args.up or up)
+    return _shortened(turned(_cropped(formats.read(args.before), args), turn), args)
 
 
 def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:

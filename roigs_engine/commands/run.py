@@ -45,6 +45,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..evaluation.crops import write_crops
     from ..evaluation.evaluate import evaluate
     from ..evaluation.report import format_markdown, write_report
+    from ..evaluation.report_html import write_page
+    from ..evaluation.report_pictures import comparisons
     from ..run.folder import train_opened
 
     with train.opened_run(args, console) as (opened, context):
@@ -65,9 +67,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         check_held(args.run_dir)
         write_report(evaluation, args.run_dir)
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
+        pictures = comparisons(evaluation, models, scene, rois, context=context)
+        write_page(evaluation, pictures, args.run_dir)
     console.print(format_markdown(evaluation))
     places = {
         "report": run_files.REPORT,
+        "page": run_files.REPORT_PAGE,
         "pictures": run_files.CROPS,
         "result": run_files.RESULT,
         "rois": run_files.FINE,

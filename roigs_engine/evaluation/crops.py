@@ -65,7 +65,7 @@ def write_crops(
     written: list[Path] = []
     for roi in rois:
         scores = evaluation.roi(roi.name)
-        shown = _shown(scores, evaluation.baseline, names)
+        shown = shown_rows(scores, evaluation.baseline, names)
         if not scores.views or not shown:
             continue
         by_name = {m.name: m for m in models if m.rois is None or roi.name in m.rois}
@@ -114,7 +114,9 @@ def choose_views(result: ModelScore, baseline: ModelScore) -> dict[str, str]:
     return picks
 
 
-def _shown(scores: RoiScores, baseline: str, names: Sequence[str] | None) -> list[ModelScore]:
+def shown_rows(
+    scores: RoiScores, baseline: str, names: Sequence[str] | None = None
+) -> list[ModelScore]:
     """The rows to show; the last one is compared with the first."""
     rows = {row.model: row for row in scores.rows}
     if names is not None:

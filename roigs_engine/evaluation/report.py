@@ -52,15 +52,15 @@ def format_markdown(evaluation: Evaluation) -> str:
     lines = [f"# Evaluation on {counted(count, f'{evaluation.photos} photo')}", ""]
     for scores in evaluation.rois:
         rows = scores.rows
-        columns = [column for column in COLUMNS if column != FLIP or _has_number(rows, column)]
+        columns = [column for column in COLUMNS if column != FLIP or has_number(rows, column)]
         lines += [f"## box '{_text(scores.roi)}'", "", *_table(rows, columns), ""]
-        columns = [column for column in PHOTO_COLUMNS if _has_number(rows, column)]
+        columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
         if columns:
             lines += ["Near and far, and single photos:", "", *_table(rows, columns), ""]
-        lines += [f"- {printable(line)}" for line in _notes(scores, evaluation)]
+        lines += [f"- {printable(line)}" for line in box_notes(scores, evaluation)]
         lines.append("")
     seen = [row for scores in evaluation.rois for row in scores.rows if row.views]
-    missing = bool(seen) and not _has_number(seen, FLIP)
+    missing = bool(seen) and not has_number(seen, FLIP)
     lines += [
         "PSNR: mean squared error over the mask's pixels and 3 channels, in dB, for each photo, "
         "then the mean over photos. SSIM: Wang et al. 2004, 11 x 11 Gaussian window, sigma 1.5, "
@@ -86,37 +86,38 @@ def _text(text: str) -> str:
     return printable(" ".join(text.split())).replace("|", "\\|")
 
 
-def _has_number(rows: Sequence[ModelScore], column: Column) -> bool:
+def has_number(rows: Sequence[ModelScore], column: Column) -> bool:
+    """Whether a row has a number in that column."""
     return any(column[1](row) is not None for row in rows)
 
 
 def _table(rows: Sequence[ModelScore], shown: Sequence[Column]) -> list[str]:
     """Header, rule and rows, padded so that the columns align in plain text."""
     columns = [["Method", *(_text(row.model) for row in rows)]]
-    columns += [[heading, *_cells(rows, key, form, best)] for heading, key, form, best in shown]
+    columns += [[heading, *cells(rows, key, form, best)] for heading, key, form, best in shown]
     widths = [max(len(cell) for cell in column) for column in columns]
     lines = []
     for index in range(len(rows) + 1):
-        cells = [column[index] for column in columns]
-        padded = [cells[0].ljust(widths[0])]
-        padded += [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
+        line = [column[index] for column in columns]
+        padded = [line[0].ljust(widths[0])]
+        padded += [cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True)]
         lines.append("| " + " | ".join(padded) + " |")
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
     return [lines[0], "| " + " | ".join(rule) + " |", *lines[1:]]
 
 
-def _cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[str]:
+def cells(rows: Sequence[ModelScore], key: Key, form: str, best: int) -> list[str]:
     """The cells of a column, the best in bold; none is bold if all cells are equal."""
     values = [key(row) for row in rows]
-    cells = [NONE if value is None else format(value, form) for value in values]
+    texts = [NONE if value is None else format(value, form) for value in values]
     present = [best * value for value in values if value is not None]
-    if best == 0 or len(present) < 2 or len(set(cells)) == 1:
-        return cells
+    if best == 0 or len(present) < 2 or len(set(texts)) == 1:
+        return texts
     winner = format(best * max(present), form)
-    return [f"**{cell}**" if cell == winner else cell for cell in cells]
+    return [f"**{text}**" if text == winner else text for text in texts]
 
 
-def _notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
+def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     """Notes on the pixels and photos behind the numbers of this box."""
     views = scores.views
     if not views:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,7 @@ FORMATS = (
     FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd"),
     FileFormat(title="OpenUSD", suffix=".usdz", up="y", module="usd"),
     FileFormat(title=".splat", suffix=".splat", up="-y", module="splat", reads=False),
+    FileFormat(title="web page", suffix=".html", up="y", module="page", reads=False),
 )
 
 
@@ -66,8 +68,13 @@ def format_of(path: Path) -> FileFormat:
     return found
 
 
-def write(path: Path, arrays: Arrays) -> None:
+def write(path: Path, arrays: Arrays, **more: Any) -> None:
     """Write Gaussians in the format that the name says, whole or not at all.
+
+    Args:
+        path: of the file.
+        arrays: the model.
+        more: what the module's `write` takes besides these; nothing for a plain PLY.
 
     Raises:
         ConfigError: the format is unknown, or cannot hold this model.
@@ -87,8 +94,8 @@ def write(path: Path, arrays: Arrays) -> None:
             f"The model lies too far from the origin for {form.title}.",
             "Move it to the origin, or write a plain PLY.",
         )
-    writer: Callable[[Path, Arrays], None] = import_module(f".{form.module}", __package__).write
-    writer(path, arrays)
+    writer: Callable[..., None] = import_module(f".{form.module}", __package__).write
+    writer(path, arrays, **more)
 
 
 def read(path: Path) -> Arrays:

@@ -29,6 +29,7 @@ FINE, COARSE = "rois", "coarse"
 """Folders with a PLY for each box: refined, and as the Scene-GS has it."""
 PREVIEW = "preview.ply"
 REPORT, REPORT_DATA, CROPS = "report.md", "report.json", "crops"
+REPORT_PAGE = "report.html"
 
 STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 """In a stage's folder: once it is done, and while it trains."""
@@ -42,7 +43,19 @@ COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its run. No stage is called that."""
 
 _FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, BOXES, RESULT, BACKGROUND)
-_RESULTS = (PREVIEW, PROJECT, FINE, COARSE, REPORT, REPORT_DATA, CROPS, SELECTION, ARCHIVE, CACHE)
+_RESULTS = (
+    PREVIEW,
+    PROJECT,
+    FINE,
+    COARSE,
+    REPORT,
+    REPORT_DATA,
+    REPORT_PAGE,
+    CROPS,
+    SELECTION,
+    ARCHIVE,
+    CACHE,
+)
 _STAGES = (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, FULL_SCENE_STAGE, MATCHED_STAGE)
 _PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
 _NAMES = {*_FILES, *_RESULTS, *_STAGES}

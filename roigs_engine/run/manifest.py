@@ -25,7 +25,13 @@ MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.
 RESULTS = (
     *(run_files.RESULT, run_files.BACKGROUND, run_files.FINE, run_files.COARSE),
-    *(run_files.REPORT, run_files.REPORT_DATA, run_files.CROPS, run_files.SELECTION),
+    *(
+        run_files.REPORT,
+        run_files.REPORT_DATA,
+        run_files.REPORT_PAGE,
+        run_files.CROPS,
+        run_files.SELECTION,
+    ),
     run_files.SETTINGS,
 )
 

@@ -138,7 +138,7 @@ class Request:
 def contents(run: Path) -> dict[str, Any]:
     """File -> bytes, without what tells of times: the log, and seconds in the reports."""
     files = {str(p.relative_to(run)): p.read_bytes() for p in run.rglob("*") if p.is_file()}
-    for name in ("events.jsonl", "report.md", "provenance.json"):
+    for name in ("events.jsonl", "report.md", "report.html", "provenance.json"):
         del files[name]
     return {
         name: timeless(json.loads(data)) if name.endswith(".json") else data

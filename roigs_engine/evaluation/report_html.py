@@ -1,0 +1,142 @@
+"""The report as a web page: one file, without network, with sliders between before and after."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..formats.files import write_text
+from ..formats.run_files import REPORT_PAGE
+from ..formats.text import counted, printable
+from .report import COLUMNS, FLIP, PHOTO_COLUMNS, Column, box_notes, cells, has_number
+from .report_pictures import Comparison, Shown
+from .report_plot import plot
+from .scores import Evaluation, ModelScore, RoiScores
+
+STYLE = """\
+:root { color-scheme: light dark; }
+body { margin: 0 auto; padding: 1em; max-width: 1100px; font: 16px/1.5 system-ui, sans-serif; }
+h1, h2, figcaption { overflow-wrap: anywhere; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; }
+th, td { padding: .3em .7em; border-bottom: 1px solid #8886; text-align: right;
+  white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; }
+li { font-size: .9em; }
+.pictures { display: flex; flex-wrap: wrap; gap: 1.5em; margin: 1.5em 0; }
+figure { margin: 0; max-width: 100%; }
+.slider { position: relative; max-width: 100%; }
+.slider img { display: block; width: 100%; height: 100%; }
+.slider img + img { position: absolute; inset: 0; clip-path: inset(0 0 0 var(--at, 50%)); }
+.slider::after { content: ""; position: absolute; top: 0; bottom: 0; left: var(--at, 50%);
+  width: 2px; background: #ffa000; pointer-events: none; }
+.slider input { position: absolute; inset: 0; width: 100%; height: 100%; margin: 0; opacity: 0;
+  cursor: ew-resize; touch-action: pan-y; }
+.slider:focus-within { outline: 2px solid #ffa000; }
+select, summary { font: inherit; }
+svg { max-width: 100%; height: auto; }
+svg text { fill: currentColor; font-size: 13px; }"""
+SCRIPT = """\
+for (const slider of document.querySelectorAll(".slider input")) {
+  const move = () => slider.parentElement.style.setProperty("--at", slider.value + "%");
+  slider.addEventListener("input", move);
+  move();
+}"""
+
+
+def write_page(evaluation: Evaluation, pictures: Sequence[Comparison], run_dir: Path) -> Path:
+    """Write `report.html`; returns its path."""
+    path = Path(run_dir) / REPORT_PAGE
+    write_text(path, format_html(evaluation, pictures))
+    return path
+
+
+def format_html(evaluation: Evaluation, pictures: Sequence[Comparison]) -> str:
+    """The page: for each box its tables, PSNR against seconds, sliders and notes."""
+    title = f"Evaluation on {counted(len(evaluation.test_views), f'{evaluation.photos} photo')}"
+    allowed = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+    policy += f"script-src 'sha256-{allowed}'"
+    parts = [
+        "<!DOCTYPE html>",
+        '<html lang="en">',
+        '<meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+        f"<title>{_text(title)}</title>",
+        f"<style>{STYLE}</style>",
+        f"<h1>{_text(title)}</h1>",
+    ]
+    for scores in evaluation.rois:
+        of_box = [item for item in pictures if item.roi == scores.roi]
+        parts += _box(scores, evaluation, of_box)
+    parts += [f"<script>{SCRIPT}</script>", "</html>", ""]
+    return "\n".join(parts)
+
+
+def _text(text: str) -> str:
+    """One line that is text alone in HTML, attributes included."""
+    return html.escape(printable(" ".join(text.split())))
+
+
+def _box(scores: RoiScores, evaluation: Evaluation, pictures: Sequence[Comparison]) -> list[str]:
+    rows = scores.rows
+    columns = [column for column in COLUMNS if column != FLIP or has_number(rows, column)]
+    parts = [f"<h2>{_text(scores.roi)}</h2>", *_table(rows, columns)]
+    if pictures:
+        parts += ['<div class="pictures">', *(_figure(item) for item in pictures), "</div>"]
+    parts += plot(rows)
+    columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
+    if columns:
+        parts += ["<h3>Near and far, and single photos</h3>", *_table(rows, columns)]
+    notes = (f"<li>{_text(note)}</li>" for note in box_notes(scores, evaluation))
+    return [*parts, "<ul>", *notes, "</ul>"]
+
+
+def _table(rows: Sequence[ModelScore], columns: Sequence[Column]) -> list[str]:
+    heads = "".join(f"<th>{_text(name)}</th>" for name in ("Method", *(c[0] for c in columns)))
+    filled = [cells(rows, key, form, best) for _, key, form, best in columns]
+    lines = [f'<div class="wide"><table><tr>{heads}</tr>']
+    for index, row in enumerate(rows):
+        line = "".join(f"<td>{_cell(column[index])}</td>" for column in filled)
+        lines.append(f"<tr><td>{_text(row.model)}</td>{line}</tr>")
+    return [*lines, "</table></div>"]
+
+
+def _cell(text: str) -> str:
+    """A number; the best is bold, as Markdown has it."""
+    bare = text.removeprefix("**").removesuffix("**")
+    return _text(bare) if bare == text else f"<strong>{_text(bare)}</strong>"
+
+
+def _figure(item: Comparison) -> str:
+    """Baseline and result, or photo and result if there is one model, under a slider."""
+    left, right = item.pictures[-2], item.pictures[-1]
+    width, height = item.size
+    photo = item.pictures[0]
+    reference = (
+        ""
+        if left is photo
+        else f"<details><summary>Photo</summary>{_image(photo, width, height)}</details>"
+    )
+    sides = f"{_named(left)} | {_named(right)}"
+    return (
+        f'<figure><div class="slider" style="width:{width}px;aspect-ratio:{width}/{height}">'
+        f"{_image(left, width, height)}{_image(right, width, height)}"
+        f'<input type="range" min="0" max="100" value="50" aria-label="{sides}"></div>'
+        f"<figcaption>{sides}<br>{_text(item.view)} ({_text(item.label)})</figcaption>"
+        f"{reference}</figure>"
+    )
+
+
+def _named(shown: Shown) -> str:
+    return _text(shown.name if shown.psnr is None else f"{shown.name}: {shown.psnr:.2f} dB")
+
+
+def _image(shown: Shown, width: int, height: int) -> str:
+    data = base64.b64encode(shown.jpeg).decode()
+    source = f"data:image/jpeg;base64,{data}"
+    return f'<img alt="{_text(shown.name)}" width="{width}" height="{height}" src="{source}">'

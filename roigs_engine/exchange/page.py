@@ -1,0 +1,124 @@
+"""A web page that shows Gaussians: one file, without network, with the viewer inside.
+
+The splats are SPZ (version 3) as base64, which a browser unpacks without a library. The viewer
+(`page_parts/viewer.min.js`, made by `tools/page_viewer.py`) draws SH up to degree 2.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigError, EngineError
+from ..formats.files import atomic_write
+from ..formats.text import printable
+from . import spz
+from .arrays import Arrays, usable
+from .page_views import Ball, overview, viewpoint
+
+PARTS = Path(__file__).parent / "page_parts"
+BANDS = 9  # SH that the viewer draws: degree 2
+BEFORE, AFTER = "Before", "After"
+WHOLE = "Whole scene"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What a page shows besides the model.
+
+    Attributes:
+        title: of the page; empty: the file's name.
+        places: name and ball to look at, in the model's frame, for one button each.
+        before: a second model to switch to.
+    """
+
+    title: str = ""
+    places: Sequence[tuple[str, Ball]] = ()
+    before: Arrays | None = None
+
+
+def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
+    """Write the page.
+
+    Raises:
+        ConfigError: SPZ cannot hold a model, or `before` has no Gaussians.
+        EngineError: gsply or the viewer is missing, or the file cannot be written.
+    """
+    extras = extras or Extras()
+    models = {AFTER: arrays}
+    if extras.before is not None:
+        models = {BEFORE: usable(extras.before), AFTER: arrays}
+        if not len(models[BEFORE]["means"]):
+            raise ConfigError("The model before has no Gaussians.", "Give another --before.")
+    values = {
+        "title": html.escape(printable(extras.title or path.stem)),
+        "licence": _part("viewer.LICENSE.txt").replace("--", "- -"),
+        "style": _part("page.css"),
+        "count": f"{sum(len(model['means']) for model in models.values()):,}",
+        "page": _json(_description(models, extras)),
+        "models": "\n".join(_embedded(name, model) for name, model in models.items()),
+        "viewer": _part("viewer.min.js"),
+        "script": _part("page.js"),
+    }
+    text = re.sub(r"\{\{(\w+)\}\}", lambda found: values[found[1]], _part("page.html"))
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+def _description(models: dict[str, Arrays], extras: Extras) -> dict[str, Any]:
+    """What the script of the page needs to know."""
+    shown = models[AFTER]
+    whole = overview(shown)
+    balls = [whole, *(ball for _, ball in extras.places)]
+    views = [viewpoint(shown, ball) for ball in balls]
+    names = [WHOLE, *(printable(name) for name, _ in extras.places)]
+    places = [
+        {"name": name, "target": ball.centre.tolist(), "position": position.tolist()}
+        for name, ball, position in zip(names, balls, views, strict=True)
+    ]
+    bands = min(BANDS, *(model["sh"].shape[1] for model in models.values()))
+    return {
+        "models": list(models),
+        "places": places,
+        "degree": int(np.sqrt(bands)) - 1,
+        "near": min(ball.radius for ball in balls) / 1000,
+        "far": whole.radius * 1e4,
+    }
+
+
+def _json(value: Any) -> str:
+    """JSON that no HTML can end."""
+    return json.dumps(value).replace("<", "\\u003c")
+
+
+def _embedded(name: str, arrays: Arrays) -> str:
+    """A script element with the model."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "model.spz"
+        spz.write(made, {**arrays, "sh": arrays["sh"][:, :BANDS]})
+        text = base64.b64encode(made.read_bytes()).decode()
+    return f'<script id="{name}" type="text/plain">{text}</script>'
+
+
+def _part(name: str) -> str:
+    """A file of the page.
+
+    Raises:
+        EngineError: it is missing.
+    """
+    try:
+        return (PARTS / name).read_text(encoding="utf-8")
+    except OSError as error:
+        raise EngineError(
+            f"A part of web pages is missing: {PARTS / name}.",
+            "Install the engine again, or run tools/page_viewer.py.",
+        ) from error

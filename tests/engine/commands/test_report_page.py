@@ -1,0 +1,20 @@
+"""`run` writes its report as a web page too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.cli import main
+from tests.engine.commands.test_photos import arguments, scene
+
+
+def test_a_run_writes_its_report_as_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert main(arguments(scene(tmp_path), run)) == 0
+    text = (run / "report.html").read_text(encoding="utf-8")
+    assert "<h2>thing</h2>" in text and 'src="data:image/jpeg;base64,' in text
+    assert str(run / "report.html") in capsys.readouterr().out
