@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
-ENDINGS = (".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
+ENDINGS = (".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat", ".html")
 """Of names that say the format, whatever is chosen."""
 GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
 
@@ -40,6 +40,7 @@ turned as they are now"""
         items=[
             (".ply", "PLY", "Exact; every program with Gaussians reads it"),
             (".spz", "SPZ", "A tenth of the size. Needs the package gsply"),
+            (".html", "Web Page", "To send: a page with a viewer inside. Needs the package gsply"),
             (".compressed.ply", "Compressed PLY", "A quarter of the size. Needs gsply"),
             (".sog", "SOG", "The smallest, for the web; colours suffer. Needs nothing more"),
             (".glb", "glTF", "With KHR_gaussian_splatting. Needs the package pygltflib"),
