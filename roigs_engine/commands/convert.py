@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sh-degree",
-        type=integer(1, 3, zero=True),
+        type=integer(0, 3),
         metavar="N",
         help="highest degree of view-dependent colour, 0 to 3 (default: as it is)",
     )

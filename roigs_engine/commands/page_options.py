@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..model.roi import load_rois
-from .values import PATH
+from .values import NAME, PATH
 
 if TYPE_CHECKING:
     from ..exchange.arrays import Arrays
@@ -22,7 +22,9 @@ SUFFIX = ".html"
 def add_page_options(parser: argparse.ArgumentParser) -> None:
     """What a page shows besides the model."""
     group = parser.add_argument_group("web page (OUT.html)")
-    group.add_argument("--title", metavar="TEXT", help="of the page (default: the name of OUT)")
+    group.add_argument(
+        "--title", type=NAME, metavar="TEXT", help="of the page (default: the name of OUT)"
+    )
     group.add_argument(
         "--fly-to",
         type=PATH,

@@ -40,10 +40,12 @@ def words(command: str, action: argparse.Action | None, value: str) -> list[str]
         needed = other.required and other.dest != action.dest
         if needed and other.option_strings:
             line += [other.option_strings[0], "x=y"]
+        elif not other.option_strings and other.dest == action.dest:
+            line.append(value)
         elif needed:
             line.append("x")
     if not action.option_strings:
-        return [*line, value]
+        return line
     return [*line, f"{action.option_strings[0]}={value}"]
 
 
@@ -87,7 +89,8 @@ def test_blank_names_and_paths(name: str, capsys: pytest.CaptureFixture[str]) ->
     )
     for value in ("", " ", "\t \n"):
         line = refused(capsys, *words(command, action, value))
-        assert option in line.lower() and "empty" in line
+        named = action.metavar if not action.option_strings and action.metavar else option
+        assert str(named).lower() in line.lower() and "empty" in line
 
 
 @pytest.mark.parametrize("command", ["inspect", "export", "select", "train", "evaluate"])
