@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import random
 import re
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -159,6 +160,8 @@ def timeless(value: Any) -> Any:
 
 def _engine(arguments: list[str], at: Moment | None, folder: Path) -> None:
     """In a process of its own."""
+    if hasattr(signal, "SIGHUP"):  # `nohup` would have every process below it ignore that
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     sys.modules["tqdm"] = None  # type: ignore[assignment] # its semaphores would outlive a kill
     os.environ["SOME_TOKEN"] = SECRET
     presets.PRESETS["tiny"] = tiny
