@@ -13,7 +13,7 @@ from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
-from ..scene import lookup, splats
+from ..scene import compared, edits, lookup, splats
 from ..windows import redraw
 from .base import FRESH, available, failed, select_only
 
@@ -46,7 +46,11 @@ class LoadResults(bpy.types.Operator):
         """Make an object for the background, and two for each box."""
         scene = scene_of(context)
         try:
-            splats.show_results(scene, self._folder(scene))
+            folder, edited = self._folder(scene), any(map(edits.is_edited, lookup.splats(scene)))
+            if self.earlier and edited and compared.shown_result(scene) != folder:
+                compared.switch(scene, folder)  # edits of the one that is shown wait for it
+            else:
+                splats.show_results(scene, folder)
         except AddonError as error:
             return failed(self, error)
         caches.forget()

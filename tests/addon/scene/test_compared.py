@@ -113,6 +113,16 @@ def test_a_loaded_result_has_no_edits_of_before(blender: ModuleType, two) -> Non
     assert count(item) == every - 5
 
 
+def test_a_click_on_an_earlier_result_keeps_edits_of_the_last(blender: ModuleType, two) -> None:
+    item = two[0].objects["thing Gaussians"]
+    every = count(item)
+    cut(blender, item, range(7))
+    blender.ops.roigs.load_results(earlier=two[2].name)
+    assert count(item) == every
+    blender.ops.roigs.compare_results()
+    assert count(item) == every - 7
+
+
 def test_edits_do_not_come_back_to_another_training(blender: ModuleType, two) -> None:
     scene, folder, _ = two
     item = scene.objects["Background"]
