@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ConfigError, RoiError
+from ..exchange.axes import UP, turn
 from ..formats.files import read_json
 from ..formats.text import counted
 from .console import Console
@@ -30,7 +31,7 @@ EXAMPLES = """\
   python -m roigs_engine convert result.ply vase.glb --rois rois.json --only vase --sh-degree 0
   python -m roigs_engine convert placed.json garden.compressed.ply
   python -m roigs_engine convert result.ply vase.html --fly-to rois.json --before scene/model.ply"""
-LIST, AXES = ".json", ("-y", "y", "z")
+LIST = ".json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,12 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--up",
-        choices=AXES,
+        choices=tuple(UP),
         help="axis that points up in OUT (default: as readers of the format have it)",
     )
     parser.add_argument(
         "--from-up",
-        choices=AXES,
+        choices=tuple(UP),
         help="axis that points up in IN (default: as the format has it; -y for .ply)",
     )
     parser.add_argument(
@@ -71,23 +72,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the models, make them one, and write it."""
-    from ..exchange import axes, formats
+    from ..exchange import formats
 
     target = formats.format_of(args.out)
-    if not target.writes:
-        raise ConfigError(f"{target.title} files cannot be written.", "Choose another format.")
     refuse_page_options(args)
     listed = args.source.suffix.lower() == LIST
     before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
-    turn = axes.turn(before, args.up or target.up)
+    matrix = turn(before, args.up or target.up)
     if listed:
-        arrays = _placed(args, turn)
+        arrays = _placed(args, matrix)
     else:
         refuse_inputs([args.out], [args.source])
-        arrays = turned(_cropped(formats.read(args.source), args), turn)
+        arrays = turned(_cropped(formats.read(args.source), args), matrix)
     arrays = _shortened(arrays, args)
     if target.suffix == PAGE:
-        formats.write(args.out, arrays, extras=page_extras(args, _before(args, target.up), turn))
+        formats.write(args.out, arrays, extras=page_extras(args, _before(args, target.up), matrix))
     else:
         formats.write(args.out, arrays)
     size = args.out.stat().st_size / 1e6
@@ -106,11 +105,11 @@ def _before(args: argparse.Namespace, up: str) -> Arrays | None:
     """The model of `--before`, as the first one is shown."""
     if args.before is None:
         return None
-    from ..exchange import axes, formats
+    from ..exchange import formats
 
     refuse_inputs([args.out], [args.before])
-    turn = axes.turn(args.from_up or formats.format_of(args.before).up, args.up or up)
-    return _shortened(turned(_cropped(formats.read(args.before), args), turn), args)
+    matrix = turn(args.from_up or formats.format_of(args.before).up, args.up or up)
+    return _shortened(turned(_cropped(formats.read(args.before), args), matrix), args)
 
 
 def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:
@@ -146,7 +145,7 @@ def _drawable(arrays: Arrays) -> Arrays:
     return arrays
 
 
-def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
+def _placed(args: argparse.Namespace, matrix: Float64) -> Arrays:
     """The models of a list, in their places, as one."""
     from ..exchange import formats
     from ..exchange.arrays import usable
@@ -169,7 +168,7 @@ def _placed(args: argparse.Namespace, turn: Float64) -> Arrays:
     models = []
     for item in wanted:
         gaussians, frame = read[item.file]
-        place = turn @ item.matrix
+        place = matrix @ item.matrix
         models.append(PlacedModel(gaussians=gaussians, frame=frame, matrix=place, gains=item.gains))
     return _merged(models)
 

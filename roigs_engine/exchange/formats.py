@@ -29,7 +29,7 @@ class FileFormat:
         suffix: of a file's name.
         up: the axis that points up, as most of its readers have it.
         module: of this package, with `read` and `write`; empty: the plain PLY.
-        reads, writes: whether it does.
+        reads: whether it can be read; every one can be written.
     """
 
     title: str
@@ -37,7 +37,6 @@ class FileFormat:
     up: str
     module: str = ""
     reads: bool = True
-    writes: bool = True
 
 
 FORMATS = (
