@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender import registration, scene_of
+from ..blender import leave_edit_mode, registration, scene_of
 from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
@@ -44,9 +44,10 @@ class LoadResults(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make an object for the background, and two for each box."""
-        scene = scene_of(context)
+        scene, shown = scene_of(context), lookup.splats(scene_of(context))
+        leave_edit_mode(shown)  # in it, what was edited cannot be told
         try:
-            folder, edited = self._folder(scene), any(map(edits.is_edited, lookup.splats(scene)))
+            folder, edited = self._folder(scene), any(map(edits.is_edited, shown))
             if self.earlier and edited and compared.shown_result(scene) != folder:
                 compared.switch(scene, folder)  # edits of the one that is shown wait for it
             else:
