@@ -23,6 +23,8 @@ RUN_DIR ?= runs/demo
 BLENDER ?=
 SUITE ?= trixie
 
+# By file, as fixtures of a module are dear; a test process with Blender takes up to 1 GB.
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
@@ -40,7 +42,7 @@ test: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
 
 test-long: $(VENV)/installed-dev
 	$(UPDATE_KERNELS)
