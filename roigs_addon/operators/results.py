@@ -13,7 +13,7 @@ from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
-from ..scene import compared, edits, lookup, splats
+from ..scene import compared, compositor, edits, lookup, splats
 from ..windows import redraw
 from .base import FRESH, available, failed, select_only
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 NO_RESULT = "Train first: the run folder has no result"
+NO_GAUSSIANS = "This scene has no Gaussians"
 
 
 class LoadResults(bpy.types.Operator):
@@ -121,6 +122,24 @@ class ShowPoints(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class ShowInRenders(bpy.types.Operator):
+    """Merge the Gaussians into this scene's renders: adds a node to its compositor"""
+
+    bl_idname = "roigs.show_in_renders"
+    bl_label = "Show in Renders"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be Gaussians."""
+        return available(cls, "" if lookup.splats(scene_of(context)) else NO_GAUSSIANS)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Add the node."""
+        compositor.link(scene_of(context))
+        return {"FINISHED"}
+
+
 class SelectGaussians(bpy.types.Operator):
     """Select these Gaussians, to move or edit them: a click in the view does not reach them"""
 
@@ -147,7 +166,7 @@ def _follow() -> None:
 
 
 _register, _unregister = registration(
-    LoadResults, DeleteResult, SetDetail, ShowPoints, SelectGaussians
+    LoadResults, DeleteResult, SetDetail, ShowPoints, ShowInRenders, SelectGaussians
 )
 
 

@@ -19,10 +19,11 @@ from ..operators.results import (
     LoadResults,
     SelectGaussians,
     SetDetail,
+    ShowInRenders,
     ShowPoints,
 )
 from ..operators.run_folder import CleanUp, CompareResults
-from ..properties import object_props
+from ..properties import object_props, scene_props
 from ..scene import compared, compositor, lookup
 from ..scene.splats import shown_levels
 from ..shared import text
@@ -56,14 +57,23 @@ class ResultPanel(SidebarPanel):
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine archives files.
         if not current.busy() and (missing := run_facts.missing_splats(scene)):
-            listed = ", ".join(missing)
-            told = f"Missing splat files: {listed}. Train, or set the Run Folder and load results"
-            show.wrong(layout, told)
+            show.wrong(layout, _missing_in_words(scene, missing))
         _draw_results(layout, scene)
         if splats:
             _draw_render(layout, scene)
             layout.operator(ExportGaussians.bl_idname, text="Export…", icon="EXPORT")
             show.job(layout, EXPORTING)
+
+
+def _missing_in_words(scene: bpy.types.Scene, names: list[str]) -> str:
+    """Whose files are missing, where they were, and what helps in this scene."""
+    files = [object_props(scene.objects[name]).ply for name in names]
+    folders = {str(Path(file).parent) for file in files}
+    where = files[0] if len(files) == 1 else ", ".join(sorted(folders))
+    helps = "Put them back where they were"
+    if scene_props(scene).colmap:
+        helps += ", train, or set the Run Folder and load results"
+    return f"Missing splat files: {', '.join(names)} ({where}). {helps}"
 
 
 def _draw_objects(
@@ -157,6 +167,8 @@ def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     problem = compositor.lacking(scene) or rendering.problem
     if problem:
         show.wrong(layout, problem)
+    if compositor.find(scene) is None:
+        layout.operator(ShowInRenders.bl_idname, icon="RENDER_STILL")
     view = scene.view_settings
     if view is not None and view.view_transform not in TRUE_COLOURS:
         show.todo(layout, "Colours differ from the photos'")
