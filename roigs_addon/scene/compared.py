@@ -9,6 +9,7 @@ import bpy
 from ..blender import leave_edit_mode
 from ..properties import object_props
 from . import compositor, edits, lookup, splats
+from .renamed_boxes import renamed
 
 SEEN = ("view", "render")
 """Words for what a parked object was seen in."""
@@ -33,6 +34,7 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
     files = splats.result_files(folder)
     splats.take_names(scene, splats.result_files(shown_result(scene) or folder))
     fresh = splats.read_files(files)
+    splats.rename_boxes(scene, renamed(scene, fresh))
     for item in lookup.splats(scene):
         edits.put_aside(item)
     for part, file in files.items():

@@ -24,6 +24,7 @@ from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
 from ..shared import run_files
 from . import clouds, compositor, edits, lookup, native_splats
+from .renamed_boxes import renamed
 from .splat_attributes import add_attributes
 
 Part = tuple[str, str]
@@ -31,6 +32,7 @@ Part = tuple[str, str]
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
+UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"
 
 
@@ -49,6 +51,7 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     files = result_files(folder)
     take_names(scene, files)
     fresh = read_files(files)
+    rename_boxes(scene, renamed(scene, fresh))
     shown = [item for part, file in files.items() for item in show(scene, part, file, fresh[part])]
     for item in lookup.splats(scene):
         props = object_props(item)
@@ -203,6 +206,7 @@ def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:
     try:
         for part, path in files.items():
             made[part] = native_splats.import_splats(path) or _points(_name(*part), path)
+            made[part].name = UNUSED  # an object that is renamed may need its name
     except AddonError:
         for item in made.values():
             delete(item)

@@ -7,12 +7,13 @@ from functools import partial
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.scene.test_earlier_results import PARTS, archive, files
 from tests.addon.scene.test_edits import choose, cut
-from tests.addon.splat_cases import random_ply
+from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
 
@@ -183,7 +184,9 @@ def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
 
     scene, _, older = two
     for part in ("rois", "coarse"):
-        (older / part / "thing.ply").rename(older / part / "other.ply")
+        (older / part / "thing.ply").unlink()
+        away = random_arrays(12, seed=3)
+        write_ply(older / part / "other.ply", away | {"means": away["means"] + np.float32(9)})
     item = scene.objects["thing Gaussians"]
     item.location.x = 5
     for _ in range(2):
@@ -198,6 +201,42 @@ def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
         assert scene.objects["other Gaussians"].hide_get()
     blender.ops.roigs.load_results()
     assert "other Gaussians" not in scene.objects
+
+
+@pytest.mark.parametrize("load", [False, True])
+def test_a_renamed_box_is_the_same_box(blender: ModuleType, two, load: bool) -> None:
+    scene, _, older = two
+    for part in ("rois", "coarse"):
+        (older / part / "thing.ply").rename(older / part / "Box 1.ply")
+    item, every = scene.objects["thing Gaussians"], len(scene.objects)
+    item.location, item.roigs.exposure, item.roigs.tint = (1, 2, 3), 0.5, (1, 0.5, 1)
+    cut(blender, item, range(4))
+    left, meshes = count(item), 0
+    seen = {o: (o.hide_get(), o.hide_render, o.hide_viewport) for o in scene.objects}
+    for _ in range(5):
+        if load:
+            blender.ops.roigs.load_results(earlier=older.name)
+        else:
+            blender.ops.roigs.compare_results()
+        assert item.name == "Box 1 Gaussians" and item.roigs.roi == "Box 1"
+        assert Path(item.roigs.ply) == older / "rois" / "Box 1.ply" and count(item) == left + 4
+        blender.ops.roigs.compare_results()
+        assert item.name == "thing Gaussians" and count(item) == left
+        assert {o: (o.hide_get(), o.hide_render, o.hide_viewport) for o in scene.objects} == seen
+        assert tuple(item.location) == (1, 2, 3)
+        assert item.roigs.exposure == 0.5 and tuple(item.roigs.tint) == (1, 0.5, 1)
+        assert len(scene.objects) == every
+        assert meshes in (0, len(blender.data.meshes))
+        meshes = len(blender.data.meshes)
+
+
+def test_a_box_elsewhere_is_another_box() -> None:
+    from roigs_addon.geometry.overlap import overlap
+
+    points = random_arrays(500, seed=1)["means"]
+    assert overlap(points, random_arrays(900, seed=2)["means"]) > 0.8
+    assert overlap(points, points + np.float32([1.5, 0, 0])) < 0.3
+    assert overlap(points, points[:0]) == overlap(points[:1], points[:1]) == 0
 
 
 def test_the_earlier_result_that_was_shown_last(blender: ModuleType, two) -> None:
