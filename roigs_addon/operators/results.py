@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender import registration, scene_of
+from ..blender import leave_edit_mode, registration, scene_of
 from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
@@ -46,6 +46,7 @@ class LoadResults(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Make an object for the background, and two for each box."""
         scene = scene_of(context)
+        leave_edit_mode(lookup.splats(scene))
         try:
             folder, edited = self._folder(scene), any(map(edits.is_edited, lookup.splats(scene)))
             if self.earlier and edited and compared.shown_result(scene) != folder:

@@ -23,7 +23,7 @@ from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
 from ..shared import run_files
-from . import clouds, compositor, edits, lookup, native_splats
+from . import clouds, compositor, edits, lookup, native_splats, origins
 from .renamed_boxes import renamed
 from .splat_attributes import add_attributes
 
@@ -231,6 +231,7 @@ def show(
     if shown:  # they keep their names, places and whatever the user did with them
         _give_data(shown, fresh)
     else:
+        origins.centre_on_box(scene, fresh, roi)
         shown = [_new_object(scene, name, fresh)]
         hide(scene, fresh, level == "SCENE")
         fresh.hide_render = level == "SCENE"
@@ -241,16 +242,21 @@ def show(
 
 
 def _give_data(items: list[bpy.types.Object], source: bpy.types.Object) -> None:
-    """Give objects the data of `source`, which is removed; those that share data share the new."""
+    """Give objects the data of `source`, which is removed; those that share data share the new.
+
+    It stands where the old data would: that has an origin, and Object > Apply may have moved it.
+    """
     given: dict[Any, Any] = {}
     fresh: Any = source.data
     for item in items:
         if item.data not in given:
-            given[item.data] = fresh.copy() if given else fresh
+            given[item.data] = fresh.copy()
+            if isinstance(item.data, bpy.types.Mesh):
+                edits.place(given[item.data], edits.whole_frame(item.data))
     for item in items:
         item.data = given[item.data]
     bpy.data.objects.remove(source)
-    bpy.data.batch_remove([old for old in given if old is not None and not old.users])
+    bpy.data.batch_remove([old for old in (*given, fresh) if old is not None and not old.users])
 
 
 def _points(name: str, path: Path) -> bpy.types.Object:

@@ -58,7 +58,7 @@ def test_attributes(blender: ModuleType, run, coefficients: int) -> None:
     mesh = item.data
     from roigs_addon.scene.clouds import positions
 
-    np.testing.assert_array_equal(positions(item), arrays["means"])
+    np.testing.assert_allclose(positions(item) + item.location, arrays["means"], atol=1e-6)
     np.testing.assert_allclose(values(mesh, "scale"), np.exp(arrays["log_scales"]), rtol=1e-5)
     opacity = 1 / (1 + np.exp(-arrays["logit_opacities"]))
     np.testing.assert_allclose(values(mesh, "opacity"), opacity, rtol=1e-5)
