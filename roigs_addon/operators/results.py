@@ -13,7 +13,8 @@ from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
-from ..scene import compared, compositor, edits, lookup, splats
+from ..properties import object_props
+from ..scene import compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
 from .base import FRESH, available, failed, select_only
 
@@ -100,11 +101,21 @@ class SetDetail(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     roi: StringProperty(description="Name of the box", options=FRESH)
+    name: StringProperty(description="Name of an object; empty: all of the box", options=FRESH)
     fine: BoolProperty(default=True, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide one, show the other."""
-        splats.set_detail(scene_of(context), self.roi, self.fine)
+        scene = scene_of(context)
+        try:
+            for pair in detail.pairs(scene):
+                items = [item for item in (pair.fine, pair.coarse) if item is not None]
+                of_box = any(object_props(item).roi == self.roi for item in items)
+                named = any(item.name == self.name for item in items)
+                if named if self.name else of_box:
+                    detail.set_detail(scene, pair, self.fine)
+        except AddonError as error:
+            return failed(self, error)
         return {"FINISHED"}
 
 

@@ -39,11 +39,11 @@ def test_a_and_b(blender: ModuleType, two) -> None:
     back.hide_set(True)
     back.hide_render = True
     blender.ops.roigs.set_detail(roi="thing", fine=False)
-    seen = {o.name: (o.hide_get(), o.hide_render) for o in scene.objects}
+    seen = {o.name: (o.visible_get(), o.hide_render) for o in scene.objects}
     for place in (older, folder, older):
         assert blender.ops.roigs.compare_results() == {"FINISHED"}
         assert {file.parents[0 if file.parent == place else 1] for file in files(scene)} == {place}
-        assert {o.name: (o.hide_get(), o.hide_render) for o in scene.objects} == seen
+        assert {o.name: (o.visible_get(), o.hide_render) for o in scene.objects} == seen
         assert tuple(item.location) == (1, 2, 3)
 
 
@@ -96,9 +96,9 @@ def test_edited_copies_are_shown_with_their_result(blender: ModuleType, two) -> 
     cut(blender, copy, range(10))
     for _ in range(2):
         blender.ops.roigs.compare_results()
-        assert copy.hide_get() and copy.hide_render and not item.hide_get()
+        assert not copy.visible_get() and copy.hide_render and item.visible_get()
         blender.ops.roigs.compare_results()
-        assert not copy.hide_get() and not copy.hide_render and count(copy) == every - 10
+        assert copy.visible_get() and not copy.hide_render and count(copy) == every - 10
 
 
 def test_a_loaded_result_has_no_edits_of_before(blender: ModuleType, two) -> None:
@@ -191,14 +191,14 @@ def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
     item.location.x = 5
     for _ in range(2):
         blender.ops.roigs.compare_results()
-        assert item.hide_get() and item.hide_render
-        assert not scene.objects["other Gaussians"].hide_get()
-        assert scene.objects["other coarse"].hide_get()
+        assert not item.visible_get() and item.hide_render
+        assert scene.objects["other Gaussians"].visible_get()
+        assert not scene.objects["other coarse"].visible_get()
         assert run_facts.missing_splats(scene) == []
         blender.ops.roigs.compare_results()
-        assert not item.hide_get() and not item.hide_render and item.location.x == 5
-        assert scene.objects["thing coarse"].hide_get()
-        assert scene.objects["other Gaussians"].hide_get()
+        assert item.visible_get() and not item.hide_render and item.location.x == 5
+        assert not scene.objects["thing coarse"].visible_get()
+        assert not scene.objects["other Gaussians"].visible_get()
     blender.ops.roigs.load_results()
     assert "other Gaussians" not in scene.objects
 

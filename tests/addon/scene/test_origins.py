@@ -76,6 +76,8 @@ def assert_close(*points: np.ndarray) -> None:
 def test_it_is_the_centre_of_the_box(blender: ModuleType, far, name: str, part: str) -> None:
     scene, folder = far
     item, box = scene.objects[name], scene.objects["thing"]
+    blender.ops.roigs.set_detail(roi="thing", fine=part == "rois")
+    blender.context.view_layer.update()
     np.testing.assert_allclose(item.matrix_world.translation, box.matrix_world.translation)
     places = trained(scene, folder / part / "thing.ply")
     assert_close(places, world_points(item), drawn_points(item))
