@@ -29,6 +29,8 @@ MODULES = (
     "jobs.run_folders",
     "scene.active_camera",
     "scene.edits",
+    "scene.formerly_hidden",
+    "scene.arrivals",
     "scene.placement",
     "jobs.current",
     "operators.engine_setup",

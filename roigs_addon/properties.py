@@ -112,6 +112,9 @@ class RoigsObject(bpy.types.PropertyGroup):
     parked: StringProperty(
         description="Gaussians: not in the result that is shown; how they were seen before"
     )
+    off: BoolProperty(description="Gaussians: the other of Coarse and Fine is shown")
+    pair: StringProperty(description="Gaussians: same text as of the other of Coarse and Fine")
+    waits: BoolProperty(description="Gaussians: hidden while a preview is shown")
     aside: CollectionProperty(
         type=RoigsEditedMesh, description="Gaussians: edits of results that are not shown"
     )

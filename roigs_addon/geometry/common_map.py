@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ FEWEST = 20  # points; of fewer, some always follow a map
 MOST = 0.5  # of the points follow a map that all are said to have gone through
 
 
-def common_map(before: Points, now: Points) -> Matrix:
+def common_map(before: NDArray[np.floating[Any]], now: Points) -> Matrix:
     """(4, 4) the affine map from `before` to `now`, (N, 3) finite numbers each.
 
     The identity if there is no such map, or too few points to tell.

@@ -13,7 +13,8 @@ from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
 from ..jobs import current, run_folders
-from ..scene import compared, edits, lookup, splats
+from ..properties import object_props
+from ..scene import compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
 from .base import FRESH, available, failed, select_only
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 NO_RESULT = "Train first: the run folder has no result"
+NO_GAUSSIANS = "This scene has no Gaussians"
 
 
 class LoadResults(bpy.types.Operator):
@@ -99,11 +101,21 @@ class SetDetail(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     roi: StringProperty(description="Name of the box", options=FRESH)
+    name: StringProperty(description="Name of an object; empty: all of the box", options=FRESH)
     fine: BoolProperty(default=True, options=FRESH)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide one, show the other."""
-        splats.set_detail(scene_of(context), self.roi, self.fine)
+        scene = scene_of(context)
+        try:
+            for pair in detail.pairs(scene):
+                items = [item for item in (pair.fine, pair.coarse) if item is not None]
+                of_box = any(object_props(item).roi == self.roi for item in items)
+                named = any(item.name == self.name for item in items)
+                if named if self.name else of_box:
+                    detail.set_detail(scene, pair, self.fine)
+        except AddonError as error:
+            return failed(self, error)
         return {"FINISHED"}
 
 
@@ -119,6 +131,24 @@ class ShowPoints(bpy.types.Operator):
         """Switch all Gaussians of the scene."""
         splats.set_points(scene_of(context), self.points)
         redraw()
+        return {"FINISHED"}
+
+
+class ShowInRenders(bpy.types.Operator):
+    """Merge the Gaussians into this scene's renders: adds a node to its compositor"""
+
+    bl_idname = "roigs.show_in_renders"
+    bl_label = "Show in Renders"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be Gaussians."""
+        return available(cls, "" if lookup.splats(scene_of(context)) else NO_GAUSSIANS)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Add the node."""
+        compositor.link(scene_of(context))
         return {"FINISHED"}
 
 
@@ -148,7 +178,7 @@ def _follow() -> None:
 
 
 _register, _unregister = registration(
-    LoadResults, DeleteResult, SetDetail, ShowPoints, SelectGaussians
+    LoadResults, DeleteResult, SetDetail, ShowPoints, ShowInRenders, SelectGaussians
 )
 
 

@@ -8,10 +8,8 @@ import bpy
 
 from ..blender import leave_edit_mode
 from ..properties import object_props
-from . import compositor, edits, lookup, splats
-
-SEEN = ("view", "render")
-"""Words for what a parked object was seen in."""
+from . import compositor, edits, lookup, splats, visibility
+from .renamed_boxes import renamed
 
 
 def shown_result(scene: bpy.types.Scene) -> Path | None:
@@ -33,6 +31,7 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
     files = splats.result_files(folder)
     splats.take_names(scene, splats.result_files(shown_result(scene) or folder))
     fresh = splats.read_files(files)
+    splats.rename_boxes(scene, renamed(scene, fresh))
     for item in lookup.splats(scene):
         edits.put_aside(item)
     for part, file in files.items():
@@ -41,26 +40,7 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
     for item in lookup.splats(scene):
         props = object_props(item)
         if props.ply == str(files.get((props.level, props.roi), "")):
-            _unpark(scene, item)
+            visibility.unpark(item)
         elif props.level != "PREVIEW":
-            _park(scene, item)
+            visibility.park(item)
     compositor.link(scene)
-
-
-def _park(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    props = object_props(item)
-    if not props.parked:
-        seen = (not item.hide_get(view_layer=scene.view_layers[0]), not item.hide_render)
-        words = [word for word, is_seen in zip(SEEN, seen, strict=True) if is_seen]
-        props.parked = " ".join(("parked", *words))
-    splats.hide(scene, item, True)
-    item.hide_render = True
-
-
-def _unpark(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    props = object_props(item)
-    if props.parked:
-        seen = props.parked.split()
-        splats.hide(scene, item, "view" not in seen)
-        item.hide_render = "render" not in seen
-        props.parked = ""

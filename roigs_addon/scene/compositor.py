@@ -17,6 +17,8 @@ NAME = "ROI-GS Gaussians"
 ENDS = ("COMPOSITE", "GROUP_OUTPUT")
 MARK = "roigs_layer"
 """Custom property of the group."""
+LINKED = "roigs_linked"
+"""Custom property of a compositor that got the group."""
 LAST_FRAME = 1048574
 
 
@@ -25,6 +27,14 @@ def link(scene: bpy.types.Scene) -> None:
     tree = _made_tree(scene)
     if find(scene) is None:
         _insert(scene, tree, _group())
+    tree[LINKED] = True
+
+
+def was_linked(scene: Any) -> bool:
+    """Whether `link` has changed the scene's compositor, whatever the user did with it since."""
+    new = hasattr(scene, "compositing_node_group")
+    tree = scene.compositing_node_group if new else scene.node_tree
+    return tree is not None and bool(tree.get(LINKED))
 
 
 def find(scene: bpy.types.Scene) -> Any | None:
@@ -40,7 +50,7 @@ def find(scene: bpy.types.Scene) -> Any | None:
 def lacking(scene: bpy.types.Scene) -> str:
     """Why renders lack the Gaussians, in one line; empty if they do not."""
     if find(scene) is None:
-        return "Renders lack the Gaussians. Load results again"
+        return "Renders lack the Gaussians: their node is gone from the compositor"
     if not scene.render.use_compositing:
         return "Renders lack the Gaussians. Switch on Output ▸ Post Processing ▸ Compositing"
     return ""

@@ -27,10 +27,13 @@ from ..geometry.splat_cloud import write_splats
 from ..properties import object_props
 from ..shared import EngineError
 from . import clouds
-from .splat_attributes import SHAPE, cloud_of, hidden, values
+from .splat_attributes import SHAPE, cloud_of, hidden, imported_frame, move_to_frame, values
 
 MARK = "roigs_imported"
 """Custom property of a mesh: `_state` of the points that were imported."""
+
+FILE = "roigs_file"
+"""Custom property of a mesh: `_state` of the points in their file's frame, if `MARK` differs."""
 
 PREFIX = "roigs-edited-"
 """Of the files with edits."""
@@ -74,8 +77,24 @@ def file_of(item: bpy.types.Object) -> str:
 
 def frame_of(item: bpy.types.Object) -> Matrix:
     """(4, 4) from the frame of `file_of` to the object's."""
-    applied = _applied.get(item.data.session_uid) if item.data else None
-    return np.eye(4) if applied is None else applied
+    mesh = item.data
+    if not isinstance(mesh, bpy.types.Mesh):
+        return np.eye(4)
+    applied = _applied.get(mesh.session_uid)
+    return imported_frame(mesh) if applied is None else applied
+
+
+def whole_frame(mesh: bpy.types.Mesh) -> Matrix:
+    """(4, 4) from the frame of a mesh's file to its own, with what all points went through."""
+    found = cloud_of(mesh) if mesh.get(MARK) not in (None, _state(mesh)) else None
+    return imported_frame(mesh) if found is None else found[1]
+
+
+def place(mesh: bpy.types.Mesh, frame: Matrix) -> None:
+    """Move a new mesh from its file's frame to another one: that is no edit."""
+    mesh[FILE] = mesh[MARK]
+    move_to_frame(mesh, frame)
+    mark_imported(mesh)
 
 
 def problem(items: Iterable[bpy.types.Object]) -> str:
@@ -127,14 +146,19 @@ def _take_aside(item: bpy.types.Object) -> bpy.types.Mesh | None:
 
     Edits belong to the points that they were made of, wherever their file is by now.
     """
-    aside, mark = object_props(item).aside, item.data.get(MARK) if item.data else None
+    aside, mark = object_props(item).aside, _points_of(item.data)
     found = None
     for at in reversed(range(len(aside))):
         mesh = aside[at].mesh
-        if mesh is None or mesh.get(MARK) == mark:
+        if mesh is None or _points_of(mesh) == mark:
             found = mesh or found
             aside.remove(at)
     return found
+
+
+def _points_of(data: bpy.types.ID | None) -> object:
+    """What tells the points of one file from those of another, wherever they were placed."""
+    return data.get(FILE, data.get(MARK)) if data is not None else None
 
 
 def look_again(item: bpy.types.Object) -> None:

@@ -75,7 +75,8 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
         _scales.setdefault(path, lookup.root_scale(scene))
     own = {item for kind in MOVED for item in lookup.of_kind(scene, kind)} | {root}
     tops = [item for item in own if not own.intersection(_ancestors(item))]
-    before = {item: lookup.matrix_world(item) for item in tops}
+    graph = bpy.context.evaluated_depsgraph_get()
+    before = {item: lookup.stands(item, graph) for item in tops}
     _put({item: matrix @ place for item, place in before.items()})
     if root in before and not _stays(scene, root, matrix @ before[root]):
         _put(before)

@@ -26,6 +26,24 @@ PLACE = "imported"
 """Attribute: where a point was imported."""
 
 
+FRAME = "roigs_frame"
+"""Custom property of a mesh: the map from its file's frame to its own, as it was imported."""
+
+
+def imported_frame(mesh: bpy.types.Mesh) -> Matrix:
+    """(4, 4) from the frame of a mesh's file to its own, before any edit."""
+    stored: Any = mesh.get(FRAME)
+    return np.eye(4) if stored is None else np.array(stored, np.float64).reshape(4, 4)
+
+
+def move_to_frame(mesh: bpy.types.Mesh, frame: Matrix) -> None:
+    """Move the points of a mesh, which are in their file's frame, to another one."""
+    means = clouds.positions_of(mesh) @ frame[:3, :3].T + frame[:3, 3]
+    mesh.vertices.foreach_set("co", means.astype(np.float32).ravel())
+    mesh[FRAME] = frame.ravel().tolist()
+    mesh.update()
+
+
 def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
     """Add the attributes that docs/conventions.md lists, and those of the points' material."""
     base = cloud.sh[:, 0]
@@ -48,7 +66,7 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
-    """The Gaussians of a mesh, before the map that all went through, and that map (4, 4).
+    """The Gaussians of a mesh in their file's frame, and the map (4, 4) that all went through.
 
     Without points that are hidden in edit mode or have no size. Those without a size were added to
     the mesh, as by joining with another one.
@@ -66,7 +84,10 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
     means = clouds.positions_of(mesh)
     there = ~hidden(mesh) & scales.any(axis=1) & np.isfinite(means).all(axis=1)
     imported = values(mesh, PLACE)
-    applied = common_map(imported[there], means[there]) if imported is not None else np.eye(4)
+    applied = imported_frame(mesh)
+    if imported is not None:
+        placed = imported[there] @ applied[:3, :3].T + applied[:3, 3]
+        applied = common_map(placed, means[there]) @ applied
     back = np.linalg.inv(applied)
     cloud = SplatCloud(
         means=(means[there] @ back[:3, :3].T + back[:3, 3]).astype(np.float32),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,8 @@ from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
 from ..shared import run_files
-from . import clouds, compositor, edits, lookup, native_splats
+from . import clouds, compositor, detail, edits, lookup, native_splats, origins, visibility
+from .renamed_boxes import renamed
 from .splat_attributes import add_attributes
 
 Part = tuple[str, str]
@@ -31,6 +31,7 @@ Part = tuple[str, str]
 
 COLLECTION = "ROI-GS Gaussians"
 HIDE = "Drawn as Gaussians"
+UNUSED = "ROI-GS new"
 MATERIAL = "ROI-GS Gaussians"
 
 
@@ -49,11 +50,11 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
     files = result_files(folder)
     take_names(scene, files)
     fresh = read_files(files)
+    rename_boxes(scene, renamed(scene, fresh))
     shown = [item for part, file in files.items() for item in show(scene, part, file, fresh[part])]
     for item in lookup.splats(scene):
         props = object_props(item)
         file = files.get((props.level, props.roi))
-        props.parked = ""
         if file is not None:
             edits.drop_aside(item)
         elif props.level in ("ROI", "SCENE"):
@@ -78,8 +79,8 @@ def rename_boxes(scene: bpy.types.Scene, renamed: Mapping[str, str]) -> None:
     for item in lookup.splats(scene):
         props = object_props(item)
         if new := renamed.get(props.roi):
-            if item.name == _name(props.level, props.roi):
-                item.name = _name(props.level, new)
+            if item.name == object_name(props.level, props.roi):
+                item.name = object_name(props.level, new)
             props.roi = new
 
 
@@ -104,7 +105,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         object_props(item).level = "PREVIEW"
         for other in lookup.splats(scene):
             if other != item:
-                hide(scene, other, True)
+                visibility.wait(other)
         _hide_sparse(scene)
     object_props(item).ply = str(path)
     return item
@@ -122,16 +123,6 @@ def follow(scene: bpy.types.Scene, folder: Path) -> None:
             props.ply = str(now)
 
 
-def set_detail(scene: bpy.types.Scene, roi: str, fine: bool) -> None:
-    """Show a box refined, or as the whole-scene model has it."""
-    for item in lookup.splats(scene):
-        props = object_props(item)
-        if props.roi == roi and props.level in ("ROI", "SCENE"):
-            hidden = (props.level == "ROI") != fine
-            hide(scene, item, hidden)
-            item.hide_render = hidden
-
-
 def set_points(scene: bpy.types.Scene, points: bool) -> None:
     """Show points in the viewport instead of Gaussians."""
     for item in lookup.splats(scene):
@@ -141,40 +132,21 @@ def set_points(scene: bpy.types.Scene, points: bool) -> None:
             modifier.show_viewport = modifier.show_render = not points
 
 
-def shown_levels(scene: bpy.types.Scene) -> dict[str, bool]:
-    """Box -> whether its refined Gaussians are the ones that are shown."""
-    return {
-        object_props(item).roi: not item.hide_get()
-        for item in lookup.splats(scene)
-        if object_props(item).level == "ROI"
-    }
-
-
 def remove_preview(scene: bpy.types.Scene) -> None:
-    """Remove the model that was being trained; what was hidden for it is shown again."""
+    """Remove the model that was being trained; what was hidden for it is shown again, refined."""
     for item in lookup.splats(scene):
-        level = object_props(item).level
-        if level == "PREVIEW":
+        visibility.resume(item)
+        visibility.unpark(item)
+        if object_props(item).level == "PREVIEW":
             delete(item)
-            continue
-        coarse = level == "SCENE"
-        hide(scene, item, coarse)
-        item.hide_render = coarse
+    detail.reset(scene)
 
 
 def _hide_sparse(scene: bpy.types.Scene) -> None:
     """Hide the sparse points: as solid objects they would cover Gaussians behind them."""
     sparse = lookup.points(scene)
     if sparse is not None:
-        hide(scene, sparse, True)
-        sparse.hide_render = True
-
-
-def hide(scene: bpy.types.Scene, item: bpy.types.Object, hidden: bool) -> None:
-    """Hide or show in the scene's own view layers: the window may show another scene."""
-    for layer in scene.view_layers:
-        with suppress(RuntimeError):  # not in this layer
-            item.hide_set(hidden, view_layer=layer)
+        visibility.disable(sparse)
 
 
 def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
@@ -188,7 +160,7 @@ def _of(scene: bpy.types.Scene, level: str, roi: str) -> list[bpy.types.Object]:
     return [item for item in found if item.data == first or not edits.is_edited(item)]
 
 
-def _name(level: str, roi: str) -> str:
+def object_name(level: str, roi: str) -> str:
     """What an object of Gaussians is called at first."""
     return {"SCENE": f"{roi} coarse", "ROI": f"{roi} Gaussians"}.get(level, "Background")
 
@@ -202,7 +174,8 @@ def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:
     made: dict[Part, bpy.types.Object] = {}
     try:
         for part, path in files.items():
-            made[part] = native_splats.import_splats(path) or _points(_name(*part), path)
+            made[part] = native_splats.import_splats(path) or _points(object_name(*part), path)
+            made[part].name = UNUSED  # an object that is renamed may need its name
     except AddonError:
         for item in made.values():
             delete(item)
@@ -219,7 +192,7 @@ def show(
         scene, part, path: where, and what.
         fresh: a new object of the file.
     """
-    (level, roi), name = part, _name(*part)
+    (level, roi), name = part, object_name(*part)
     shown = _of(scene, level, roi)
     for other in [item for item in shown if item.type != fresh.type]:
         shown.remove(other)  # made by a Blender with other kinds of splats
@@ -227,9 +200,10 @@ def show(
     if shown:  # they keep their names, places and whatever the user did with them
         _give_data(shown, fresh)
     else:
+        origins.centre_on_box(scene, fresh, roi)
         shown = [_new_object(scene, name, fresh)]
-        hide(scene, fresh, level == "SCENE")
-        fresh.hide_render = level == "SCENE"
+        if level == detail.COARSE:
+            detail.switch_off(fresh)
     for item in shown:
         props = object_props(item)
         props.level, props.roi, props.ply = level, roi, str(path)
@@ -237,16 +211,21 @@ def show(
 
 
 def _give_data(items: list[bpy.types.Object], source: bpy.types.Object) -> None:
-    """Give objects the data of `source`, which is removed; those that share data share the new."""
+    """Give objects the data of `source`, which is removed; those that share data share the new.
+
+    It stands where the old data would: that has an origin, and Object > Apply may have moved it.
+    """
     given: dict[Any, Any] = {}
     fresh: Any = source.data
     for item in items:
         if item.data not in given:
-            given[item.data] = fresh.copy() if given else fresh
+            given[item.data] = fresh.copy()
+            if isinstance(item.data, bpy.types.Mesh):
+                edits.place(given[item.data], edits.whole_frame(item.data))
     for item in items:
         item.data = given[item.data]
     bpy.data.objects.remove(source)
-    bpy.data.batch_remove([old for old in given if old is not None and not old.users])
+    bpy.data.batch_remove([old for old in (*given, fresh) if old is not None and not old.users])
 
 
 def _points(name: str, path: Path) -> bpy.types.Object:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import bpy
 import numpy as np
 
 from ..blender import mesh_of
 from .clouds import positions
+from .visibility import disable
 
 NAME, CORNERS = "Cube", 8
 
@@ -22,12 +21,8 @@ def untouched(scene: bpy.types.Scene) -> bpy.types.Object | None:
 def hide(scene: bpy.types.Scene) -> None:
     """Hide it in views and renders; it stays in the outliner."""
     item = untouched(scene)
-    if item is None:
-        return
-    item.hide_render = True
-    for layer in scene.view_layers:
-        with suppress(RuntimeError):  # not in this view layer
-            item.hide_set(True, view_layer=layer)
+    if item is not None:
+        disable(item)
 
 
 def _is_as_it_was(item: bpy.types.Object) -> bool:

@@ -19,12 +19,12 @@ from ..operators.results import (
     LoadResults,
     SelectGaussians,
     SetDetail,
+    ShowInRenders,
     ShowPoints,
 )
 from ..operators.run_folder import CleanUp, CompareResults
-from ..properties import object_props
-from ..scene import compared, compositor, lookup
-from ..scene.splats import shown_levels
+from ..properties import object_props, scene_props
+from ..scene import compared, compositor, detail, lookup, splats
 from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
@@ -45,62 +45,67 @@ class ResultPanel(SidebarPanel):
         """Import, the objects, what is wrong with them, render."""
         layout, scene = layout_of(self), scene_of(context)
         layout.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
-        splats = lookup.splats(scene)
-        if not splats:
+        items = lookup.splats(scene)
+        if not items:
             show.todo(layout, "Train first to get Gaussians")
         names = outdated.renamed(scene, run_facts.run(scene))
-        _draw_objects(layout.column(align=True), splats, shown_levels(scene), names)
-        _draw_as_points(layout, splats)
+        _draw_objects(layout.column(align=True), scene, names)
+        _draw_as_points(layout, items)
         for path, problem in viewport.problems().items():
             named = not path or path in problem
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine archives files.
         if not current.busy() and (missing := run_facts.missing_splats(scene)):
-            listed = ", ".join(missing)
-            told = f"Missing splat files: {listed}. Train, or set the Run Folder and load results"
-            show.wrong(layout, told)
+            show.wrong(layout, _missing_in_words(scene, missing))
         _draw_results(layout, scene)
-        if splats:
+        if items:
             _draw_render(layout, scene)
             layout.operator(ExportGaussians.bl_idname, text="Export…", icon="EXPORT")
             show.job(layout, EXPORTING)
 
 
+def _missing_in_words(scene: bpy.types.Scene, names: list[str]) -> str:
+    """Whose files are missing, where they were, and what helps in this scene."""
+    files = [object_props(scene.objects[name]).ply for name in names]
+    folders = {str(Path(file).parent) for file in files}
+    where = files[0] if len(files) == 1 else ", ".join(sorted(folders))
+    helps = "Put them back where they were"
+    if scene_props(scene).colmap:
+        helps += ", train, or set the Run Folder and load results"
+    return f"Missing splat files: {', '.join(names)} ({where}). {helps}"
+
+
 def _draw_objects(
-    layout: bpy.types.UILayout, splats: Objects, levels: dict[str, bool], names: dict[str, str]
+    layout: bpy.types.UILayout, scene: bpy.types.Scene, names: dict[str, str]
 ) -> None:
-    """The background and the boxes.
+    """The background, and the boxes with their copies.
 
     Args:
-        layout, splats: where, and the objects.
-        levels: box -> whether it is shown refined.
+        layout, scene: where, and of what.
         names: box -> its name now, if it was renamed.
     """
-    for item in splats:
+    for item in lookup.splats(scene):
         props = object_props(item)
-        if props.parked:  # in another result
-            continue
-        row = layout.row(align=True)
-        if props.level == "RESULT":
+        if props.level == "RESULT" and not props.parked:
+            row = layout.row(align=True)
             _draw_name(row, item, item.name)
             row.prop(item, "hide_viewport", text="", emboss=False)
-        elif props.level == "ROI":
-            name = names.get(props.roi, props.roi)
-            _draw_box(row, splats, props.roi, name, refined=levels[props.roi])
+    for pair in detail.pairs(scene):
+        if pair.shown is not None:
+            _draw_pair(layout.row(align=True), pair, pair.shown, names)
 
 
-def _draw_box(
-    row: bpy.types.UILayout, splats: Objects, roi: str, name: str, *, refined: bool
+def _draw_pair(
+    row: bpy.types.UILayout, pair: detail.Pair, shown: bpy.types.Object, names: dict[str, str]
 ) -> None:
-    shown = "ROI" if refined else "SCENE"
-    items = [i for i in splats if object_props(i).roi == roi and object_props(i).level == shown]
-    if items:
-        _draw_name(row, items[0], name)
+    props = object_props(shown)
+    own = shown.name != splats.object_name(props.level, props.roi)  # a copy, or renamed
+    _draw_name(row, shown, shown.name if own else names.get(props.roi, props.roi))
     for label, fine in (("Coarse", False), ("Fine", True)):
-        button = row.operator(SetDetail.bl_idname, text=label, depress=refined == fine)
-        button.roi, button.fine = roi, fine
-    for item in items:
-        row.prop(item, "hide_viewport", text="", emboss=False)
+        depress = (shown == pair.fine) == fine
+        button = row.operator(SetDetail.bl_idname, text=label, depress=depress)
+        button.name, button.fine = shown.name, fine
+    row.prop(shown, "hide_viewport", text="", emboss=False)
 
 
 def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> None:
@@ -157,6 +162,8 @@ def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     problem = compositor.lacking(scene) or rendering.problem
     if problem:
         show.wrong(layout, problem)
+    if compositor.find(scene) is None:
+        layout.operator(ShowInRenders.bl_idname, icon="RENDER_STILL")
     view = scene.view_settings
     if view is not None and view.view_transform not in TRUE_COLOURS:
         show.todo(layout, "Colours differ from the photos'")

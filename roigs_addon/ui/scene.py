@@ -42,6 +42,10 @@ class ScenePanel(SidebarPanel):
         project = project_name(Path(props.colmap))
         photos = text.counted(photo_names.count(scene), "photo")
         show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
+        if cloud is not None:
+            row = layout.row()
+            row.label(text="Sparse points", icon="OUTLINER_OB_POINTCLOUD")
+            row.prop(cloud, "hide_viewport", text="", emboss=False)
         exclusions.counted(layout, scene)
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")

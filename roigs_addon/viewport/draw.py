@@ -8,7 +8,7 @@ from ..blender import region_of, region_view_of
 from ..windows import Timer, redraw
 from . import targets
 from .handler import ViewHandler
-from .objects import splat_objects, surfaces_are_visible
+from .objects import are_edited, splat_objects, surfaces_are_visible
 from .painter import Painter
 from .view import View, camera_frame
 
@@ -17,6 +17,9 @@ POLL = 0.02
 
 REST = 0.2
 """Seconds without a change after which a view that was drawn coarsely is drawn in full."""
+
+FAINT = 0.3
+"""Strength of all Gaussians while some are in edit mode: they would cover the selected points."""
 
 _painter: Painter | None = None
 
@@ -51,6 +54,7 @@ def _draw_region(context: bpy.types.Context) -> None:
         key=region.as_pointer(),
         depth=depth,
         linear_target=True,
+        strength=FAINT if are_edited(context) else 1.0,
         rested=not moving.running,
     )
     if coarse:

@@ -74,6 +74,13 @@ def marked(
     return found
 
 
+def are_edited(context: bpy.types.Context) -> bool:
+    """Whether the points of some Gaussians are in edit mode."""
+    if context.mode != "EDIT_MESH":
+        return False
+    return any(object_props(item).kind == "SPLATS" for item in context.objects_in_mode)
+
+
 def surfaces_are_visible(context: bpy.types.Context) -> bool:
     """Whether the view shows anything that could hide Gaussians."""
     return any(

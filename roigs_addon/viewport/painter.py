@@ -110,6 +110,7 @@ class Painter:
         key: Hashable,
         depth: targets.Depth | None = None,
         linear_target: bool = False,
+        strength: float = 1.0,
         rested: bool = True,
         wait: bool = False,
     ) -> bool:
@@ -124,6 +125,7 @@ class Painter:
             key: which viewport this is.
             depth: of what hides splats; None: nothing does.
             linear_target: whether the framebuffer converts linear light to sRGB when written.
+            strength: less than 1 lets what is there show through.
             rested: whether a coarse picture of the same shall be replaced by a full one.
             wait: whether to wait for files and sorting, and draw in full.
         """
@@ -140,6 +142,7 @@ class Painter:
         shader.uniform_int("origin", targets.viewport_origin())
         shader.uniform_float("view_size", view.size)
         shader.uniform_bool("linear_target", [linear_target])
+        shader.uniform_float("strength", strength)
         shader.uniform_sampler("picture", picture.target.texture)
         shader.uniform_sampler("scene_depth", depth.texture)
         gpu.state.depth_test_set("NONE")

@@ -63,6 +63,7 @@ def composite_shader() -> Shader:
     info.push_constant("IVEC2", "origin")
     info.push_constant("VEC2", "view_size")
     info.push_constant("BOOL", "linear_target")
+    info.push_constant("FLOAT", "strength")
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "scene_depth")
     info.vertex_in(0, "VEC2", "corner")

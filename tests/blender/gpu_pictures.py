@@ -22,13 +22,14 @@ def picture(
     width: int,
     height: int,
     frame: Frame | None = None,
+    strength: float = 1.0,
 ) -> np.ndarray:
     """(H, W, 4) premultiplied sRGB values of objects, first row on top."""
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA32F")
     with offscreen.bind():
         gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
         place = View(view, projection, (width, height), frame)
-        draw.painter().draw(marked(objects), place, key="", wait=True)
+        draw.painter().draw(marked(objects), place, key="", strength=strength, wait=True)
         data = offscreen.texture_color.read()
     data.dimensions = width * height * 4
     offscreen.free()

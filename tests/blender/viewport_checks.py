@@ -92,6 +92,16 @@ def check_hidden(a: bpy.types.Object, b: bpy.types.Object) -> None:
     assert not (seen(a, b) == alone).all() and not draw.problems()
 
 
+def check_faint(a: bpy.types.Object, b: bpy.types.Object) -> None:
+    """All of the picture is fainter, so that points in edit mode show through."""
+    view, clip = (
+        Matrix.Translation((0, 0, -DISTANCE)) @ TURN,
+        Matrix.Diagonal((0.8, 0.8, -0.1, 1.0)),
+    )
+    full, faint = (picture([a, b], view, clip, SIDE, SIDE, strength=s) for s in (1.0, 0.25))
+    assert full[..., 3].max() > 0.9 and np.allclose(faint, full / 4, atol=1e-4)
+
+
 def check_look(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     """Exposure and tint are those of a file with such colours; a copy has its own."""
     gains = 2**0.5 * np.array([1.0, 0.5, 0.25])

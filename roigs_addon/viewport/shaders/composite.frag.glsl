@@ -40,5 +40,5 @@ void main()
     vec3 on_black = linear_light(value.rgb);
     value = vec4(mix(over, on_black, black), mix(value.a, 1.0, black));
   }
-  colour = value;
+  colour = value * strength;
 }

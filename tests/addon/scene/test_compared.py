@@ -7,12 +7,13 @@ from functools import partial
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.scene.test_earlier_results import PARTS, archive, files
 from tests.addon.scene.test_edits import choose, cut
-from tests.addon.splat_cases import random_ply
+from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
 
@@ -38,11 +39,11 @@ def test_a_and_b(blender: ModuleType, two) -> None:
     back.hide_set(True)
     back.hide_render = True
     blender.ops.roigs.set_detail(roi="thing", fine=False)
-    seen = {o.name: (o.hide_get(), o.hide_render) for o in scene.objects}
+    seen = {o.name: (o.visible_get(), o.hide_render) for o in scene.objects}
     for place in (older, folder, older):
         assert blender.ops.roigs.compare_results() == {"FINISHED"}
         assert {file.parents[0 if file.parent == place else 1] for file in files(scene)} == {place}
-        assert {o.name: (o.hide_get(), o.hide_render) for o in scene.objects} == seen
+        assert {o.name: (o.visible_get(), o.hide_render) for o in scene.objects} == seen
         assert tuple(item.location) == (1, 2, 3)
 
 
@@ -95,9 +96,9 @@ def test_edited_copies_are_shown_with_their_result(blender: ModuleType, two) -> 
     cut(blender, copy, range(10))
     for _ in range(2):
         blender.ops.roigs.compare_results()
-        assert copy.hide_get() and copy.hide_render and not item.hide_get()
+        assert not copy.visible_get() and copy.hide_render and item.visible_get()
         blender.ops.roigs.compare_results()
-        assert not copy.hide_get() and not copy.hide_render and count(copy) == every - 10
+        assert copy.visible_get() and not copy.hide_render and count(copy) == every - 10
 
 
 def test_a_loaded_result_has_no_edits_of_before(blender: ModuleType, two) -> None:
@@ -183,21 +184,59 @@ def test_a_box_of_one_result_comes_back(blender: ModuleType, two) -> None:
 
     scene, _, older = two
     for part in ("rois", "coarse"):
-        (older / part / "thing.ply").rename(older / part / "other.ply")
+        (older / part / "thing.ply").unlink()
+        away = random_arrays(12, seed=3)
+        write_ply(older / part / "other.ply", away | {"means": away["means"] + np.float32(9)})
     item = scene.objects["thing Gaussians"]
     item.location.x = 5
     for _ in range(2):
         blender.ops.roigs.compare_results()
-        assert item.hide_get() and item.hide_render
-        assert not scene.objects["other Gaussians"].hide_get()
-        assert scene.objects["other coarse"].hide_get()
+        assert not item.visible_get() and item.hide_render
+        assert scene.objects["other Gaussians"].visible_get()
+        assert not scene.objects["other coarse"].visible_get()
         assert run_facts.missing_splats(scene) == []
         blender.ops.roigs.compare_results()
-        assert not item.hide_get() and not item.hide_render and item.location.x == 5
-        assert scene.objects["thing coarse"].hide_get()
-        assert scene.objects["other Gaussians"].hide_get()
+        assert item.visible_get() and not item.hide_render and item.location.x == 5
+        assert not scene.objects["thing coarse"].visible_get()
+        assert not scene.objects["other Gaussians"].visible_get()
     blender.ops.roigs.load_results()
     assert "other Gaussians" not in scene.objects
+
+
+@pytest.mark.parametrize("load", [False, True])
+def test_a_renamed_box_is_the_same_box(blender: ModuleType, two, load: bool) -> None:
+    scene, _, older = two
+    for part in ("rois", "coarse"):
+        (older / part / "thing.ply").rename(older / part / "Box 1.ply")
+    item, every = scene.objects["thing Gaussians"], len(scene.objects)
+    item.location, item.roigs.exposure, item.roigs.tint = (1, 2, 3), 0.5, (1, 0.5, 1)
+    cut(blender, item, range(4))
+    left, meshes = count(item), 0
+    seen = {o: (o.hide_get(), o.hide_render, o.hide_viewport) for o in scene.objects}
+    for _ in range(5):
+        if load:
+            blender.ops.roigs.load_results(earlier=older.name)
+        else:
+            blender.ops.roigs.compare_results()
+        assert item.name == "Box 1 Gaussians" and item.roigs.roi == "Box 1"
+        assert Path(item.roigs.ply) == older / "rois" / "Box 1.ply" and count(item) == left + 4
+        blender.ops.roigs.compare_results()
+        assert item.name == "thing Gaussians" and count(item) == left
+        assert {o: (o.hide_get(), o.hide_render, o.hide_viewport) for o in scene.objects} == seen
+        assert tuple(item.location) == (1, 2, 3)
+        assert item.roigs.exposure == 0.5 and tuple(item.roigs.tint) == (1, 0.5, 1)
+        assert len(scene.objects) == every
+        assert meshes in (0, len(blender.data.meshes))
+        meshes = len(blender.data.meshes)
+
+
+def test_a_box_elsewhere_is_another_box() -> None:
+    from roigs_addon.geometry.overlap import overlap
+
+    points = random_arrays(500, seed=1)["means"]
+    assert overlap(points, random_arrays(900, seed=2)["means"]) > 0.8
+    assert overlap(points, points + np.float32([1.5, 0, 0])) < 0.3
+    assert overlap(points, points[:0]) == overlap(points[:1], points[:1]) == 0
 
 
 def test_the_earlier_result_that_was_shown_last(blender: ModuleType, two) -> None:

@@ -87,6 +87,19 @@ def test_deleted_gaussians_are_not_drawn(blender: ModuleType, background) -> Non
     assert not marked([background])
 
 
+def test_gaussians_are_faint_in_edit_mode(blender: ModuleType, background) -> None:
+    from roigs_addon.viewport.objects import are_edited
+
+    assert not are_edited(blender.context)
+    choose(blender, background, [0])
+    assert are_edited(blender.context)
+    blender.ops.object.mode_set(mode="OBJECT")
+    blender.ops.mesh.primitive_cube_add()
+    blender.ops.object.mode_set(mode="EDIT")
+    assert not are_edited(blender.context)
+    blender.ops.object.mode_set(mode="OBJECT")
+
+
 def test_hidden_gaussians_come_back(blender: ModuleType, background) -> None:
     drawn(background)
     choose(blender, background, [3, 4])

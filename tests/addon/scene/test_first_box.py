@@ -45,9 +45,11 @@ def test_the_next_one_is_elsewhere(new_file: ModuleType, project: Path) -> None:
 def test_the_start_cube_is_hidden_and_ignored(new_file: ModuleType, project: Path) -> None:
     scene = imported(new_file, project)
     cube = scene.objects["Cube"]
-    assert cube.hide_get() and cube.hide_render
+    assert not cube.visible_get() and cube.hide_render
+    cube.hide_set(False)  # Alt-H
+    assert not cube.visible_get()
     assert not scene.objects["Camera"].hide_get()
-    cube.hide_set(False)
+    cube.hide_viewport = False
     cube.select_set(True)
     assert max(add_roi(new_file).scale) < 0.7  # around the cube it would be 1.05
 
@@ -65,7 +67,7 @@ def test_a_cube_of_the_users_own_is_not(new_file: ModuleType, project: Path, cha
     else:
         cube.name = "mine"
     imported(new_file, project)
-    assert not cube.hide_get() and not cube.hide_render
+    assert cube.visible_get() and not cube.hide_render
     cube.select_set(True)
     new_file.context.view_layer.update()
     np.testing.assert_allclose(min(add_roi(new_file).scale), 1.05, rtol=1e-5)
@@ -73,9 +75,9 @@ def test_a_cube_of_the_users_own_is_not(new_file: ModuleType, project: Path, cha
 
 def test_a_cube_that_is_shown_again_stays_shown(new_file: ModuleType, project: Path) -> None:
     scene = imported(new_file, project)
-    scene.objects["Cube"].hide_set(False)
+    scene.objects["Cube"].hide_viewport = False
     imported(new_file, project)
-    assert not scene.objects["Cube"].hide_get()
+    assert scene.objects["Cube"].visible_get()
 
 
 def test_a_cursor_that_was_moved_counts(new_file: ModuleType, project: Path) -> None:

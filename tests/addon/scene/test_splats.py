@@ -44,8 +44,8 @@ def test_results_are_objects_below_the_root(blender: ModuleType, run) -> None:
     assert [len(found[level].data.vertices) for level in ("RESULT", "ROI", "SCENE")] == [41, 42, 43]
     assert found["ROI"].roigs.roi == "thing" == found["SCENE"].roigs.roi
     assert Path(found["RESULT"].roigs.ply) == folder / BACKGROUND
-    assert not found["ROI"].hide_get() and not found["RESULT"].hide_get()
-    assert found["SCENE"].hide_get() and found["SCENE"].hide_render
+    assert found["ROI"].visible_get() and found["RESULT"].visible_get()
+    assert not found["SCENE"].visible_get() and found["SCENE"].hide_render
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 16])
@@ -58,7 +58,7 @@ def test_attributes(blender: ModuleType, run, coefficients: int) -> None:
     mesh = item.data
     from roigs_addon.scene.clouds import positions
 
-    np.testing.assert_array_equal(positions(item), arrays["means"])
+    np.testing.assert_allclose(positions(item) + item.location, arrays["means"], atol=1e-6)
     np.testing.assert_allclose(values(mesh, "scale"), np.exp(arrays["log_scales"]), rtol=1e-5)
     opacity = 1 / (1 + np.exp(-arrays["logit_opacities"]))
     np.testing.assert_allclose(values(mesh, "opacity"), opacity, rtol=1e-5)
@@ -90,21 +90,22 @@ def test_points_and_gaussians(blender: ModuleType, run) -> None:
 
 
 def test_coarse_and_fine(blender: ModuleType, run) -> None:
-    from roigs_addon.scene.splats import shown_levels
+    from roigs_addon.scene import detail
 
     scene, _ = run
     blender.ops.roigs.load_results()
     for fine in (False, True):
         blender.ops.roigs.set_detail(roi="thing", fine=fine)
         found = levels(scene)
-        assert found["ROI"].hide_get() != fine == found["SCENE"].hide_get()
+        assert found["ROI"].visible_get() == fine != found["SCENE"].visible_get()
         assert found["ROI"].hide_render != fine
-        assert shown_levels(scene) == {"thing": fine}
+        (pair,) = detail.pairs(scene)
+        assert pair.shown == found["ROI" if fine else "SCENE"]
     blender.ops.roigs.set_detail(roi="thing", fine=False)
     blender.ops.roigs.load_results()  # something of the box is seen in any case
     found = levels(scene)
-    assert not found["ROI"].hide_get() and not found["ROI"].hide_render
-    assert found["SCENE"].hide_get() and found["SCENE"].hide_render
+    assert found["ROI"].visible_get() and not found["ROI"].hide_render
+    assert not found["SCENE"].visible_get() and found["SCENE"].hide_render
 
 
 def test_gaussians_are_selected_by_name(blender: ModuleType, run) -> None:
@@ -159,12 +160,13 @@ def test_previews_come_and_go(blender: ModuleType, run) -> None:
     preview = splats.show_preview(scene, folder / "result.ply")
     assert splats.show_preview(scene, folder / "result.ply") == preview
     found = levels(scene)
-    assert found["ROI"].hide_get() and found["RESULT"].hide_get() and not preview.hide_get()
+    assert not found["ROI"].visible_get() and not found["RESULT"].visible_get()
+    assert preview.visible_get()
     assert preview.parent == scene.roigs.root
     blender.ops.roigs.load_results()
     found = levels(scene)
     assert "PREVIEW" not in found
-    assert not found["ROI"].hide_get() and found["SCENE"].hide_get()
+    assert found["ROI"].visible_get() and not found["SCENE"].visible_get()
     # In a scene that no window shows.
     other = blender.data.scenes.new("other")
     splats.show_preview(other, folder / "result.ply")

@@ -1,0 +1,72 @@
+"""Renders show Gaussians that came into a scene without Load Results: by Append, Link or a script.
+
+Once per scene: a user who removes the node from the compositor wants it gone.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import bpy
+
+from ..blender import persistent
+from ..properties import object_props
+from . import compositor, lookup
+
+_counted: dict[int, int] = {}
+"""Scene, by its number in this session -> its objects when it was looked at."""
+
+
+def let_in(scene: bpy.types.Scene) -> None:
+    """Merge the Gaussians of a scene into its renders, if that was never done."""
+    if scene.library is not None or compositor.was_linked(scene):
+        return
+    if any(object_props(item).level != "PREVIEW" for item in lookup.splats(scene)):
+        compositor.link(scene)
+
+
+@persistent
+def _on_change(scene: bpy.types.Scene, *_: object) -> None:
+    """After every change, so a scene is searched only if it has more or fewer objects."""
+    if not _in_main_thread():
+        return
+    count = len(scene.objects)
+    if _counted.get(scene.session_uid) != count:
+        _counted[scene.session_uid] = count
+        let_in(scene)
+
+
+@persistent
+def _on_step(*_: object) -> None:
+    """After undo, redo and loading a file, and before a script's render."""
+    if _in_main_thread():
+        _counted.clear()
+        for scene in bpy.data.scenes:
+            let_in(scene)
+
+
+def _in_main_thread() -> bool:
+    """In a render's thread, nodes that a window may be drawing must stay."""
+    return threading.current_thread() is threading.main_thread()
+
+
+HANDLERS = (
+    ("depsgraph_update_post", _on_change),
+    ("undo_post", _on_step),
+    ("redo_post", _on_step),
+    ("load_post", _on_step),
+    ("render_init", _on_step),
+)
+
+
+def register() -> None:
+    """Follow changes."""
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    """Follow none."""
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _counted.clear()

@@ -1,0 +1,74 @@
+"""What an earlier version has hidden with the eye of the outliner, which Alt-H opens."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import persistent
+from ..properties import object_props
+from . import detail, lookup, start_cube
+from .visibility import SEEN, disable, eye_is_shut, open_eye, wait
+
+
+def take_over(scene: bpy.types.Scene) -> None:
+    """Hide it as this version does. What the user has hidden with H stays so."""
+    items = lookup.splats(scene)
+    training = any(object_props(item).level == "PREVIEW" for item in items)
+    for item in (item for item in items if eye_is_shut(scene, item)):
+        props = object_props(item)
+        if props.parked:
+            if not _was_parked(item):
+                continue
+        elif item.hide_render and _other_is_shown(scene, item):
+            detail.switch_off(item)
+        elif training:
+            wait(item)
+        else:
+            continue
+        open_eye(scene, item)
+    for other in (lookup.points(scene), start_cube.untouched(scene)):
+        if other is not None and other.hide_render and eye_is_shut(scene, other):
+            disable(other)
+            open_eye(scene, other)
+
+
+def _was_parked(item: bpy.types.Object) -> bool:
+    """Park an object in the new way; whether it was seen before it was parked."""
+    props = object_props(item)
+    words = props.parked.split()
+    if "view" not in words:
+        return False
+    words.remove("view")
+    if not item.hide_viewport:
+        words.append(SEEN[0])
+    props.parked = " ".join(words)
+    item.hide_viewport = True
+    return True
+
+
+def _other_is_shown(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
+    """Whether another object stands for the box, as Coarse and Fine left it."""
+    own = object_props(item)
+    if own.level not in (detail.FINE, detail.COARSE):
+        return False
+    same = [o for o in lookup.splats(scene) if object_props(o).roi == own.roi]
+    others = [o for o in same if object_props(o).level not in (own.level, "RESULT", "PREVIEW")]
+    shown = any(not eye_is_shut(scene, other) for other in others)
+    return shown and not any(object_props(other).off for other in others)
+
+
+@persistent
+def _after_load(*_: object) -> None:
+    for scene in bpy.data.scenes:
+        if scene.library is None:
+            take_over(scene)
+
+
+def register() -> None:
+    """Look at each file that is loaded."""
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister() -> None:
+    """Look at none."""
+    bpy.app.handlers.load_post.remove(_after_load)

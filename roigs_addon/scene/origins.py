@@ -1,0 +1,43 @@
+"""The origin of a new object of Gaussians: the centre of its box, to turn, scale and frame it.
+
+Objects of results that were loaded before keep the origin that they have.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import bpy
+import numpy as np
+
+from ..blender import mesh_of
+from ..errors import AddonError
+from ..geometry.frames import Matrix
+from . import clouds, edits, lookup
+
+MOST = 0.5
+"""Share of the points that are in the box, unless it was moved after its training."""
+
+
+def centre_on_box(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> None:
+    """Move the origin of a new object, whose points are in their file's frame, to its box."""
+    if not roi or item.type != "MESH" or not len(mesh_of(item).vertices):
+        return
+    centre = _centre(scene, item, roi).astype(np.float32)  # as Blender keeps a location
+    frame = np.eye(4)
+    frame[:3, 3] = -centre
+    edits.place(mesh_of(item), frame)
+    item.location = centre.tolist()
+
+
+def _centre(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> Matrix:
+    """The centre of the scene's box, else of the points without strays."""
+    points = clouds.positions(item)
+    found = next((box for box in lookup.rois(scene) if box.name == roi), None)
+    if found is not None:
+        with suppress(AddonError):
+            box = lookup.box(found, scene)
+            if box.contains(points).mean() > MOST:
+                return np.asarray(np.linalg.inv(box.world_to_box)[:3, 3], np.float64)
+    low, high = np.quantile(points, (0.02, 0.98), axis=0)
+    return np.asarray((low + high) / 2, np.float64)

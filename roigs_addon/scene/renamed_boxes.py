@@ -1,0 +1,51 @@
+"""Boxes that have another name in another result: told by where their Gaussians are.
+
+The files of an archived result keep the names of their training, and say no places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import bpy
+import numpy as np
+
+from ..geometry.overlap import Points, overlap
+from ..properties import object_props
+from . import lookup
+from .splat_attributes import PLACE, values
+
+SAME = 0.5
+"""Overlap of one box's Gaussians in two results."""
+
+
+def renamed(
+    scene: bpy.types.Scene, fresh: Mapping[tuple[str, str], bpy.types.Object]
+) -> dict[str, str]:
+    """Name now -> name in another result, of the boxes that differ in nothing else.
+
+    Args:
+        scene: with the Gaussians that are shown.
+        fresh: objects of the other result by level and box, not in the scene yet.
+    """
+    found = ((item, object_props(item)) for item in lookup.splats(scene))
+    shown = {props.roi: item for item, props in found if props.level == "ROI"}
+    theirs = {roi: item for (level, roi), item in fresh.items() if level == "ROI"}
+    gone = {roi: _imported(item) for roi, item in shown.items() if roi not in theirs}
+    new = {roi: _imported(item) for roi, item in theirs.items() if roi not in shown}
+    pairs = sorted(
+        ((overlap(gone[old], new[other]), old, other) for old in gone for other in new),
+        reverse=True,
+    )
+    names: dict[str, str] = {}
+    for share, old, other in pairs:
+        if share > SAME and old not in names and other not in names.values():
+            names[old] = other
+    return names
+
+
+def _imported(item: bpy.types.Object) -> Points:
+    """(N, 3) where an object's points were imported, whatever was done to them since."""
+    mesh = item.data
+    places = values(mesh, PLACE) if isinstance(mesh, bpy.types.Mesh) else None
+    return np.zeros((0, 3), np.float32) if places is None else places

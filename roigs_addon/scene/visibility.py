@@ -1,0 +1,64 @@
+"""Objects that the add-on hides for a while, and shows again as the user had them.
+
+With the property **Disable in Viewports**: Alt-H shows what the eye in the outliner hides, which is
+the user's.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import bpy
+
+from ..properties import object_props
+
+SEEN = ("screen", "render")
+"""Words for what a hidden object was seen in."""
+
+
+def park(item: bpy.types.Object) -> None:
+    """Hide an object that is not in the result that is shown."""
+    props = object_props(item)
+    if not props.parked:
+        seen = (not item.hide_viewport, not item.hide_render)
+        words = [word for word, is_seen in zip(SEEN, seen, strict=True) if is_seen]
+        props.parked = " ".join(("parked", *words))
+    item.hide_viewport = item.hide_render = True
+
+
+def unpark(item: bpy.types.Object) -> None:
+    """Show it again as it was."""
+    props = object_props(item)
+    if props.parked:
+        seen = props.parked.split()
+        item.hide_viewport, item.hide_render = (word not in seen for word in SEEN)
+        props.parked = ""
+
+
+def wait(item: bpy.types.Object) -> None:
+    """Hide an object in viewports while a preview is shown."""
+    if not item.hide_viewport:
+        object_props(item).waits = item.hide_viewport = True
+
+
+def resume(item: bpy.types.Object) -> None:
+    """Show it again."""
+    if object_props(item).waits:
+        object_props(item).waits = item.hide_viewport = False
+
+
+def disable(item: bpy.types.Object) -> None:
+    """Hide an object in viewports and renders."""
+    item.hide_viewport = item.hide_render = True
+
+
+def eye_is_shut(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
+    """Whether the eye in the outliner hides an object, as H does."""
+    return bool(item.hide_get(view_layer=scene.view_layers[0]))
+
+
+def open_eye(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Show it in all of the scene's view layers."""
+    for layer in scene.view_layers:
+        with suppress(RuntimeError):  # not in this layer
+            item.hide_set(False, view_layer=layer)
