@@ -284,6 +284,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     placement: StringProperty(
         description="Text of the file beside the model, as placing the scene has written it"
     )
+    has_floor: BoolProperty(description="Whether the floor was put at z = 0")
     placement_key: StringProperty(description="Where the root stood then")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
 
