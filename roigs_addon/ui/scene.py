@@ -43,6 +43,7 @@ class ScenePanel(SidebarPanel):
         photos = text.counted(photo_names.count(scene), "photo")
         show.done(layout, f"{project}: {photos}, {text.counted(points, 'point')}")
         exclusions.counted(layout, scene)
+        exclusions.weak(layout, scene)
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")
         row = layout.row(align=True)
