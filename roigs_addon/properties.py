@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -97,6 +98,20 @@ class RoigsEditedMesh(bpy.types.PropertyGroup):
     mesh: PointerProperty(type=bpy.types.Mesh)
 
 
+def _half_sides(props: RoigsObject) -> list[float]:
+    """A box's half sides below its parent: scripts and older files have them in `scale`."""
+    item: Any = props.id_data
+    size = item.empty_display_size
+    return [abs(a * b) * size for a, b in zip(item.scale, item.delta_scale, strict=True)]
+
+
+def _set_half_sides(props: RoigsObject, sides: Sequence[float]) -> None:
+    """Into `delta_scale`: Blender 5.2 warns of an object whose `scale` is uneven."""
+    item: Any = props.id_data
+    item.delta_scale = [side / item.empty_display_size for side in sides]
+    item.scale = 1, 1, 1
+
+
 class RoigsObject(bpy.types.PropertyGroup):
     """What an object is to the add-on. Only the fields of its kind are used."""
 
@@ -104,6 +119,16 @@ class RoigsObject(bpy.types.PropertyGroup):
     photo: StringProperty(description="Photo: its record, see geometry/photo.py")
     selection: CollectionProperty(type=RoigsPhotoItem, description="Box: its photos, best first")
     selection_index: IntProperty(description="Box: the photo that is active in the list")
+    half_sides: FloatVectorProperty(
+        name="Half Side",
+        subtype="XYZ_LENGTH",
+        size=3,
+        min=0.0,
+        precision=4,
+        get=_half_sides,
+        set=_set_half_sides,
+        description="Box: half its sides below its parent",
+    )
     selected_box: StringProperty(description="Box: where it was when its photos were selected")
     ply: StringProperty(description="Gaussians: their file", subtype="FILE_PATH")
     level: EnumProperty(items=LEVELS, description="Gaussians: the model they belong to")
@@ -262,6 +287,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     placement: StringProperty(
         description="Text of the file beside the model, as placing the scene has written it"
     )
+    has_floor: BoolProperty(description="Whether the floor was put at z = 0")
     placement_key: StringProperty(description="Where the root stood then")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
         subject,
         text,
         upright,
+        weak_photos,
     )
 else:
     from ..roigs_engine.errors import EngineError
@@ -47,6 +48,7 @@ else:
         subject,
         text,
         upright,
+        weak_photos,
     )
 
 __all__ = [
@@ -67,4 +69,5 @@ __all__ = [
     "subject",
     "text",
     "upright",
+    "weak_photos",
 ]

@@ -13,6 +13,7 @@ from . import (
     point_counts,
     reconstructions,
     run_facts,
+    weak_photos,
 )
 
 
@@ -24,6 +25,7 @@ def forget(*_: object) -> None:
     photo_names.forget()
     photo_pictures.forget()
     point_counts.forget()
+    weak_photos.forget()
 
 
 def register() -> None:

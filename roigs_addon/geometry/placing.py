@@ -19,6 +19,7 @@ ON_A_LINE = 0.01  # width of points, in their length: less is no plane
 MOST, TRIES = 2000, 300  # points and planes through three of them, in the search for a plane
 INSIDE = 2.5  # standard errors of a point from its plane
 LEVEL = 0.05  # of the cameras' distance from each other: as far from a plane they are beside it
+ASKEW = 20.0  # degrees: of a floor from level; cameras tell that to 5, ramps have 15, stairs 30
 ON_FLOOR = 0.1  # of a box's height: its bottom is that near to the floor
 
 
@@ -94,14 +95,36 @@ def scaling(first: Vector, second: Vector, length: float) -> Matrix | None:
     return np.diag([factor, factor, factor, 1.0])
 
 
-def centring(corners: Vector) -> Matrix:
+def turn_of(matrix: Matrix) -> float:
+    """By how many degrees a rotation turns."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(matrix[:3, :3]) - 1) / 2, -1, 1))))
+
+
+def askew(matrix: Matrix, poses: Matrix) -> float:
+    """How far the world's z axis is from the cameras' up after a rotation, in degrees.
+
+    Args:
+        matrix: the rotation.
+        poses: (V, 4, 4) world_to_camera before it. If they tell nothing: 0.
+    """
+    up = upright.up_and_error(poses)[0]
+    if not up.any():
+        return 0.0
+    return float(np.degrees(np.arccos(np.clip(matrix[2, :3] @ up, -1, 1))))
+
+
+def centring(corners: Vector, *, keep_height: bool = False) -> Matrix:
     """Moves the footprint of a box, (8, 3) corners, to the origin.
 
     A bottom that is near z = 0 already stands on a floor there, which stays.
+
+    Args:
+        corners: of the box, in the world.
+        keep_height: a floor at z = 0 stays in any case: the box may stand on a table.
     """
     low, high = corners.min(axis=0), corners.max(axis=0)
     matrix = np.eye(4)
     matrix[:2, 3] = -corners.mean(axis=0)[:2]
-    if abs(low[2]) > ON_FLOOR * (high[2] - low[2]):
+    if not keep_height and abs(low[2]) > ON_FLOOR * (high[2] - low[2]):
         matrix[2, 3] = -low[2]
     return matrix

@@ -154,7 +154,7 @@ class MoveFace(BoxTool):
             self._last, self.both = at, event.ctrl
             self._move(roi, self._shape)
         elif event.type in {"ESC", "RIGHTMOUSE"}:
-            roi.location, roi.scale = self._shape.location, self._shape.scale
+            self._shape.restore(roi)
             return {"CANCELLED"}
         elif event.type in {"LEFTMOUSE", "RET", "NUMPAD_ENTER"}:
             return {"FINISHED"}

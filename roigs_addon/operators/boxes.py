@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 import mathutils
-from bpy.props import FloatVectorProperty, StringProperty
+from bpy.props import BoolProperty, FloatVectorProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..blender import registration, scene_of
@@ -31,6 +31,17 @@ class AddRoi(bpy.types.Operator):
     bl_label = "Add Box"
     bl_options = {"REGISTER", "UNDO"}
 
+    for_script: BoolProperty(
+        description="The sides are in `scale`, where a script may set others",
+        default=True,
+        options={"HIDDEN", *FRESH},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """For the button, a menu or a key."""
+        self.for_script = False
+        return self.execute(context)
+
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add a cube empty; it is moved, rotated and scaled with the usual tools.
 
@@ -43,7 +54,7 @@ class AddRoi(bpy.types.Operator):
         if place is None:
             half = rois.default_size(scene)
             place = scene.cursor.location.copy(), mathutils.Vector((half, half, half))
-        _select(context, rois.new_roi(scene, *place))
+        _select(context, rois.new_roi(scene, *place, for_script=self.for_script))
         return {"FINISHED"}
 
     def _around_selection(self, context: bpy.types.Context) -> rois.Place | None:

@@ -12,7 +12,7 @@ from mathutils import Vector
 from ..blender import layout_of, registration, scene_of
 from ..errors import AddonError
 from ..geometry import placing
-from ..geometry.frames import Matrix
+from ..geometry.frames import Matrix, world_to_camera
 from ..properties import scene_props
 from ..scene import lookup, placement
 from .base import FRESH, available, box_problem, failed, tell
@@ -31,22 +31,20 @@ def root_problem(context: bpy.types.Context) -> str:
     return NO_MODEL if root is None or root.name not in scene_of(context).objects else ""
 
 
-def _place(operator: bpy.types.Operator, context: bpy.types.Context, matrix: Matrix) -> None:
-    """Move the scene, and write where it stands."""
+def _place(
+    operator: bpy.types.Operator, context: bpy.types.Context, matrix: Matrix, done: str = ""
+) -> None:
+    """Move the scene, write where it stands, and say so after what was done."""
     scene = scene_of(context)
     if context.mode != "OBJECT":  # an undo step of edit mode holds no objects
         bpy.ops.object.mode_set(mode="OBJECT")
     placement.move(scene, matrix)
-    _keep(operator, scene)
-
-
-def _keep(operator: bpy.types.Operator, scene: bpy.types.Scene) -> None:
     try:
         path = placement.keep(scene)
     except AddonError as error:
         tell(operator, "WARNING", f"Kept in this .blend only: {error}")
     else:
-        tell(operator, "INFO", f"Kept in {path}")
+        tell(operator, "INFO", f"{done}Kept in {path}")
 
 
 class PlaceTool(PickTool):
@@ -61,10 +59,15 @@ class PlaceTool(PickTool):
         """Place it; an error becomes a report."""
         try:
             placement.root_of(scene_of(context))
-            _place(self, context, self.matrix(context))
+            matrix = self.matrix(context)
+            _place(self, context, matrix, self.done(matrix))
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}
+
+    def done(self, matrix: Matrix) -> str:
+        """What the report begins with."""
+        return ""
 
     def matrix(self, context: bpy.types.Context) -> Matrix:
         """(4, 4) to apply to the world; raises AddonError."""
@@ -87,6 +90,33 @@ class SetFloor(PlaceTool):
     flip: BoolProperty(
         name="Turn Over", description="The cameras are below the floor", options=FRESH
     )
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Warn of a plane that is a slope or a wall to the cameras."""
+        before = self._poses(context)
+        result = super().execute(context)
+        if result == {"FINISHED"}:
+            scene_props(scene_of(context)).has_floor = True
+            off = placing.askew(self._matrix, before)
+            if off > placing.ASKEW:
+                tell(
+                    self,
+                    "WARNING",
+                    f"The floor is {off:.0f}° from level for the cameras. If it is wrong: Ctrl+Z",
+                )
+        return result
+
+    def done(self, matrix: Matrix) -> str:
+        """How far it is turned."""
+        self._matrix = matrix
+        return f"Turned the model by {placing.turn_of(matrix):.0f}°. "
+
+    @staticmethod
+    def _poses(context: bpy.types.Context) -> Matrix:
+        """(V, 4, 4) of the cameras in the world."""
+        cameras = lookup.cameras(scene_of(context)).values()
+        poses = [world_to_camera(lookup.matrix_world(item), np.eye(4)) for item in cameras]
+        return np.array(poses).reshape(-1, 4, 4)
 
     def take(self, points: list[Vector]) -> None:
         """Three points."""
@@ -164,11 +194,17 @@ class SetScale(PlaceTool):
 
 
 class SetOrigin(bpy.types.Operator):
-    """Move the world's origin under the object in the active box"""
+    """Move the world's origin under the object in the active box; a floor that was set stays"""
 
     bl_idname = "roigs.set_origin"
     bl_label = "Origin under the Object"
     bl_options = {"REGISTER", "UNDO"}
+
+    keep_height: BoolProperty(
+        name="Keep Height",
+        description="Keep z = 0 where it is, as for a floor. Otherwise it is the box's bottom",
+        options=FRESH,
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -179,12 +215,14 @@ class SetOrigin(bpy.types.Operator):
         """Move the scene, not the origin."""
         try:
             placement.root_of(scene_of(context))
+            if not self.properties.is_property_set("keep_height"):
+                self.keep_height = scene_props(scene_of(context)).has_floor
             roi = checked_box(context)
             size = roi.empty_display_size
             signs = np.stack(np.meshgrid(*[(-size, size)] * 3), axis=-1).reshape(-1, 3)
             world = lookup.matrix_world(roi)
             corners = signs @ world[:3, :3].T + world[:3, 3]
-            _place(self, context, placing.centring(corners))
+            _place(self, context, placing.centring(corners, keep_height=self.keep_height))
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}

@@ -25,7 +25,8 @@ NO_REPORT = "There is no report yet"
 
 
 class ChoosePhotos(bpy.types.Operator):
-    """Choose the folder of photos from which a scene is made; no COLMAP is needed"""
+    """Choose the folder of photos from which a scene is made; no COLMAP is needed.
+    JPEG, PNG, TIFF, BMP, WebP, JPEG 2000, PPM and HEIC are read; export RAW files as JPEG first"""
 
     bl_idname = "roigs.choose_photos"
     bl_label = "Choose Photos"

@@ -13,6 +13,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
+from ..properties import object_props
 from . import lookup
 
 Vectors = NDArray[np.float64]
@@ -29,13 +30,16 @@ class Shape:
 
     Attributes:
         half: half its sides in the world.
-        location, scale: the object's own.
+        sides: the same below its parent.
+        location, scale, delta_scale: the object's own.
         basis: rotation and scale below the parent, after constraints.
     """
 
     half: Vectors
+    sides: Vectors
     location: Vector
     scale: Vector
+    delta_scale: Vector
     basis: Matrix
 
     @classmethod
@@ -47,10 +51,16 @@ class Shape:
             basis = roi.matrix_parent_inverse.inverted_safe() @ roi.matrix_local
         return cls(
             half=np.asarray(sides * roi.empty_display_size),
+            sides=np.array(object_props(roi).half_sides),
             location=roi.location.copy(),
             scale=roi.scale.copy(),
+            delta_scale=roi.delta_scale.copy(),
             basis=basis.to_3x3(),
         )
+
+    def restore(self, roi: bpy.types.Object) -> None:
+        """Give the box back what it had, to the last digit."""
+        roi.location, roi.scale, roi.delta_scale = self.location, self.scale, self.delta_scale
 
 
 def to_frame(roi: bpy.types.Object, points: Vectors) -> Vectors:
@@ -65,7 +75,7 @@ def set_bounds(roi: bpy.types.Object, shape: Shape, low: Vectors, high: Vectors)
     centre = (low + high) / 2 / shape.half * roi.empty_display_size
     roi.location = shape.location + shape.basis @ Vector(centre.tolist())
     factors = (high - low) / 2 / shape.half
-    roi.scale = Vector((np.array(shape.scale) * factors).tolist())
+    object_props(roi).half_sides = (shape.sides * factors).tolist()
 
 
 def move_face(

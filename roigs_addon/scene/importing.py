@@ -132,7 +132,9 @@ def _root(
         root = _new_root(scene, name)
     if fresh or not same_frame:
         scene_props(scene).placement = scene_props(scene).placement_key = ""
-        if kept := record.get("placement"):
+        kept = record.get("placement")
+        scene_props(scene).has_floor = bool(kept)
+        if kept:
             placement.place_as_kept(scene, root, np.array(kept, float).reshape(4, 4))
         else:
             poses = np.array([image["world_to_camera"] for image in record["images"]])

@@ -33,11 +33,18 @@ COLOUR = (1.0, 0.55, 0.1, 1.0)
 EVEN = 1e-4  # relative difference of scales that counts as none
 
 
-def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.types.Object:
+def new_roi(
+    scene: bpy.types.Scene, centre: Vector, half_sides: Vector, *, for_script: bool = False
+) -> bpy.types.Object:
     """A new box, upright in the world: its rotation is zero there.
 
     Below a root that is scaled unevenly, it has the root's axes and goes around the upright one:
     otherwise it would be slanted in the COLMAP frame.
+
+    Args:
+        scene: to add it to.
+        centre, half_sides: in the world.
+        for_script: the sides are in `scale`, where a script may set others.
     """
     _remove_deleted()
     root = scene_props(scene).root
@@ -51,6 +58,8 @@ def new_roi(scene: bpy.types.Scene, centre: Vector, half_sides: Vector) -> bpy.t
     else:
         matrix = _along(root.matrix_world, centre, half_sides)
         item.matrix_local = root.matrix_world.inverted_safe() @ matrix
+    if not for_script:
+        _scale_to_one(item)
     return item
 
 
@@ -65,7 +74,9 @@ def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> None:
     for name, box in boxes.items():
         placed = np.linalg.inv(box.world_to_box)
         placed[:3, :3] *= box.half_extents
-        _new_empty(scene, name).matrix_local = Matrix(placed.tolist())
+        item = _new_empty(scene, name)
+        item.matrix_local = Matrix(placed.tolist())
+        _scale_to_one(item)
     blender.view_layer_of(bpy.context).update()  # until then, `matrix_world` is the identity
 
 
@@ -102,6 +113,12 @@ def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
         item.matrix_parent_inverse = Matrix.Identity(4)
     scene_props(scene).active_roi = item
     return item
+
+
+def _scale_to_one(item: bpy.types.Object) -> None:
+    """Move a box's sides to where its properties keep them."""
+    props = object_props(item)
+    props.half_sides = props.half_sides
 
 
 def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:

@@ -8,6 +8,7 @@ from ..blender import layout_of, registration, scene_of
 from ..facts import point_counts
 from ..operators.box_tools import FitToPoints, SnapToFloor
 from ..operators.boxes import AddRoi, LoadRois, RemoveRoi, SelectRoi
+from ..properties import object_props
 from ..scene import lookup
 from ..shared import text
 from . import layout as show
@@ -82,8 +83,8 @@ class PlacePanel(SidebarPanel):
         if roi is None:
             return
         layout.label(text=roi.name)
-        for name, label in (("location", "Centre"), ("scale", "Half Side")):
-            layout.column().prop(roi, name, text=label)
+        layout.column().prop(roi, "location", text="Centre")
+        layout.column().prop(object_props(roi), "half_sides")
         turned = "rotation_quaternion" if roi.rotation_mode == "QUATERNION" else "rotation_euler"
         layout.column().prop(roi, turned, text="Rotation")
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import bpy
 
-from ..facts import photo_names
+from ..facts import photo_names, weak_photos
 from ..operators.photos import ExcludePhotos, IncludePhotos
 from ..scene import exclusions, lookup
 from ..shared import text
+from ..shared import weak_photos as rule
+from . import layout as show
+
+MOST_WEAK = 4
+"""Weak photos that there is room for."""
 
 
 def counted(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -30,6 +35,20 @@ def toggle(
     else:
         label = "Exclude Photo" if named else ""
         layout.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = photo
+
+
+def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """The photos whose cameras hang on few points, each with the button that excludes it."""
+    names = weak_photos.used(scene)
+    if not names:
+        return
+    show.wrong(layout, f"Fewer than {rule.FEWEST} points, perhaps placed wrongly:")
+    column = layout.column(align=True)
+    for name in names[:MOST_WEAK]:
+        label = f"Exclude {photo_names.short_name(scene, name)}"
+        column.operator(ExcludePhotos.bl_idname, text=label, icon="CANCEL").photo = name
+    if len(names) > MOST_WEAK:
+        show.say(column, f"{len(names) - MOST_WEAK} more", "BLANK1")
 
 
 def selected(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -6,7 +6,7 @@ import bpy
 
 from ..blender import layout_of, registration, scene_of
 from ..engine.reconstruction import ReconstructionStatus
-from ..facts import engine_ability, reconstructions
+from ..facts import engine_ability, reconstructions, weak_photos
 from ..jobs import current
 from ..jobs.spec import RECONSTRUCTING
 from ..operators.reconstruct import ChoosePhotos, Reconstruct, ShowReport
@@ -56,12 +56,13 @@ class PhotosPanel(SidebarPanel):
         if state.title == RECONSTRUCTING and (current.busy() or state.error):
             show.job(layout, RECONSTRUCTING)
         else:
-            _draw_status(layout, status)
+            _draw_status(layout, status, weak=bool(weak_photos.used(scene)))
         if status.summary and not current.busy():
             layout.operator(ShowReport.bl_idname, icon="TEXT")
 
 
-def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus) -> None:
+def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus, *, weak: bool) -> None:
+    """How far it is; weak photos, which step 1 names, are no success either."""
     if status.holder:
         text = f"Another Blender or terminal is at work here (process {status.holder})"
         show.paused(layout, text)
@@ -72,7 +73,7 @@ def _draw_status(layout: bpy.types.UILayout, status: ReconstructionStatus) -> No
     elif not status.done:
         show.todo(layout, "Not reconstructed yet")
     else:
-        show.done(layout, status.summary)
+        show.say(layout, status.summary, "INFO" if weak or status.remarks else "CHECKMARK")
         for text in status.remarks[:MOST_REMARKS]:
             show.wrong(layout, text)
         if len(status.remarks) > MOST_REMARKS:

@@ -47,6 +47,7 @@ class ScenePanel(SidebarPanel):
             row.label(text="Sparse points", icon="OUTLINER_OB_POINTCLOUD")
             row.prop(cloud, "hide_viewport", text="", emboss=False)
         exclusions.counted(layout, scene)
+        exclusions.weak(layout, scene)
         if props.skipped:
             show.wrong(layout, f"Skipped: {props.skipped}")
         row = layout.row(align=True)

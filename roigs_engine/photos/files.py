@@ -15,6 +15,13 @@ from ..formats.projects import PHOTO_FOLDERS, SPARSE
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
 HEIC = {".heic", ".heif"}  # read by `reconstruct` alone, which converts them
 
+UNREAD = {
+    *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf"),
+    *(".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"),
+    *(".avif", ".exr", ".gif", ".hdr", ".jfif", ".jxl", ".psd", ".tga"),
+}
+"""Formats of cameras and of other pictures, which are not read."""
+
 
 class PhotoFolder:
     """The photos below a folder, by their names in a model.

@@ -27,10 +27,22 @@ def warnings_of(found: Found) -> list[str]:
         (blurred(found.photos), "{is} less sharp than the others and may not be placed"),
     ]
     return [
-        f"{counted(len(names), 'photo')} {text.format(**_verb(len(names)))}: {named(names)}."
-        for names, text in checks
-        if names
+        *unread_in_words(found.unread),
+        *(
+            f"{counted(len(names), 'photo')} {text.format(**_verb(len(names)))}: {named(names)}."
+            for names, text in checks
+            if names
+        ),
     ]
+
+
+def unread_in_words(unread: Mapping[str, int]) -> list[str]:
+    """The sentence about photos whose format is not read, if there are any; see `Found`."""
+    kinds = [f"{number} {kind}" for kind, number in sorted(unread.items())]
+    total = sum(unread.values())
+    were = "file was" if total == 1 else "files were"
+    what = "it" if total == 1 else "them"
+    return [f"{', '.join(kinds)} {were} not read: export {what} as JPEG."] if kinds else []
 
 
 def warnings_of_matches(

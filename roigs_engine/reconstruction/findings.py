@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..formats import weak_photos
 from ..formats.text import counted, printable
 from .checks import blurred, named, small, warnings_of
 from .database import FEWEST_INLIERS, Pair
@@ -93,13 +94,26 @@ def findings(result: Reconstruction) -> list[tuple[str, str]]:
     for number, model in enumerate(others, start=2):
         text = f"{counted(len(model.photos), 'photo')} form a model of their own (model {number}):"
         told.append(("warning", f"{text} {named(sorted(model.photos))}."))
-    weak = sum(points < FEW_POINTS for points in best.photos.values())
+    told += [("warning", text) for text in _unreliable(result)]
+    weak = sum(weak_photos.FEWEST <= points < FEW_POINTS for points in best.photos.values())
     if weak:
         text = f"{counted(weak, 'photo')} with fewer than {FEW_POINTS} points: cameras may be off."
         told.append(("warning" if weak > WEAK * len(best.photos) else "info", text))
     if best.error > HIGH_ERROR:
         told.append(("warning", f"The reprojection error is high: {best.error:.1f} px."))
     return told
+
+
+def _unreliable(result: Reconstruction) -> list[str]:
+    """The sentence about photos that hang on too few points, if there are any."""
+    names = weak_photos.weak_photos(result.registered)
+    if not names:
+        return []
+    are = "has" if len(names) == 1 else "have"
+    return [
+        f"{counted(len(names), 'photo')} {are} fewer than {weak_photos.FEWEST} points and may be"
+        f" placed wrongly: {named(names)}. Leave them out (--exclude)."
+    ]
 
 
 def _summary(result: Reconstruction) -> str:
@@ -117,7 +131,8 @@ def as_markdown(result: Reconstruction) -> str:
     lines = ["# Reconstruction", "", _summary(result), ""]
     lines += [f"- {text}" for text in (*warnings_of(result.found), *result.warnings)]
     if result.models:
-        lines += [f"- {text}" for _, text in findings(result)[1:]]
+        told = [text for _, text in findings(result)[1:]]  # the last table has weak photos
+        lines += [f"- {text}" for text in told if text not in _unreliable(result)]
     lines += ["", "| | |", "|---|---|"]
     lines += [f"| photos registered | {len(result.registered)} of {len(result.found.photos)} |"]
     lines += _figures(result) if result.models else []

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from ..errors import RunFolderError, SceneError
 from ..formats.files import cannot_write, own_folder, read_json, write_json
 from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, SPARSE, model_suffix
-from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
+from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
+from .checks import unread_in_words
 from .look import Photo
 from .settings import Settings
 
@@ -150,18 +152,35 @@ class Folder:
         """
         if not source.is_dir():
             raise SceneError(f"{source} is not a folder.", "Give the folder of the photos.")
+        found = self._files_of(source, EXTENSIONS | HEIC)
+        if not found:
+            unread = " ".join(unread_in_words(self.unread_of(source)))
+            hint = "" if unread else "Give the folder of the photos."
+            raise SceneError(f"{source} has no photos. {unread}".rstrip(), hint)
+        return found
+
+    def unread_of(self, source: Path) -> dict[str, int]:
+        """Format, as `.NEF` -> how many photos below a folder have one that is not read.
+
+        Those that a camera has also written as JPEG do not count.
+        """
+        if not source.is_dir():
+            return {}
+        there = {os.path.splitext(name)[0] for name in self._files_of(source, EXTENSIONS | HEIC)}
+        names = self._files_of(source, UNREAD)
+        alone = [name for name in names if os.path.splitext(name)[0] not in there]
+        return dict(Counter(Path(name).suffix.upper() for name in alone))
+
+    def _files_of(self, source: Path, extensions: Set[str]) -> dict[str, Path]:
+        """Name -> file, of those below a folder, except this folder's own."""
         own = [Path(os.path.realpath(path)) for path in (self.images, self.root / WORK)]
         here = Path(os.path.realpath(source))
         skipped = [path for path in own if path != here and path.is_relative_to(here)]
-        photos = PhotoFolder(source, EXTENSIONS | HEIC)
-        found = {}
-        for name in photos.others([]):
-            path = source / name
-            if not any((here / name).is_relative_to(folder) for folder in skipped):
-                found[name] = path
-        if not found:
-            raise SceneError(f"{source} has no photos.", "Give the folder of the photos.")
-        return found
+        return {
+            name: source / name
+            for name in PhotoFolder(source, extensions).others([])
+            if not any((here / name).is_relative_to(folder) for folder in skipped)
+        }
 
     def take_photos(self, photos: list[Photo]) -> None:
         """Put the photos into `images`: as second names of the files if possible, else as copies.

@@ -6,7 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,8 @@ class Found:
     unreadable: tuple[str, ...]
     copies: Mapping[str, str]
     """Name -> name of the photo with the same bytes, which is used."""
+    unread: Mapping[str, int] = field(default_factory=dict)
+    """Format, as `.NEF` -> how many photos have it, which were not looked at."""
 
 
 def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Found:

@@ -18,7 +18,7 @@ from ..formats.files import write_text
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
 from . import pairs
-from .checks import warnings_of, warnings_of_matches
+from .checks import unread_in_words, warnings_of, warnings_of_matches
 from .child import run_task
 from .convert import converted
 from .database import (
@@ -233,7 +233,7 @@ def reconstruct(
         ready(folder.work())
         if video:
             files = take_frames(source, folder, frames, context)
-        found = _taken(files, folder, context)
+        found = _taken(files, {} if video else folder.unread_of(source), folder, context)
         key = json_digest({"settings": asdict(settings), "photos": digests_of(found)})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
@@ -253,14 +253,18 @@ def reconstruct(
     return folder.model
 
 
-def _taken(files: Mapping[str, Path], folder: Folder, context: Context) -> Found:
-    """The photos, looked at, in the folder's images."""
+def _taken(
+    files: Mapping[str, Path], unread: Mapping[str, int], folder: Folder, context: Context
+) -> Found:
+    """The photos, looked at, in the folder's images; `unread`: see `Found`."""
+    for text in unread_in_words(unread):
+        context.warn(text)
     files = converted(files, folder, context)
     found = look_at(files, folder.work("photos.json"), context)
     for text in warnings_of(found):
         context.warn(text)
     folder.take_photos(list(found.photos))
-    return found
+    return replace(found, unread=unread)
 
 
 def digests_of(found: Found) -> dict[str, str]:

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roigs_addon.geometry.placing import centring, levelling, plane_through, scaling
+from roigs_addon.geometry.placing import (
+    askew,
+    centring,
+    levelling,
+    plane_through,
+    scaling,
+    turn_of,
+)
+from tests.addon.colmap_project import ring
 
 TILTED = np.array([[0, 0, 1.0], [1, 0, 1.4], [0, 1, 0.8]])
 ABOVE = np.array([[0, 0, 5.0], [1, 1, 6], [-1, 1, 5]])
@@ -90,3 +98,18 @@ def test_the_footprint_of_a_box_goes_to_the_origin() -> None:
     np.testing.assert_allclose(table[:3, 3], (-2, -2.5, -0.7))
     floor = centring(corners((1, 2, -0.03), (3, 3, 1)))
     np.testing.assert_allclose(floor[:3, 3], (-2, -2.5, 0))
+    shelf = centring(corners((1, 2, 0.7), (3, 3, 1.7)), keep_height=True)
+    np.testing.assert_allclose(shelf[:3, 3], (-2, -2.5, 0))
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 45, 90])
+def test_how_far_a_floor_is_from_level(degrees: float) -> None:
+    angle = np.radians(degrees)
+    matrix = np.eye(4)
+    matrix[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    assert turn_of(matrix) == pytest.approx(degrees, abs=1e-5)
+    level = np.diag([1.0, -1.0, -1.0, 1.0])  # to z up; `ring` has y down
+    level[1:3, 1:3] = [[0, 1], [-1, 0]]
+    poses = ring(12) @ np.linalg.inv(level)
+    assert askew(matrix, poses) == pytest.approx(degrees, abs=0.5)
+    assert askew(matrix, np.empty((0, 4, 4))) == 0

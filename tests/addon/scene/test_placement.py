@@ -104,6 +104,34 @@ def test_the_origin_is_under_the_object(blender: ModuleType, garden) -> None:
     assert record(roi, scene) == before
 
 
+def test_a_set_floor_stays_below_an_object_on_a_table(blender: ModuleType, garden) -> None:
+    bpy = blender
+    bpy.ops.roigs.set_floor(first=(0, 0, -3), second=(1, 0, -3), third=(0, 1, -3))
+    roi = add_box(bpy, "thing", (0.7, -0.3, 2.7), (1.3, 0.3, 3.3))
+    height = roi.matrix_world.translation.z
+    assert height > 2
+    bpy.ops.roigs.set_origin()
+    bpy.context.view_layer.update()
+    assert tuple(roi.matrix_world.translation) == pytest.approx((0, 0, height), abs=1e-5)
+    bpy.ops.roigs.set_origin(keep_height=False)
+    bpy.context.view_layer.update()
+    assert roi.matrix_world.translation.z == pytest.approx(0.3, abs=1e-5)
+
+
+def test_a_floor_that_is_a_slope_is_warned_of(
+    blender: ModuleType, garden, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bpy = blender
+    slope = {"first": (0, 0, -3), "second": (1, 0, -3)}
+    bpy.ops.roigs.set_floor(**slope, third=(0, 1, -2.9))
+    told = capfd.readouterr().out
+    assert "Turned the model by 6°. Kept in" in told and "Ctrl+Z" not in told
+    bpy.ops.roigs.set_floor(**slope, third=(0, 1, -2))
+    told = capfd.readouterr().out
+    assert "Turned the model by 45°" in told
+    assert told.count("from level for the cameras") == 1 and "Ctrl+Z" in told
+
+
 @pytest.mark.parametrize("factor", [1000.0, 0.001])
 @pytest.mark.parametrize("by_hand", [False, True])
 def test_tools_in_scenes_of_any_size(

@@ -7,7 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.reconstruction.checks import connected, warnings_of_matches
+from roigs_engine.reconstruction.checks import (
+    connected,
+    unread_in_words,
+    warnings_of,
+    warnings_of_matches,
+)
 from roigs_engine.reconstruction.findings import Reconstruction, as_markdown, findings, reason
 from roigs_engine.reconstruction.look import Found, Photo
 from roigs_engine.reconstruction.mapping import Mapped
@@ -84,7 +89,7 @@ def test_each_missing_photo_has_a_reason() -> None:
 
 
 def test_weak_results_are_warned_of() -> None:
-    two = result(models=[model("ab", points=20)])
+    two = result(models=[model("ab", points=40)])
     texts = [text for level, text in findings(two) if level == "warning"]
     assert any("Only two photos" in text for text in texts)
     assert any("fewer than 100 points" in text for text in texts)
@@ -96,3 +101,27 @@ def test_without_a_model_there_is_a_report() -> None:
     text = as_markdown(result(models=[], matched={}))
     assert "No two photos could be placed" in text
     assert text.count("| no photo matches it |") == 8
+
+
+def test_photos_that_hang_on_few_points_are_named() -> None:
+    """24 of 24 may be registered, one of them by a single point."""
+    best = model("abcdefgh")
+    best.photos.update({"b.jpg": 29, "c.jpg": 1, "d.jpg": 30})
+    told = findings(result(models=[best]))
+    (text,) = (text for level, text in told if level == "warning")
+    assert text.startswith("2 photos have fewer than 30 points and may be placed wrongly")
+    assert "c.jpg, b.jpg." in text
+    report = as_markdown(result(models=[best]))
+    assert text not in report  # the panel has buttons for them
+    assert "| c.jpg | 1 |" in report
+
+
+def test_formats_that_are_not_read_are_counted() -> None:
+    assert unread_in_words({}) == []
+    assert unread_in_words({".DNG": 1}) == ["1 .DNG file was not read: export it as JPEG."]
+    text = "3 .CR2, 12 .NEF files were not read: export them as JPEG."
+    found = Found(
+        photos=result().found.photos, unreadable=(), copies={}, unread={".NEF": 12, ".CR2": 3}
+    )
+    assert warnings_of(found) == [text]
+    assert f"- {text}" in as_markdown(result(found=found))

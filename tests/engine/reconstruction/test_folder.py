@@ -101,3 +101,18 @@ def test_an_earlier_result_is_kept(tmp_path: Path) -> None:
     assert (folder.model / "points3D.bin").read_text() == "2"
     assert (folder.work("earlier", "0", "points3D.bin")).read_text() == "0"
     assert (folder.work("earlier", "1", "points3D.bin")).read_text() == "1"
+
+
+def test_photos_in_other_formats_are_counted(tmp_path: Path) -> None:
+    photos, folder = tmp_path / "photos", Folder(tmp_path / "photos" / "out")
+    for name in ("1.NEF", "sub/2.nef", "3.dng", "4.CR2", "4.jpg", "notes.txt", ".5.nef"):
+        (photos / name).parent.mkdir(parents=True, exist_ok=True)
+        (photos / name).touch()
+    (folder.images).mkdir(parents=True)
+    (folder.images / "6.nef").touch()
+    assert folder.unread_of(photos) == {".NEF": 2, ".DNG": 1}
+    assert list(folder.photos_of(photos)) == ["4.jpg"]
+    assert folder.unread_of(tmp_path / "none") == {}
+    (photos / "4.jpg").unlink()
+    with pytest.raises(SceneError, match=r"no photos\. 1 \.CR2, 1 \.DNG, 2 \.NEF files were not"):
+        folder.photos_of(photos)

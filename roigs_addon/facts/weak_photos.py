@@ -1,0 +1,41 @@
+"""Imported photos that observe so few points that their cameras may be wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..properties import scene_props
+from ..scene import exclusions
+from ..shared import weak_photos
+
+_found: dict[str, list[str]] = {}
+
+
+def used(scene: bpy.types.Scene) -> list[str]:
+    """Their names, the weakest first, without those that the user has excluded."""
+    folder = scene_props(scene).model_cache
+    if folder not in _found:
+        _found.clear()
+        _found[folder] = _weak(Path(folder))
+    return [name for name in _found[folder] if not exclusions.is_excluded(scene, name)]
+
+
+def _weak(folder: Path) -> list[str]:
+    """Those of an exported model; none if it is not there, or knows nothing of observations."""
+    try:
+        starts = np.load(folder / "observed_starts.npy")
+        images = json.loads((folder / "scene.json").read_text("utf-8"))["images"]
+        points = np.diff(starts).tolist()
+        counts = {str(i["name"]): int(n) for i, n in zip(images, points, strict=True)}
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return weak_photos.weak_photos(counts) if any(points) else []
+
+
+def forget() -> None:
+    """Look again at the next question."""
+    _found.clear()
