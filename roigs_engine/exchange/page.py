@@ -22,10 +22,11 @@ from ..errors import ConfigError, EngineError
 from ..formats.files import atomic_write
 from ..formats.text import printable
 from ..model.local_frame import LocalFrame
+from ..model.scene import Float64
 from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, MAX_SLOPE, NEAR
 from . import spz
 from .arrays import Arrays, usable
-from .page_views import FIELD, Ball, overview, viewpoint
+from .page_views import FIELD, Ball, overview, photographed, viewpoint
 
 PARTS = Path(__file__).parent / "page_parts"
 SCRIPTS = ("shaders.js", "renderer.js", "camera.js", "page.js")
@@ -41,11 +42,14 @@ class Extras:
         title: of the page; empty: the file's name.
         places: name and ball to look at, in the model's frame, for one button each.
         before: a second model to switch to.
+        poses: (N, 4, 4) world_to_camera of the scene's photos, in the model's frame; places are
+            first seen from where one of them was taken.
     """
 
     title: str = ""
     places: Sequence[tuple[str, Ball]] = ()
     before: Arrays | None = None
+    poses: Float64 | None = None
 
 
 def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
@@ -79,9 +83,10 @@ def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
 def _description(models: dict[str, Arrays], extras: Extras) -> dict[str, Any]:
     """What the script of the page needs to know."""
     shown = models[AFTER]
-    whole = overview(shown)
+    whole = None if extras.poses is None else photographed(extras.poses)
+    whole = whole or overview(shown)
     balls = [whole, *(ball for _, ball in extras.places)]
-    views = [viewpoint(shown, ball) for ball in balls]
+    views = [viewpoint(shown, ball, extras.poses) for ball in balls]
     names = [WHOLE, *(printable(name) for name, _ in extras.places)]
     places = [
         {"name": name, "target": ball.centre.tolist(), "position": position.tolist()}

@@ -11,7 +11,7 @@ const PART = 40;
 const STILL = 150; // milliseconds after the last move
 const LEAST = 1 / 128; // of the work of a whole picture
 const COARSEST = 1 / 4; // of the width in pixels
-const FEWEST = 10_000; // Gaussians
+const FEWEST = 6000; // Gaussians
 
 class Renderer {
   constructor(canvas, rules) {

@@ -6,12 +6,16 @@ import base64
 import gzip
 import json
 import re
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
@@ -23,7 +27,9 @@ from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize.view import render_view
 from tests import chromium
 from tests.chromium import browser
+from tests.engine import synthetic_colmap
 from tests.engine.rasterize.test_placed import cloud
+from tests.engine.synthetic_colmap import ring, write_project
 
 pytest.importorskip("gsply")
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">{{viewer}}"
@@ -323,11 +329,52 @@ def test_convert_gives_places_and_the_model_before(tmp_path: Path) -> None:
     assert "<h1>A vase</h1>" in out.read_text()
 
 
+def test_a_scene_says_what_is_up_and_where_photos_were_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    turned = np.eye(4)
+    turned[:3, :3] = Rotation.from_rotvec([0.4, 0.5, 0.9]).as_matrix()
+    monkeypatch.setattr(synthetic_colmap, "ring", lambda *given: ring(*given) @ turned)
+    names = [f"{k}.png" for k in range(8)]
+    scene = write_project(run / "colmap", names=names, arc=np.pi).folder
+    values = arrays()
+    values["means"] = np.random.default_rng(0).normal(0, 0.1, (300, 3)).astype(np.float32)
+    write_ply(run / "result.ply", values)
+    given = ["convert", str(run / "result.ply"), str(tmp_path / "a.html"), "--scene", str(scene)]
+    assert main(given) == 0
+    place = description(tmp_path / "a.html")["places"][0]
+    away = np.array(place["position"]) - place["target"]
+    assert place["target"] == pytest.approx([0, 0, 0], abs=0.01)
+    assert np.linalg.norm(away) == pytest.approx(np.sqrt(17), abs=0.01)  # as far as the photos
+    assert np.degrees(np.arctan2(away[1], np.hypot(away[0], away[2]))) == pytest.approx(14, abs=2)
+    assert main(given[:-2]) == 0  # the run folder's own
+    assert description(tmp_path / "a.html")["places"][0] == place
+    assert main([*given, "--from-up", "z"]) == 2
+
+
 def test_options_of_pages_are_for_pages(tmp_path: Path, capsys: Any) -> None:
     write_ply(tmp_path / "a.ply", arrays())
     command = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz"), "--title", "A"]
     assert main(command) != 0
     assert "--title is for web pages alone." in capsys.readouterr().err
+
+
+def test_a_wheel_holds_the_parts_of_a_page(tmp_path: Path) -> None:
+    """What `build_py` gathers is what a wheel holds, besides the kernels."""
+    pytest.importorskip("setuptools")
+    root = Path(page.__file__).parents[2]
+    names = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "MANIFEST.in")
+    for name in names:
+        shutil.copy(root / name, tmp_path)
+    left_out = shutil.ignore_patterns("lib", "__pycache__")
+    shutil.copytree(root / "roigs_engine", tmp_path / "roigs_engine", ignore=left_out)
+    command = [sys.executable, "setup.py", "-q", "build_py", "--build-lib", "built"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=120, capture_output=True)
+    made = tmp_path / "built" / "roigs_engine" / "exchange" / "page_parts"
+    parts = sorted(path.name for path in page.PARTS.iterdir())
+    assert sorted(path.name for path in made.iterdir()) == parts
+    assert {*page.SCRIPTS, "worker.js", "page.html", "page.css", "LICENSE.txt"} == set(parts)
 
 
 def test_a_missing_viewer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
