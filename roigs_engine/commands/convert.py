@@ -16,7 +16,13 @@ from .console import Console
 from .options import add_roi_options, boxes
 from .out_folder import refuse_inputs
 from .page_options import SUFFIX as PAGE
-from .page_options import add_page_options, page_extras, refuse_page_options
+from .page_options import (
+    add_page_options,
+    page_extras,
+    page_poses,
+    page_turn,
+    refuse_page_options,
+)
 from .placed_models import HINT, placed_models
 from .values import PATH, integer
 
@@ -79,6 +85,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     listed = args.source.suffix.lower() == LIST
     before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
     matrix = turn(before, args.up or target.up)
+    poses = None if listed or target.suffix != PAGE else page_poses(args, console.context)
+    if poses is not None:
+        matrix = page_turn(poses, args.up or target.up)
     if listed:
         arrays = _placed(args, matrix)
     else:
@@ -86,7 +95,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         arrays = turned(_cropped(formats.read(args.source), args), matrix)
     arrays = _shortened(arrays, args)
     if target.suffix == PAGE:
-        formats.write(args.out, arrays, extras=page_extras(args, _before(args, target.up), matrix))
+        known = None if poses is None else matrix
+        extras = page_extras(args, _before(args, target.up, known), matrix, poses)
+        formats.write(args.out, arrays, extras=extras)
     else:
         formats.write(args.out, arrays)
     size = args.out.stat().st_size / 1e6
@@ -101,14 +112,16 @@ def _shortened(arrays: Arrays, args: argparse.Namespace) -> Arrays:
     return {**arrays, "sh": arrays["sh"][:, : (args.sh_degree + 1) ** 2]}
 
 
-def _before(args: argparse.Namespace, up: str) -> Arrays | None:
-    """The model of `--before`, as the first one is shown."""
+def _before(args: argparse.Namespace, up: str, known: Float64 | None) -> Arrays | None:
+    """The model of `--before`, as the first one is shown; `known` turns both upright."""
     if args.before is None:
         return None
     from ..exchange import formats
 
     refuse_inputs([args.out], [args.before])
-    matrix = turn(args.from_up or formats.format_of(args.before).up, args.up or up)
+    matrix = known
+    if matrix is None:
+        matrix = turn(args.from_up or formats.format_of(args.before).up, args.up or up)
     return _shortened(turned(_cropped(formats.read(args.before), args), matrix), args)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..context import Context
 from ..errors import ConfigError
 from ..formats.files import own_folder, read_json
-from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, SPLIT
+from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
 from ..model.scene import SfmScene
@@ -70,6 +70,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..evaluation.crops import write_crops
     from ..evaluation.evaluate import evaluate
     from ..evaluation.report import format_markdown, write_report
+    from ..evaluation.report_html import write_page
+    from ..evaluation.report_pictures import comparisons
     from ..evaluation.views import EvaluatedModel
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
@@ -77,7 +79,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     from ..selection.split import choose_test_views
 
     files = _model_files(args.model)
-    reports = (args.out / REPORT, args.out / REPORT_DATA)
+    reports = (args.out / REPORT, args.out / REPORT_DATA, args.out / REPORT_PAGE)
     refuse_inputs(reports, [*read_files(args), args.split, *files.values()])
     rois, split = boxes(args), args.split
     if split is None and args.test_every is None:
@@ -110,8 +112,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     )
     write_report(evaluation, args.out)
     write_crops(evaluation, models, scene, rois, args.out, context=context)
+    pictures = comparisons(evaluation, models, scene, rois, context=context)
+    write_page(evaluation, pictures, args.out)
     console.print(format_markdown(evaluation))
-    outputs = {"report": str(args.out / REPORT), "pictures": str(args.out / CROPS)}
+    places = {"report": REPORT, "page": REPORT_PAGE, "pictures": CROPS}
+    outputs = {what: str(args.out / where) for what, where in places.items()}
     console.print_places(outputs)
     return outputs
 

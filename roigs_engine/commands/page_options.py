@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import ConfigError
+from ..errors import ConfigError, EngineError
+from ..exchange.axes import turn
+from ..formats.files import read_json
+from ..formats.run_files import PROJECT, SETTINGS
+from ..formats.upright import levelled
 from ..model.roi import load_rois
 from .values import NAME, PATH
 
 if TYPE_CHECKING:
+    from ..context import Context
     from ..exchange.arrays import Arrays
     from ..exchange.page import Extras
-    from ..model.scene import Float64
+    from ..model.scene import Float64, SfmScene
 
 SUFFIX = ".html"
 
@@ -34,20 +41,71 @@ def add_page_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--before", type=PATH, metavar="FILE", help="a second model, to switch between before/after"
     )
+    group.add_argument(
+        "--scene",
+        dest="page_scene",
+        type=PATH,
+        metavar="DIR",
+        help="COLMAP project that IN was trained on: its photos tell which way is up, and from"
+        " where to look first (default: that of IN's run folder, if it has one)",
+    )
 
 
 def refuse_page_options(args: argparse.Namespace) -> None:
     """Raise ConfigError if such an option is given for another format."""
-    given = [name for name in ("title", "fly_to", "before") if getattr(args, name) is not None]
+    names = ("title", "fly_to", "before", "page_scene")
+    given = [name for name in names if getattr(args, name) is not None]
     if given and args.out.suffix.lower() != SUFFIX:
-        option = f"--{given[0].replace('_', '-')}"
+        option = f"--{given[0].removeprefix('page_').replace('_', '-')}"
         raise ConfigError(
             f"{option} is for web pages alone.", f"Leave it out, or let OUT end in {SUFFIX}."
         )
+    if args.page_scene is not None and args.from_up is not None:
+        raise ConfigError("--scene and --from-up both say which way is up.", "Leave out one.")
 
 
-def page_extras(args: argparse.Namespace, before: Arrays | None, turn: Float64) -> Extras:
-    """The options' values, with the boxes turned as the model is."""
+def page_poses(args: argparse.Namespace, context: Context) -> Float64 | None:
+    """(N, 4, 4) world_to_camera of the scene's photos; None if no scene is known.
+
+    Raises:
+        SceneError: the one of `--scene` cannot be read.
+    """
+    from ..colmap.project import load_colmap
+
+    scene = None
+    if args.page_scene is not None:
+        scene = load_colmap(args.page_scene, pixels=False, context=context)
+    elif args.from_up is None:
+        scene = _scene_of_run(args.source.absolute().parent)
+    if scene is None:
+        return None
+    return np.array([image.world_to_camera for image in scene.images])
+
+
+def _scene_of_run(folder: Path) -> SfmScene | None:
+    """The scene that a run folder was made for, if it is still there."""
+    from ..colmap.project import load_colmap
+
+    places = [folder / PROJECT]
+    with suppress(ConfigError, KeyError, TypeError):
+        places.insert(0, Path(read_json(folder / SETTINGS, ConfigError)["scene"]))
+    for place in places:
+        with suppress(EngineError):
+            return load_colmap(place, pixels=False)
+    return None
+
+
+def page_turn(poses: Float64, up: str) -> Float64:
+    """(4, 4) from the photos' frame to one in which the axis `up` does point up."""
+    matrix = turn("z", up)
+    matrix[:3, :3] = matrix[:3, :3] @ levelled(poses)
+    return matrix
+
+
+def page_extras(
+    args: argparse.Namespace, before: Arrays | None, matrix: Float64, poses: Float64 | None
+) -> Extras:
+    """The options' values, with the boxes and the photos' poses turned as the model is."""
     from ..exchange.page import Extras
     from ..exchange.page_views import Ball
 
@@ -56,10 +114,12 @@ def page_extras(args: argparse.Namespace, before: Arrays | None, turn: Float64) 
         (
             box.name,
             Ball(
-                centre=turn[:3, :3] @ box.centre + turn[:3, 3],
+                centre=matrix[:3, :3] @ box.centre + matrix[:3, 3],
                 radius=float(np.linalg.norm(box.half_extents)),
             ),
         )
         for box in boxes
     ]
-    return Extras(title=args.title or "", places=places, before=before)
+    if poses is not None:
+        poses = poses @ np.linalg.inv(matrix)
+    return Extras(title=args.title or "", places=places, before=before, poses=poses)

@@ -1,7 +1,7 @@
 """A web page that shows Gaussians: one file, without network, with the viewer inside.
 
-The splats are SPZ (version 3) as base64, which a browser unpacks without a library. The viewer
-(`page_parts/viewer.min.js`, made by `tools/page_viewer.py`) draws SH up to degree 2.
+The Gaussians are SPZ (version 3) as base64, which a browser unpacks without a library. The viewer
+in `page_parts/` draws them with WebGL 2 by the rules of our rasterizer.
 """
 
 from __future__ import annotations
@@ -21,12 +21,15 @@ import numpy as np
 from ..errors import ConfigError, EngineError
 from ..formats.files import atomic_write
 from ..formats.text import printable
+from ..model.local_frame import LocalFrame
+from ..model.scene import Float64
+from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, MAX_SLOPE, NEAR
 from . import spz
 from .arrays import Arrays, usable
-from .page_views import Ball, overview, viewpoint
+from .page_views import FIELD, Ball, overview, photographed, viewpoint
 
 PARTS = Path(__file__).parent / "page_parts"
-BANDS = 9  # SH that the viewer draws: degree 2
+SCRIPTS = ("shaders.js", "renderer.js", "camera.js", "page.js")
 BEFORE, AFTER = "Before", "After"
 WHOLE = "Whole scene"
 
@@ -39,11 +42,14 @@ class Extras:
         title: of the page; empty: the file's name.
         places: name and ball to look at, in the model's frame, for one button each.
         before: a second model to switch to.
+        poses: (N, 4, 4) world_to_camera of the scene's photos, in the model's frame; places are
+            first seen from where one of them was taken.
     """
 
     title: str = ""
     places: Sequence[tuple[str, Ball]] = ()
     before: Arrays | None = None
+    poses: Float64 | None = None
 
 
 def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
@@ -61,13 +67,13 @@ def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
             raise ConfigError("The model before has no Gaussians.", "Give another --before.")
     values = {
         "title": html.escape(printable(extras.title or path.stem)),
-        "licence": _part("viewer.LICENSE.txt").replace("--", "- -"),
+        "licence": _part("LICENSE.txt"),
         "style": _part("page.css"),
         "count": f"{sum(len(model['means']) for model in models.values()):,}",
         "page": _json(_description(models, extras)),
         "models": "\n".join(_embedded(name, model) for name, model in models.items()),
-        "viewer": _part("viewer.min.js"),
-        "script": _part("page.js"),
+        "worker": _part("worker.js"),
+        "script": "\n".join(_part(name).replace('"use strict";\n', "") for name in SCRIPTS),
     }
     text = re.sub(r"\{\{(\w+)\}\}", lambda found: values[found[1]], _part("page.html"))
     with atomic_write(path) as file:
@@ -77,21 +83,27 @@ def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
 def _description(models: dict[str, Arrays], extras: Extras) -> dict[str, Any]:
     """What the script of the page needs to know."""
     shown = models[AFTER]
-    whole = overview(shown)
+    whole = None if extras.poses is None else photographed(extras.poses)
+    whole = whole or overview(shown)
     balls = [whole, *(ball for _, ball in extras.places)]
-    views = [viewpoint(shown, ball) for ball in balls]
+    views = [viewpoint(shown, ball, extras.poses) for ball in balls]
     names = [WHOLE, *(printable(name) for name, _ in extras.places)]
     places = [
         {"name": name, "target": ball.centre.tolist(), "position": position.tolist()}
         for name, ball, position in zip(names, balls, views, strict=True)
     ]
-    bands = min(BANDS, *(model["sh"].shape[1] for model in models.values()))
+    scale = LocalFrame.of_centres(shown["means"].astype(np.float64)).scale
     return {
         "models": list(models),
+        "counts": {name: len(model["means"]) for name, model in models.items()},
         "places": places,
-        "degree": int(np.sqrt(bands)) - 1,
-        "near": min(ball.radius for ball in balls) / 1000,
-        "far": whole.radius * 1e4,
+        "field": FIELD,
+        "rules": {
+            "near": NEAR / scale,
+            "blur": BLUR,
+            "slope": MAX_SLOPE,
+            "margin": FRUSTUM_MARGIN,
+        },
     }
 
 
@@ -104,7 +116,7 @@ def _embedded(name: str, arrays: Arrays) -> str:
     """A script element with the model."""
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "model.spz"
-        spz.write(made, {**arrays, "sh": arrays["sh"][:, :BANDS]})
+        spz.write(made, arrays)
         text = base64.b64encode(made.read_bytes()).decode()
     return f'<script id="{name}" type="text/plain">{text}</script>'
 
@@ -120,5 +132,5 @@ def _part(name: str) -> str:
     except OSError as error:
         raise EngineError(
             f"A part of web pages is missing: {PARTS / name}.",
-            "Install the engine again, or run tools/page_viewer.py.",
+            "Install the engine again.",
         ) from error

@@ -8,10 +8,14 @@ import json
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+
+from roigs_engine.formats.splat_ply import write_ply
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -62,6 +66,28 @@ def test_the_check_of_a_release_knows_the_listing(built: Path) -> None:
             checks.check_listing(built / "index.json")
     finally:
         archive.write_bytes(content)
+
+
+def test_the_engine_of_the_zip_makes_web_pages(built: Path, tmp_path: Path) -> None:
+    """The add-on starts the engine from its own folder, with the Python of an environment."""
+    for package in ("torch", "gsply"):
+        pytest.importorskip(package)
+    (archive,) = built.glob("*.zip")
+    with zipfile.ZipFile(archive) as packed:
+        packed.extractall(tmp_path / "roigs")
+    source = tmp_path / "a.ply"
+    write_ply(source, small_model())
+    command = [sys.executable, "-m", "roigs_engine", "convert", str(source)]
+    out = tmp_path / "a.html"
+    subprocess.run([*command, str(out)], cwd=tmp_path / "roigs", check=True, timeout=120)
+    assert "class Renderer" in out.read_text(encoding="utf-8")
+
+
+def small_model() -> dict[str, np.ndarray]:
+    """Ten Gaussians."""
+    random = np.random.default_rng(0)
+    shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh": (1, 3)}
+    return {name: random.normal(size=(10, *shape)).astype("f4") for name, shape in shapes.items()}
 
 
 @pytest.mark.skipif("ROIGS_BLENDER" not in os.environ, reason="needs the program blender")
