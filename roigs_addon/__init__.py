@@ -43,6 +43,7 @@ MODULES = (
     "operators.results",
     "operators.run_folder",
     "operators.export",
+    "operators.import_gaussians",
     "operators.viewport_render",
     "viewport",
     "rendering",

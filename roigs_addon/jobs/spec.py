@@ -9,6 +9,7 @@ from pathlib import Path
 RECONSTRUCTING, IMPORTING, REFINING = "Reconstructing", "Importing", "Refining"
 SELECTING, ESTIMATING = "Selecting", "Estimating"
 TRAINING, EXPORTING = "Training", "Exporting"
+IMPORTING_GAUSSIANS = "Importing Gaussians"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 

@@ -42,7 +42,7 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
         props = object_props(item)
         if props.ply == str(files.get((props.level, props.roi), "")):
             _unpark(scene, item)
-        elif props.level != "PREVIEW":
+        elif props.level not in ("PREVIEW", "IMPORTED"):
             _park(scene, item)
     compositor.link(scene)
 

@@ -3,7 +3,8 @@
 An object's Gaussians are drawn from its file, which is fast. Once its points are no longer those
 that were imported, they are written to a file of their own, in Blender's temporary folder, and
 drawn from there. The .blend keeps the points, so nothing is lost with that folder. In edit mode
-Blender gives no access to attributes, so edits are drawn when it is left.
+Blender gives no access to attributes, so edits are drawn when it is left. An imported object whose
+own file is gone is drawn from its points, too.
 
 What turns or scales all points at once, such as **Object ▸ Apply**, moves them but
 not their shapes. So each point keeps where it was imported: the map of all points is found by it,
@@ -12,6 +13,7 @@ and drawn like a transformation of the object.
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Iterable
 from contextlib import suppress
@@ -67,7 +69,8 @@ def file_of(item: bpy.types.Object) -> str:
         return own
     uid = mesh.session_uid
     if (uid not in _files or uid in _changed) and not mesh.is_editmode:
-        _look(mesh, uid)
+        gone = object_props(item).level == "IMPORTED" and not os.path.isfile(own)
+        _look(mesh, uid, own_file=not gone)
     edited = _files.get(uid)
     return own if edited is None else edited
 
@@ -84,12 +87,12 @@ def problem(items: Iterable[bpy.types.Object]) -> str:
     return next((_problems[d.session_uid] for d in data if d and d.session_uid in _problems), "")
 
 
-def _look(mesh: bpy.types.Mesh, uid: int) -> None:
-    """Bring the file with a mesh's edits up to date."""
+def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
+    """Bring the file with a mesh's edits up to date; without a file of its own, it needs one."""
     _changed.discard(uid)
     _problems.pop(uid, None)
     try:
-        _files[uid] = _file(mesh, uid)
+        _files[uid] = _file(mesh, uid, own_file=own_file)
     except AddonError as error:
         _problems[uid], _files[uid] = str(error), None
 
@@ -143,7 +146,7 @@ def look_again(item: bpy.types.Object) -> None:
         _changed.add(item.data.session_uid)
 
 
-def _file(mesh: bpy.types.Mesh, uid: int) -> str | None:
+def _file(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> str | None:
     """The file with a mesh's edits, written if it is not there, as `_files` has it.
 
     Raises:
@@ -152,7 +155,7 @@ def _file(mesh: bpy.types.Mesh, uid: int) -> str | None:
     state = _state(mesh)
     # The same name for all edits of a mesh: while it is read again, its last state is drawn.
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
-    if state == mesh[MARK]:
+    if state == mesh[MARK] and own_file:
         _written.pop(uid, None)
         _applied.pop(uid, None)
         with suppress(OSError):
