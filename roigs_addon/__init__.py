@@ -44,6 +44,9 @@ MODULES = (
     "operators.run_folder",
     "operators.export",
     "operators.import_gaussians",
+    "operators.clean_up",
+    "operators.floaters",
+    "operators.erase_brush",
     "operators.viewport_render",
     "viewport",
     "rendering",
@@ -57,6 +60,7 @@ MODULES = (
     "ui.train",
     "ui.result",
     "ui.look",
+    "ui.clean_up",
 )
 
 

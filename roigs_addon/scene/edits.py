@@ -32,7 +32,7 @@ from . import clouds
 from .splat_attributes import SHAPE, cloud_of, hidden, values
 
 MARK = "roigs_imported"
-"""Custom property of a mesh: `_state` of the points that were imported."""
+"""Custom property of a mesh: `state_of` of the points that were imported."""
 
 PREFIX = "roigs-edited-"
 """Of the files with edits."""
@@ -47,7 +47,7 @@ _applied: dict[int, Matrix] = {}
 """Mesh -> the map that all of its points went through; its file is as it was before."""
 
 _written: dict[int, str] = {}
-"""Mesh -> `_state` of the points in its file with edits."""
+"""Mesh -> `state_of` of the points in its file with edits."""
 
 _changed: set[int] = set()
 """Meshes that may have been edited since their file was written."""
@@ -58,7 +58,7 @@ _problems: dict[int, str] = {}
 
 def mark_imported(mesh: bpy.types.Mesh) -> None:
     """Remember the points as they are now: they are what the file holds."""
-    mesh[MARK] = _state(mesh)
+    mesh[MARK] = state_of(mesh)
 
 
 def file_of(item: bpy.types.Object) -> str:
@@ -100,7 +100,7 @@ def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
 def is_edited(item: bpy.types.Object) -> bool:
     """Whether an object's points are no longer those that were imported."""
     mesh = item.data
-    return isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, _state(mesh))
+    return isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, state_of(mesh))
 
 
 def put_aside(item: bpy.types.Object) -> None:
@@ -152,7 +152,7 @@ def _file(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> str | None:
     Raises:
         AddonError: it cannot be written, or the points are no Gaussians any more.
     """
-    state = _state(mesh)
+    state = state_of(mesh)
     # The same name for all edits of a mesh: while it is read again, its last state is drawn.
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
     if state == mesh[MARK] and own_file:
@@ -180,7 +180,7 @@ def _file(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> str | None:
     return str(path)
 
 
-def _state(mesh: bpy.types.Mesh) -> str:
+def state_of(mesh: bpy.types.Mesh) -> str:
     """Text that changes when points are deleted, hidden, moved or changed."""
     found = zlib.crc32(clouds.positions_of(mesh).data)
     found = zlib.crc32(hidden(mesh).data, found)
