@@ -21,7 +21,7 @@ from ..geometry.picking import Sight
 from ..scene import lookup, point_edits
 from ..viewport import brush
 from ..windows import redraw
-from .base import available, failed
+from .base import FRESH, available, failed
 from .clean_up import ACTIONS, act
 from .picking import Place, place_in_view
 
@@ -35,6 +35,9 @@ STATUS = (
     "Drag to {verb}. Wheel or [ ]: radius. F: only what is in front ({front}). "
     "Ctrl Z: undo. Esc: end"
 )
+
+_last: dict[str, float] = {}
+"""Radius and front of the last brush of this session."""
 
 Circles = list[tuple[float, float]]
 Mask = NDArray[np.bool_]
@@ -89,12 +92,13 @@ on all that are visible. Each stroke is one undo step"""
     bl_idname = "roigs.erase_brush"
     bl_label = "Erase Brush"
 
-    action: EnumProperty(name="Action", items=ACTIONS, default="DELETE", options={"SKIP_SAVE"})
-    radius: IntProperty(name="Radius", default=40, min=2, max=1000, subtype="PIXEL")
+    action: EnumProperty(name="Action", items=ACTIONS, default="DELETE", options=FRESH)
+    radius: IntProperty(name="Radius", default=40, min=2, max=1000, subtype="PIXEL", options=FRESH)
     front: BoolProperty(
         name="Only in Front",
         description="Spare what nearer Gaussians hide",
         default=True,
+        options=FRESH,
     )
 
     _stroke: Stroke | None
@@ -111,6 +115,9 @@ on all that are visible. Each stroke is one undo step"""
         leave_edit_mode(lookup.splats(scene_of(context)))
         assert context.window_manager is not None
         self._stroke = None
+        for name, value in _last.items():
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
         context.window_manager.modal_handler_add(self)
         self._say(context)
         return {"RUNNING_MODAL"}
@@ -195,6 +202,7 @@ on all that are visible. Each stroke is one undo step"""
             context.workspace.status_text_set(STATUS.format(verb=verb, front=front))
 
     def _end(self, context: bpy.types.Context) -> None:
+        _last.update(radius=self.radius, front=self.front)
         brush.hide()
         if context.workspace is not None:
             context.workspace.status_text_set(None)
