@@ -45,6 +45,10 @@ MODULES = (
     "operators.results",
     "operators.run_folder",
     "operators.export",
+    "operators.import_gaussians",
+    "operators.clean_up",
+    "operators.floaters",
+    "operators.erase_brush",
     "operators.viewport_render",
     "viewport",
     "rendering",
@@ -58,6 +62,7 @@ MODULES = (
     "ui.train",
     "ui.result",
     "ui.look",
+    "ui.clean_up",
 )
 
 

@@ -7,8 +7,9 @@ be of any kind. The functions here say where that is not so.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 import bpy
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     OperatorResult = set[OperatorReturnItems]
 
 Registration = Callable[[], None]
+MenuEntry = Callable[[bpy.types.Menu, bpy.types.Context], None]
 Handler = TypeVar("Handler", bound=Callable[..., None])
 
 
@@ -134,14 +136,25 @@ def persistent(handler: Handler) -> Handler:
     return kept
 
 
-def registration(*classes: type) -> tuple[Registration, Registration]:
-    """`register` and `unregister` of a module with these classes."""
+def registration(
+    *classes: type, menus: Mapping[str, MenuEntry] = MappingProxyType({})
+) -> tuple[Registration, Registration]:
+    """`register` and `unregister` of a module with these classes.
+
+    Args:
+        classes: of Blender's types.
+        menus: Blender's menu -> what draws an entry at its end.
+    """
 
     def register() -> None:
         for cls in classes:
             bpy.utils.register_class(cls)
+        for menu, entry in menus.items():
+            getattr(bpy.types, menu).append(entry)
 
     def unregister() -> None:
+        for menu, entry in menus.items():
+            getattr(bpy.types, menu).remove(entry)
         for cls in reversed(classes):
             bpy.utils.unregister_class(cls)
 

@@ -79,6 +79,7 @@ LEVELS = (
     ("SCENE", "Coarse", "The whole-scene model, before the boxes were refined"),
     ("ROI", "Box", "The refined Gaussians of a box"),
     ("PREVIEW", "Preview", "The model that is being trained"),
+    ("IMPORTED", "Imported", "A file of Gaussians that the user imported"),
 )
 
 

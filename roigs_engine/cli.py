@@ -20,6 +20,7 @@ from .commands import (
     convert,
     evaluate,
     export,
+    floaters,
     inspect,
     reconstruct,
     refine_cameras,
@@ -47,13 +48,23 @@ COMMANDS: dict[str, ModuleType] = {
     "train": train,
     "compose": compose,
     "convert": convert,
+    "floaters": floaters,
     "evaluate": evaluate,
     "render": render,
     "render-frames": render_frames,
     "run": run,
     "clean": clean,
 }
-WITH_TORCH = ("train", "run", "evaluate", "render", "render-frames", "compose", "convert")
+WITH_TORCH = (
+    "train",
+    "run",
+    "evaluate",
+    "render",
+    "render-frames",
+    "compose",
+    "convert",
+    "floaters",
+)
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
 MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20
 STOPPED = 3

@@ -19,6 +19,8 @@ OWN = "blender"
 """The add-on's own folder in it; all that follows is in there."""
 LOG = f"{OWN}/engine.log"
 TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
+IMPORTED = "imported"
+"""Folder with the Gaussians that were imported."""
 MANUAL_SELECTION, SELECTED = "selection", "selected"
 """Folders with a list of photos for each box: given to the engine, and chosen by it."""
 

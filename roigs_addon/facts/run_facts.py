@@ -94,10 +94,13 @@ def is_file(path: Path) -> bool:
 
 
 def missing_splats(scene: bpy.types.Scene) -> list[str]:
-    """Names of the Gaussians whose file is missing: nothing of them can be drawn."""
+    """Names of the Gaussians whose file is missing: nothing of them can be drawn.
+
+    Imported ones are then drawn from their points.
+    """
     if is_old(_missing.get(scene.name)):
-        items = (item for item in lookup.splats(scene) if not object_props(item).parked)
-        files = {item.name: object_props(item).ply for item in items}
+        shown = ((item.name, object_props(item)) for item in lookup.splats(scene))
+        files = {n: p.ply for n, p in shown if not p.parked and p.level != "IMPORTED"}
         _missing.clear()
         missing = [name for name, file in files.items() if not os.path.isfile(file)]
         _missing[scene.name] = time.monotonic(), missing

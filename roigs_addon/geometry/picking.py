@@ -37,6 +37,24 @@ class Sight:
         """(N,) along the axis of sight."""
         return np.asarray(-(points @ self.view[2, :3] + self.view[2, 3]), float)
 
+    def pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """(N, 2) from the lower left corner, and (N,) whether they are between the clip planes."""
+        matrix = self.projection @ self.view
+        with np.errstate(all="ignore"):  # points at the eye
+            weights = points @ matrix[3, :3] + matrix[3, 3]
+            clip = [points @ matrix[row, :3] + matrix[row, 3] for row in range(3)]
+            sides = (
+                (0.5 + 0.5 * clip[axis] / weights) * size for axis, size in enumerate(self.size)
+            )
+            placed = np.stack(tuple(sides), axis=1)
+            return placed, np.asarray(np.abs(clip[2]) <= weights)
+
+    def pixels_per_unit(self, depths: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) how large something of size 1 is seen at these depths."""
+        focal = self.projection[0, 0] * self.size[0] / 2
+        with np.errstate(all="ignore"):
+            return np.asarray(focal / depths if self.perspective else np.full(len(depths), focal))
+
 
 def under(points: NDArray[Any], sight: Sight, at: tuple[float, float]) -> int | None:
     """The point that a click means: of those in front near the mouse, the nearest to it.
@@ -46,16 +64,10 @@ def under(points: NDArray[Any], sight: Sight, at: tuple[float, float]) -> int | 
         sight: the view.
         at: the mouse, in pixels from the lower left corner.
     """
-    matrix = sight.projection @ sight.view
-    with np.errstate(all="ignore"):  # points at the eye
-        weights = points @ matrix[3, :3] + matrix[3, 3]
-        clip = [points @ matrix[row, :3] + matrix[row, 3] for row in range(3)]
-        x, y = (
-            (0.5 + 0.5 * clip[k] / weights) * size - mouse
-            for k, size, mouse in zip((0, 1), sight.size, at, strict=True)
-        )
-        away = np.hypot(x, y)
-        near = np.flatnonzero((away <= REACHES[1]) & (np.abs(clip[2]) <= weights))
+    placed, between = sight.pixels(points)
+    with np.errstate(all="ignore"):
+        away = np.hypot(*(placed - at).T)
+        near = np.flatnonzero((away <= REACHES[1]) & between)
     if not len(near):
         return None
     reach = REACHES[0] if away[near].min() <= REACHES[0] else REACHES[1]

@@ -110,7 +110,8 @@ class Job:
         """Start the command that follows; if there is none, take the results."""
         following = self.spec.then(outputs) if self.spec.then else None
         if following is None:
-            self.spec.on_done()
+            said = self.spec.on_done()
+            self.spec = replace(self.spec, done_text=said or self.spec.done_text)
             return
         self.process = _started(self._engine, following)
         self.spec, self.result = following, None

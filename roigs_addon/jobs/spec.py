@@ -9,6 +9,7 @@ from pathlib import Path
 RECONSTRUCTING, IMPORTING, REFINING = "Reconstructing", "Importing", "Refining"
 SELECTING, ESTIMATING = "Selecting", "Estimating"
 TRAINING, EXPORTING = "Training", "Exporting"
+IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 
@@ -26,7 +27,8 @@ class JobSpec:
         log: where the engine's text goes.
         folder: of the run; previews outside it are ignored.
         on_preview: called with the path of each preview.
-        on_done: called after a job that was finished, not stopped; may raise AddonError.
+        on_done: called after a job that was finished, not stopped; may raise AddonError. The line
+            that it returns replaces `done_text`.
         then: called with the engine's outputs (name -> path) after a command that was finished, not
             stopped; returns the command with which the job goes on, or None if there is none; may
             raise AddonError.
@@ -39,7 +41,7 @@ class JobSpec:
     log: Path
     folder: Path | None = None
     on_preview: Callable[[Path], None] = nothing
-    on_done: Callable[[], None] = nothing
+    on_done: Callable[[], str | None] = nothing
     then: Callable[[Mapping[str, str]], JobSpec | None] | None = None
     done_text: str = ""
     words: Mapping[str, str] = field(default_factory=dict)

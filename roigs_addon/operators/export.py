@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 ENDINGS = (".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat", ".html")
 """Of names that say the format, whatever is chosen."""
+NOTHING = "Renders show no Gaussians. Load results or import some first"
 GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
 
 
@@ -87,7 +88,7 @@ turned as they are now"""
         """There must be Gaussians, and an idle engine."""
         if current.busy():
             return available(cls, BUSY)
-        return available(cls, "" if shown(scene_of(context)) else "Load results first")
+        return available(cls, "" if shown(scene_of(context)) else NOTHING)
 
     def spec(self, context: bpy.types.Context) -> JobSpec:
         """Write what is shown."""
@@ -125,16 +126,4 @@ def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout.operator(ExportGaussians.bl_idname, text="Gaussians (.ply, .spz, .glb …, ROI-GS)")
 
 
-_register, _unregister = registration(ExportGaussians)
-
-
-def register() -> None:
-    """Register the class and the menu entry."""
-    _register()
-    bpy.types.TOPBAR_MT_file_export.append(menu_entry)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    bpy.types.TOPBAR_MT_file_export.remove(menu_entry)
-    _unregister()
+register, unregister = registration(ExportGaussians, menus={"TOPBAR_MT_file_export": menu_entry})

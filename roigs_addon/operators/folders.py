@@ -14,7 +14,7 @@ from ..shared import EngineError, files
 
 FILE = "folders.json"
 IMPORT, PHOTOS, BOXES, BOXES_OF = "import", "photos", "boxes", "boxes of"
-EXPORT = "export"
+EXPORT, GAUSSIANS = "export", "gaussians"
 
 
 def for_import(colmap: str) -> str:
@@ -41,6 +41,11 @@ def for_export() -> str:
     return _first(_last().get(EXPORT, ""), _beside_blend())
 
 
+def for_gaussians() -> str:
+    """Folder to import Gaussians from."""
+    return _first(*(_last().get(key, "") for key in (GAUSSIANS, EXPORT)), _beside_blend())
+
+
 def for_photos(photos: str) -> str:
     """Folder to choose photos in: the scene's own, else beside the last one."""
     return _first(photos, _last().get(PHOTOS, ""), _beside_blend())
@@ -64,6 +69,11 @@ def loaded_boxes(path: Path, colmap: str) -> None:
 def exported(path: Path) -> None:
     """Remember where a file was exported to."""
     _remember({EXPORT: str(path.parent)})
+
+
+def imported_gaussians(path: Path) -> None:
+    """Remember where Gaussians were imported from."""
+    _remember({GAUSSIANS: str(path.parent)})
 
 
 def _first(*folders: str) -> str:

@@ -86,7 +86,7 @@ class PickTool(bpy.types.Operator):
             return {"RUNNING_MODAL"}
         if event.type not in {"MOUSEMOVE", "LEFTMOUSE"}:
             return {"PASS_THROUGH"}
-        place = _place_in_view(context, event)
+        place = place_in_view(context, event)
         if place is None:
             return {"PASS_THROUGH"}
         point = _under(context, *place, self._clouds)
@@ -147,11 +147,11 @@ def _shown_points(context: bpy.types.Context) -> list[Points]:
 
 
 View = tuple[bpy.types.Region, bpy.types.RegionView3D]
+Place = tuple[View, tuple[float, float]]
+"""The region of a 3D view, and where in it, in pixels."""
 
 
-def _place_in_view(
-    context: bpy.types.Context, event: bpy.types.Event
-) -> tuple[View, tuple[float, float]] | None:
+def place_in_view(context: bpy.types.Context, event: bpy.types.Event) -> Place | None:
     """The region of the 3D view that the mouse is in, and where in it; None if it is elsewhere."""
     area, space = context.area, view_3d_of(context)
     if area is None or space is None:

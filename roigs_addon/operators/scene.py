@@ -151,16 +151,6 @@ def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout.operator(ImportColmap.bl_idname, text="COLMAP (ROI-GS)")
 
 
-_register, _unregister = registration(ImportColmap, RefineCameras, LookThrough)
-
-
-def register() -> None:
-    """Register the classes and the menu entry."""
-    _register()
-    bpy.types.TOPBAR_MT_file_import.append(menu_entry)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    bpy.types.TOPBAR_MT_file_import.remove(menu_entry)
-    _unregister()
+register, unregister = registration(
+    ImportColmap, RefineCameras, LookThrough, menus={"TOPBAR_MT_file_import": menu_entry}
+)

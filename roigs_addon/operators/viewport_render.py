@@ -90,16 +90,4 @@ def menu_entry(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
         menu.layout.operator(RenderViewport.bl_idname, icon="RENDER_STILL")
 
 
-_register, _unregister = registration(RenderViewport)
-
-
-def register() -> None:
-    """Register the class and the menu entry."""
-    _register()
-    bpy.types.VIEW3D_MT_view.append(menu_entry)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    bpy.types.VIEW3D_MT_view.remove(menu_entry)
-    _unregister()
+register, unregister = registration(RenderViewport, menus={"VIEW3D_MT_view": menu_entry})

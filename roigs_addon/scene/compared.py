@@ -41,6 +41,6 @@ def switch(scene: bpy.types.Scene, folder: Path) -> None:
         props = object_props(item)
         if props.ply == str(files.get((props.level, props.roi), "")):
             visibility.unpark(item)
-        elif props.level != "PREVIEW":
+        elif props.level not in ("PREVIEW", "IMPORTED"):
             visibility.park(item)
     compositor.link(scene)

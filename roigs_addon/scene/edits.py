@@ -3,7 +3,8 @@
 An object's Gaussians are drawn from its file, which is fast. Once its points are no longer those
 that were imported, they are written to a file of their own, in Blender's temporary folder, and
 drawn from there. The .blend keeps the points, so nothing is lost with that folder. In edit mode
-Blender gives no access to attributes, so edits are drawn when it is left.
+Blender gives no access to attributes, so edits are drawn when it is left. An imported object whose
+own file is gone is drawn from its points, too.
 
 What turns or scales all points at once, such as **Object ▸ Apply**, moves them but
 not their shapes. So each point keeps where it was imported: the map of all points is found by it,
@@ -12,6 +13,7 @@ and drawn like a transformation of the object.
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Iterable
 from contextlib import suppress
@@ -30,10 +32,10 @@ from . import clouds
 from .splat_attributes import SHAPE, cloud_of, hidden, imported_frame, move_to_frame, values
 
 MARK = "roigs_imported"
-"""Custom property of a mesh: `_state` of the points that were imported."""
+"""Custom property of a mesh: `state_of` of the points that were imported."""
 
 FILE = "roigs_file"
-"""Custom property of a mesh: `_state` of the points in their file's frame, if `MARK` differs."""
+"""Custom property of a mesh: `state_of` of the points in their file's frame, if `MARK` differs."""
 
 PREFIX = "roigs-edited-"
 """Of the files with edits."""
@@ -48,7 +50,7 @@ _applied: dict[int, Matrix] = {}
 """Mesh -> the map that all of its points went through; its file is as it was before."""
 
 _written: dict[int, str] = {}
-"""Mesh -> `_state` of the points in its file with edits."""
+"""Mesh -> `state_of` of the points in its file with edits."""
 
 _changed: set[int] = set()
 """Meshes that may have been edited since their file was written."""
@@ -59,7 +61,7 @@ _problems: dict[int, str] = {}
 
 def mark_imported(mesh: bpy.types.Mesh) -> None:
     """Remember the points as they are now: they are what the file holds."""
-    mesh[MARK] = _state(mesh)
+    mesh[MARK] = state_of(mesh)
 
 
 def file_of(item: bpy.types.Object) -> str:
@@ -70,7 +72,8 @@ def file_of(item: bpy.types.Object) -> str:
         return own
     uid = mesh.session_uid
     if (uid not in _files or uid in _changed) and not mesh.is_editmode:
-        _look(mesh, uid)
+        gone = object_props(item).level == "IMPORTED" and not os.path.isfile(own)
+        _look(mesh, uid, own_file=not gone)
     edited = _files.get(uid)
     return own if edited is None else edited
 
@@ -86,7 +89,7 @@ def frame_of(item: bpy.types.Object) -> Matrix:
 
 def whole_frame(mesh: bpy.types.Mesh) -> Matrix:
     """(4, 4) from the frame of a mesh's file to its own, with what all points went through."""
-    found = cloud_of(mesh) if mesh.get(MARK) not in (None, _state(mesh)) else None
+    found = cloud_of(mesh) if mesh.get(MARK) not in (None, state_of(mesh)) else None
     return imported_frame(mesh) if found is None else found[1]
 
 
@@ -103,12 +106,12 @@ def problem(items: Iterable[bpy.types.Object]) -> str:
     return next((_problems[d.session_uid] for d in data if d and d.session_uid in _problems), "")
 
 
-def _look(mesh: bpy.types.Mesh, uid: int) -> None:
-    """Bring the file with a mesh's edits up to date."""
+def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
+    """Bring the file with a mesh's edits up to date; without a file of its own, it needs one."""
     _changed.discard(uid)
     _problems.pop(uid, None)
     try:
-        _files[uid] = _file(mesh, uid)
+        _files[uid] = _file(mesh, uid, own_file=own_file)
     except AddonError as error:
         _problems[uid], _files[uid] = str(error), None
 
@@ -116,7 +119,7 @@ def _look(mesh: bpy.types.Mesh, uid: int) -> None:
 def is_edited(item: bpy.types.Object) -> bool:
     """Whether an object's points are no longer those that were imported."""
     mesh = item.data
-    return isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, _state(mesh))
+    return isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, state_of(mesh))
 
 
 def put_aside(item: bpy.types.Object) -> None:
@@ -167,16 +170,16 @@ def look_again(item: bpy.types.Object) -> None:
         _changed.add(item.data.session_uid)
 
 
-def _file(mesh: bpy.types.Mesh, uid: int) -> str | None:
+def _file(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> str | None:
     """The file with a mesh's edits, written if it is not there, as `_files` has it.
 
     Raises:
         AddonError: it cannot be written, or the points are no Gaussians any more.
     """
-    state = _state(mesh)
+    state = state_of(mesh)
     # The same name for all edits of a mesh: while it is read again, its last state is drawn.
     path = Path(bpy.app.tempdir) / f"{PREFIX}{uid}.ply"
-    if state == mesh[MARK]:
+    if state == mesh[MARK] and own_file:
         _written.pop(uid, None)
         _applied.pop(uid, None)
         with suppress(OSError):
@@ -201,7 +204,7 @@ def _file(mesh: bpy.types.Mesh, uid: int) -> str | None:
     return str(path)
 
 
-def _state(mesh: bpy.types.Mesh) -> str:
+def state_of(mesh: bpy.types.Mesh) -> str:
     """Text that changes when points are deleted, hidden, moved or changed."""
     found = zlib.crc32(clouds.positions_of(mesh).data)
     found = zlib.crc32(hidden(mesh).data, found)

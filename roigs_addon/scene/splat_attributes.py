@@ -82,7 +82,7 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         sh.append(band)
     degree = int(np.sqrt(len(sh)))  # whole bands only
     means = clouds.positions_of(mesh)
-    there = ~hidden(mesh) & scales.any(axis=1) & np.isfinite(means).all(axis=1)
+    there = drawn(mesh)
     imported = values(mesh, PLACE)
     applied = imported_frame(mesh)
     if imported is not None:
@@ -97,6 +97,13 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         sh=np.stack(sh[: degree**2], axis=1)[there],
     )
     return cloud, applied
+
+
+def drawn(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
+    """(N,) which points are drawn as Gaussians: those that `cloud_of` has."""
+    scales, means = values(mesh, "scale"), clouds.positions_of(mesh)
+    sized = np.zeros(len(means), bool) if scales is None else scales.any(axis=1)
+    return np.asarray(~hidden(mesh) & sized & np.isfinite(means).all(axis=1))
 
 
 def values(mesh: bpy.types.Mesh, name: str) -> Float32 | None:

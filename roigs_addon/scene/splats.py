@@ -1,4 +1,4 @@
-"""Trained Gaussians as Blender objects: for every render engine, and for the viewport.
+"""Trained and imported Gaussians as Blender objects: for every render engine, and for the viewport.
 
 Each object is a mesh of points with the attributes of docs/conventions.md. A modifier hides the
 points: the add-on draws the Gaussians themselves in the viewport (viewport/), and the engine draws
@@ -22,7 +22,17 @@ from ..errors import AddonError
 from ..geometry.splat_cloud import read_splats
 from ..properties import object_props, scene_props
 from ..shared import run_files
-from . import clouds, compositor, detail, edits, lookup, native_splats, origins, visibility
+from . import (
+    clouds,
+    compositor,
+    detail,
+    edits,
+    lookup,
+    native_splats,
+    origins,
+    start_cube,
+    visibility,
+)
 from .renamed_boxes import renamed
 from .splat_attributes import add_attributes
 
@@ -61,6 +71,31 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]
             delete(item)
     compositor.link(scene)
     return shown
+
+
+def show_imported(
+    scene: bpy.types.Scene, path: Path, name: str, *, in_model: bool
+) -> bpy.types.Object:
+    """An object of a file that no training of this scene made.
+
+    Args:
+        scene, path: where, and the file.
+        name: of the object.
+        in_model: the file is in the COLMAP frame; else in Blender's world.
+
+    Raises:
+        AddonError: the file is missing or damaged.
+    """
+    fresh = read_files({("IMPORTED", ""): path})["IMPORTED", ""]
+    if scene_props(scene).root is None:
+        start_cube.hide(scene)
+    item = _new_object(scene, name, fresh)
+    if not in_model:
+        item.parent = None
+    props = object_props(item)
+    props.level, props.ply = "IMPORTED", str(path)
+    compositor.link(scene)
+    return item
 
 
 def result_files(folder: Path) -> dict[Part, Path]:
@@ -233,7 +268,7 @@ def _points(name: str, path: Path) -> bpy.types.Object:
     try:
         cloud = read_splats(path)
     except (OSError, ValueError) as error:
-        raise AddonError(f"{error} Train again.") from error
+        raise AddonError(f"{error} Train or import again.") from error
     item = clouds.new_points(name, cloud.means)
     add_attributes(mesh_of(item), cloud)
     edits.mark_imported(mesh_of(item))

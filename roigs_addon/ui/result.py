@@ -12,8 +12,9 @@ from ..blender import layout_of, registration, scene_of
 from ..engine import run_settings
 from ..facts import outdated, run_facts
 from ..jobs import current
-from ..jobs.spec import EXPORTING
+from ..jobs.spec import EXPORTING, IMPORTING_GAUSSIANS
 from ..operators.export import ExportGaussians
+from ..operators.import_gaussians import ImportGaussians
 from ..operators.results import (
     DeleteResult,
     LoadResults,
@@ -47,7 +48,7 @@ class ResultPanel(SidebarPanel):
         layout.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
         items = lookup.splats(scene)
         if not items:
-            show.todo(layout, "Train first to get Gaussians")
+            show.todo(layout, "Train to get Gaussians, or import some")
         names = outdated.renamed(scene, run_facts.run(scene))
         _draw_objects(layout.column(align=True), scene, names)
         _draw_as_points(layout, items)
@@ -60,8 +61,11 @@ class ResultPanel(SidebarPanel):
         _draw_results(layout, scene)
         if items:
             _draw_render(layout, scene)
-            layout.operator(ExportGaussians.bl_idname, text="Export…", icon="EXPORT")
-            show.job(layout, EXPORTING)
+        row = layout.row(align=True)
+        row.operator(ImportGaussians.bl_idname, text="Import…", icon="IMPORT")
+        row.operator(ExportGaussians.bl_idname, text="Export…", icon="EXPORT")
+        for title in (IMPORTING_GAUSSIANS, EXPORTING):
+            show.job(layout, title)
 
 
 def _missing_in_words(scene: bpy.types.Scene, names: list[str]) -> str:
@@ -86,7 +90,7 @@ def _draw_objects(
     """
     for item in lookup.splats(scene):
         props = object_props(item)
-        if props.level == "RESULT" and not props.parked:
+        if props.level in ("RESULT", "IMPORTED") and not props.parked:
             row = layout.row(align=True)
             _draw_name(row, item, item.name)
             row.prop(item, "hide_viewport", text="", emboss=False)

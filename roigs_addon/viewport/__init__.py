@@ -14,6 +14,7 @@
 | `draw` | the Gaussians in the viewport |
 | `picture` | the viewport as a picture |
 | `points` | the sparse points in their colours |
+| `chosen` | Gaussians that a clean-up tool has selected |
 | `marks` | boxes, chosen and excluded cameras as coloured lines |
 
 `sorting`, `packing` and `pace` need no Blender. Nothing of `gpu` is built before the first image is
@@ -25,10 +26,11 @@ from __future__ import annotations
 
 def register() -> None:
     """Start drawing; does nothing in background mode."""
-    from . import draw, marks, points
+    from . import chosen, draw, marks, points
 
     points.register()  # before those that look at its depth
     draw.register()
+    chosen.register()
     marks.register()
 
 
@@ -37,16 +39,18 @@ def problems() -> dict[str, str]:
     import bpy
 
     from ..scene import edits
-    from . import draw, marks, points
+    from . import chosen, draw, marks, points
 
-    own = points.problem() or marks.problem() or edits.problem(bpy.data.objects)
+    marking = marks.problem() or chosen.problem()
+    own = points.problem() or marking or edits.problem(bpy.data.objects)
     return {**({"": own} if own else {}), **draw.problems()}
 
 
 def unregister() -> None:
     """Stop drawing and free everything."""
-    from . import draw, marks, points
+    from . import chosen, draw, marks, points
 
     marks.unregister()
+    chosen.unregister()
     draw.unregister()
     points.unregister()

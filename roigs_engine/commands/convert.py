@@ -46,14 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         type=PATH,
         metavar="IN",
-        help="file of Gaussians (.ply, .compressed.ply, .spz, .sog, .glb, .usdc), or a JSON list"
-        " of files and their places (docs/files.md)",
+        help="file of Gaussians (.ply, .compressed.ply, .spz, .sog, .glb, .usdc, .splat), or a JSON"
+        " list of files and their places (docs/files.md)",
     )
     parser.add_argument(
         "out",
         type=PATH,
         metavar="OUT",
-        help="file to write; the end of its name says how: as above, or .usda, .usdz, .splat;"
+        help="file to write; the end of its name says how: as above, or .usda, .usdz;"
         " .html: a web page to send, with the viewer inside",
     )
     parser.add_argument(
@@ -92,8 +92,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         arrays = _placed(args, matrix)
     else:
         refuse_inputs([args.out], [args.source])
-        arrays = turned(_cropped(formats.read(args.source), args), matrix)
+        read = _cropped(formats.read(args.source), args)
+        console.context.check_cancelled()
+        arrays = turned(read, matrix)
     arrays = _shortened(arrays, args)
+    console.context.check_cancelled()
     if target.suffix == PAGE:
         known = None if poses is None else matrix
         extras = page_extras(args, _before(args, target.up, known), matrix, poses)

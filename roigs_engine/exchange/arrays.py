@@ -43,17 +43,23 @@ CERTAIN = 80.0
 """Logit of an opacity that is 1 to float32."""
 
 
-def usable(arrays: Arrays) -> Arrays:
-    """Without Gaussians that cannot be drawn: with a number that is not finite or too large, or a
-    rotation of length zero.
+def drawable(arrays: Arrays) -> NDArray[np.bool_]:
+    """(N,) which Gaussians can be drawn: not those with a number that is not finite or too large,
+    or a rotation of length zero.
     """
-    good = np.isfinite(arrays["logit_opacities"])
+    good: NDArray[np.bool_] = np.isfinite(arrays["logit_opacities"])
     for name, most in MOST.items():
         values = arrays[name]
         # Scales may be as small as they like.
         inside = np.isfinite(values) & ((values if name == "log_scales" else np.abs(values)) < most)
         good &= inside.all(axis=tuple(range(1, values.ndim)))
     good &= (arrays["quats"] != 0).any(axis=1)
+    return good
+
+
+def usable(arrays: Arrays) -> Arrays:
+    """Without Gaussians that cannot be drawn."""
+    good = drawable(arrays)
     found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
     opacity: Floats = found["logit_opacities"]
     if (np.abs(opacity) > CERTAIN).any():

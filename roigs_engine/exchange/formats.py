@@ -48,7 +48,7 @@ FORMATS = (
     FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd"),
     FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd"),
     FileFormat(title="OpenUSD", suffix=".usdz", up="y", module="usd"),
-    FileFormat(title=".splat", suffix=".splat", up="-y", module="splat", reads=False),
+    FileFormat(title=".splat", suffix=".splat", up="-y", module="splat"),
     FileFormat(title="web page", suffix=".html", up="y", module="page", reads=False),
 )
 

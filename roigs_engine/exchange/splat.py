@@ -8,11 +8,15 @@ import numpy as np
 
 from ..formats.files import atomic_write
 from ..model.gaussians import SH_C0
-from .arrays import Arrays, Float32, opacities, unit_quats
+from .arrays import Arrays, Float32, logits, opacities, unit_quats
+from .damage import damaged
 
 ROW = np.dtype(
     [("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
 )
+
+LEAST = 1e-30
+"""Stands for a scale of 0, which has no logarithm."""
 
 
 def write(path: Path, arrays: Arrays) -> None:
@@ -30,6 +34,29 @@ def write(path: Path, arrays: Arrays) -> None:
     order = np.argsort(-arrays["log_scales"].sum(axis=1) - np.log(alpha + 1e-6), kind="stable")
     with atomic_write(path) as file:
         file.write(rows[order].tobytes())
+
+
+def read(path: Path) -> Arrays:
+    """Read Gaussians.
+
+    Raises:
+        RunFolderError: its size is not that of whole Gaussians.
+        OSError: the file cannot be read.
+    """
+    data = path.read_bytes()
+    if len(data) % ROW.itemsize:
+        raise damaged(path, ".splat", f"{len(data)} bytes are no multiple of {ROW.itemsize}")
+    rows = np.frombuffer(data, ROW)
+    colours: Float32 = rows["colour"].astype(np.float32) / np.float32(255)
+    with np.errstate(all="ignore"):  # what is not finite is left out later
+        log_scales = np.log(np.maximum(rows["scale"], LEAST))
+    return {
+        "means": rows["mean"],
+        "quats": (rows["rotation"].astype(np.float32) - 128) / 128,
+        "log_scales": log_scales,
+        "logit_opacities": logits(colours[:, 3]),
+        "sh": ((colours[:, None, :3] - 0.5) / SH_C0).astype(np.float32),
+    }
 
 
 def _bytes(values: Float32) -> Float32:

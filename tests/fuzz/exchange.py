@@ -286,10 +286,10 @@ def spz_of_zeros(count: int) -> bytes:
 
 def misnamed(dice: random.Random, folder: Path) -> Case:
     """A file of another format, a folder, a pipe, a device, a link or nothing under each name."""
-    names = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".usda", ".usdc", ".usdz")
+    names = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".usda", ".usdc", ".usdz", ".splat")
     suffix = dice.choice(names)
     path = folder / "in" / f"a{suffix}"
-    case = converted(dice, folder, suffix, good(dice.choice((*names, ".splat")), 4))
+    case = converted(dice, folder, suffix, good(dice.choice(names), 4))
     match dice.randrange(8):
         case 0:
             path.unlink()

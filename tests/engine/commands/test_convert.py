@@ -11,6 +11,7 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
+from tests.engine.commands.command_line import start
 from tests.engine.rasterize.test_placed import TURN, affine, cloud
 
 
@@ -103,3 +104,11 @@ def test_other_names_of_files_are_refused(
     assert main(["convert", str(ply), str(tmp_path / "out.xyz")]) == 2
     assert ".compressed.ply, .ply, .spz" in capsys.readouterr().err
     assert isinstance(Gaussians.load_ply(ply), Gaussians)
+
+
+def test_a_stop_leaves_no_file(ply: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.ply"
+    process = start("convert", ply, out, "--up", "z", "--events")
+    text, _ = process.communicate("stop\n", timeout=60)
+    assert json.loads(text.splitlines()[-1])["stopped"] and process.returncode == 3
+    assert not out.exists()

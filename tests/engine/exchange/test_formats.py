@@ -27,7 +27,7 @@ NEEDS = {
     "usd": ("pxr",),
 }
 READABLE = [form for form in formats.FORMATS if form.reads]
-LEAST = {".sog": 25.0, ".spz": 36.0, ".compressed.ply": 40.0}
+LEAST = {".splat": 20.0, ".sog": 25.0, ".spz": 36.0, ".compressed.ply": 40.0}
 """PSNR, dB, of small Gaussians with random colours, which no palette fits; others are exact."""
 
 
@@ -69,9 +69,10 @@ def test_what_is_written_comes_back(form: formats.FileFormat, tmp_path: Path) ->
 def test_fewer_degrees(form: formats.FileFormat, degree: int, tmp_path: Path) -> None:
     needed(form)
     bands = (degree + 1) ** 2
+    kept = 1 if form.suffix == ".splat" else bands
     path, values = tmp_path / f"model{form.suffix}", arrays()
     formats.write(path, {**values, "sh": values["sh"][:, :bands]})
-    assert formats.read(path)["sh"].shape == (400, bands, 3)
+    assert formats.read(path)["sh"].shape == (400, kept, 3)
 
 
 @pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
@@ -123,8 +124,26 @@ def test_splat_files_have_32_bytes_each(tmp_path: Path) -> None:
     raw = np.frombuffer(path.read_bytes(), np.float32).reshape(400, 8)
     size = np.sort(arrays()["means"][:, 0])
     np.testing.assert_array_equal(np.sort(raw[:, 0]), size)
-    with pytest.raises(ConfigError, match="cannot be read"):
+
+
+def test_splat_files_are_read_back(tmp_path: Path) -> None:
+    path, values = tmp_path / "model.splat", arrays()
+    formats.write(path, values)
+    found = formats.read(path)
+    before, after = np.argsort(values["means"][:, 0]), np.argsort(found["means"][:, 0])
+    for name, near in (("means", 0), ("log_scales", 1e-5), ("logit_opacities", 0.3)):
+        difference = np.abs(found[name][after] - values[name][before])
+        assert difference.max() <= near, name
+    colours = [0.5 + 0.28209479 * v["sh"][o, 0] for v, o in ((values, before), (found, after))]
+    np.testing.assert_allclose(colours[1], np.clip(colours[0], 0, 1), atol=0.003)
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(RunFolderError, match="no multiple of 32"):
         formats.read(path)
+
+
+def test_web_pages_are_only_written(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        formats.read(tmp_path / "a.html")
 
 
 def test_spz_keeps_what_is_far_away_if_it_can(tmp_path: Path) -> None:
@@ -179,7 +198,8 @@ def test_damaged_files_are_one_line(form: formats.FileFormat, tmp_path: Path) ->
     whole = path.read_bytes()
     # USD reads a USDZ without the ZIP's last record.
     last = () if form.suffix == ".usdz" else (len(whole) - 9,)
-    for cut in (0, 3, 20, len(whole) // 2, *last):
+    # Half of a .splat is one with half as many Gaussians.
+    for cut in (0, 3, 20, len(whole) // 2 + (form.suffix == ".splat"), *last):
         path.write_bytes(whole[:cut])
         with pytest.raises(RunFolderError) as caught:
             formats.read(path)

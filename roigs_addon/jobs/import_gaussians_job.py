@@ -1,0 +1,87 @@
+"""Importing Gaussians: the engine writes a file of any format as a PLY into the run folder.
+
+There it stays with the scene, whatever happens to the file that was imported.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import bpy
+
+from ..blender import scene_of
+from ..engine.own_files import IMPORTED, OWN
+from ..engine.writing import made_folder
+from ..errors import AddonError
+from ..properties import scene_props
+from ..scene import splats
+from . import run_folders
+from .spec import IMPORTING_GAUSSIANS, JobSpec
+
+ENDINGS = (".compressed.ply", ".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
+"""Of the names of files that can be imported."""
+
+LOG = "import.log"
+MOST_LETTERS = 80  # of a name, which gets a number and an ending
+
+
+def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
+    """The job that imports a file.
+
+    Args:
+        context: its scene gets the object.
+        source: the file.
+        up: axis that points up in it, as `convert` has it; empty: the format's own; `colmap`: it is
+            in the frame of the scene's COLMAP model.
+
+    Raises:
+        AddonError: there is no such file or no model, or the run folder cannot be written to.
+    """
+    scene = scene_of(context)
+    if not os.path.isfile(source):
+        raise AddonError(f"There is no file {source}. Choose a file of Gaussians.")
+    in_model = up == "colmap"
+    if in_model and not has_model(scene):
+        raise AddonError("There is no COLMAP model. Import one first, or choose another axis.")
+    name = _name(source)
+    folder = made_folder(run_folders.settle(scene), OWN, IMPORTED)
+    path = _free(folder, name)
+    before = [f"--from-up={'z' if in_model else up}"] if up else []
+    find = run_folders.finder(scene)
+
+    def build() -> None:
+        now = find()
+        if now is not None:
+            splats.show_imported(now, path, name, in_model=in_model and has_model(now))
+
+    return JobSpec(
+        title=IMPORTING_GAUSSIANS,
+        arguments=["convert", str(source), str(path), "--up=z", *before],
+        log=folder / LOG,
+        on_done=build,
+        done_text=f"Imported {name}",
+    )
+
+
+def has_model(scene: bpy.types.Scene) -> bool:
+    """Whether a COLMAP model's frame is there."""
+    root = scene_props(scene).root
+    return root is not None and root.name in scene.objects
+
+
+def _name(source: Path) -> str:
+    """The file's name without its ending, as Blender can show it."""
+    name = source.name
+    ending = next((e for e in ENDINGS if name.lower().endswith(e)), source.suffix)
+    stem = name[: len(name) - len(ending)] or "Gaussians"
+    return stem.encode("utf-8", "replace").decode()[:MOST_LETTERS]
+
+
+def _free(folder: Path, name: str) -> Path:
+    """A file that does not exist: objects may show the earlier ones of that name."""
+    number, path = 1, folder / f"{name}.ply"
+    while os.path.lexists(path):
+        number += 1
+        path = folder / f"{name}-{number}.ply"
+    return path

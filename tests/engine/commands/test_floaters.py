@@ -1,0 +1,88 @@
+"""`floaters`: which Gaussians of a file hang in the air."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.model.scene import PosedImage
+from tests.engine.commands.command_line import BOX
+from tests.engine.rasterize.test_placed import cloud
+from tests.engine.synthetic_colmap import Project
+
+
+def speck(centre: np.ndarray, size: float) -> dict[str, np.ndarray]:
+    """One opaque ball."""
+    return {
+        "means": centre[None].astype(np.float32),
+        "quats": np.array([[1, 0, 0, 0]], np.float32),
+        "log_scales": np.full((1, 3), np.log(size), np.float32),
+        "logit_opacities": np.array([6.0], np.float32),
+        "sh": np.zeros((1, 1, 3), np.float32),
+    }
+
+
+def beside(image: PosedImage) -> np.ndarray:
+    """A place behind a photo's camera, far from the scene."""
+    return image.centre - 0.1 * np.linalg.norm(image.centre) * image.forward
+
+
+def joined(*parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def found(project: Project, model: Path, out: Path, *more: str) -> np.ndarray:
+    options = ["--model", str(model), "--out", str(out), "--device", "cpu", *more]
+    assert main(["floaters", str(project.folder), *options]) == 0
+    return np.load(out)
+
+
+def test_what_hangs_among_the_cameras(project: Project, tmp_path: Path) -> None:
+    """A ball beside a camera goes, the scene's own points stay, what cannot be drawn too."""
+    scene = load_colmap(project.folder)
+    close = beside(scene.images[0])
+    own = [speck(point, 0.02) for point in scene.points[:40].astype(float)]
+    broken = speck(close, np.nan)
+    write_ply(tmp_path / "a.ply", joined(broken, *own, speck(close, 0.02)))
+    mask = found(project, tmp_path / "a.ply", tmp_path / "out.npy", "--roi", BOX)
+    assert mask.dtype == bool and len(mask) == 42
+    assert mask[-1] and not mask[0] and mask.sum() < 10
+
+
+def test_files_in_their_places(project: Project, tmp_path: Path) -> None:
+    """The same model, moved in its file and back in the list, gives the same answer."""
+    scene = load_colmap(project.folder)
+    close = beside(scene.images[0])
+    own = joined(*(speck(point, 0.02) for point in scene.points[:40].astype(float)))
+    moved = {**own, "means": own["means"] + np.float32(7)}
+    write_ply(tmp_path / "a.ply", joined(own, speck(close, 0.02)))
+    write_ply(tmp_path / "moved.ply", moved)
+    write_ply(tmp_path / "speck.ply", speck(close, 0.02))
+    back = np.eye(4)
+    back[:3, 3] = -7
+    models = [("moved.ply", back), ("speck.ply", np.eye(4))]
+    record = [{"ply": str(tmp_path / name), "matrix": m.tolist()} for name, m in models]
+    (tmp_path / "list.json").write_text(json.dumps({"models": record}))
+    whole = found(project, tmp_path / "a.ply", tmp_path / "a.npy")
+    np.testing.assert_array_equal(found(project, tmp_path / "list.json", tmp_path / "b.npy"), whole)
+
+
+def test_wrong_input_is_one_line(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cloud().save_ply(tmp_path / "a.ply")
+    (tmp_path / "bad.json").write_text('{"models": [{}]}')
+    for model, said in (("gone.ply", "gone.ply"), ("bad.json", "malformed")):
+        options = ["--model", str(tmp_path / model), "--out", str(tmp_path / "o.npy")]
+        assert main(["floaters", str(project.folder), *options]) == 2
+        error = capsys.readouterr().err
+        assert said in error and "Traceback" not in error
+    same = ["--model", str(tmp_path / "a.ply"), "--out", str(tmp_path / "a.ply")]
+    assert main(["floaters", str(project.folder), *same]) == 2
+    assert not (tmp_path / "o.npy").exists()
