@@ -28,16 +28,13 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
     """The job that reconstructs the scene's photos and imports the model.
 
     Raises:
-        AddonError: there is no folder of photos, the project folder has another program's
-            database, or the cache cannot be written to.
+        AddonError: there is no folder of photos, or the cache cannot be written to.
     """
     props = scene_props(scene)
     if not props.photos:
         raise AddonError(NO_PHOTOS)
     absolute(props.project)  # raises, which panels must not
     photos, project = photos_folder(props.photos), project_folder(scene)
-    if reconstruction.is_others(project):
-        raise AddonError(f"{project} has a COLMAP database already. Choose another {FOLDER}.")
     log = import_job.made_export_folder(project) / import_job.LOG
     # The file keeps both, so that Continue finds them.
     _keep(scene, photos, project)

@@ -188,8 +188,10 @@ def test_the_folders_of_others_are_left(
     shutil.copytree(project, copy)
     said = refusal(blender, photos=str(photos), project=str(copy))
     assert "has a model already" in said and "another Project Folder" in said and "--" not in said
+    shutil.rmtree(copy / "sparse")
     (copy / "database.db").write_text("theirs")
-    assert "Choose another Project Folder" in refusal(blender, project=str(copy))
+    said = refusal(blender, project=str(copy))
+    assert "is not of this command. Give another Project Folder." in said
     assert (copy / "database.db").read_text() == "theirs"
     assert not (copy / "reconstruction").exists()
 
