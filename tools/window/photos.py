@@ -129,13 +129,13 @@ def finish(story: Afternoon, photos: Path) -> None:
     def found() -> None:
         show_tab(blender)
         expect(story.ask(f"{PROPS}.photos == {str(photos)!r}"), "the photos were forgotten")
-        folder = f"{RECONSTRUCTIONS}.of(bpy.context.scene)[1]"
-        expect(story.ask(f"{folder}.unfinished"), "the reconstruction was not found again")
+        status = f"{RECONSTRUCTIONS}.of(bpy.context.scene)[1]"
+        expect(story.ask(f"{status}.unfinished"), "the reconstruction was not found again")
 
     def result() -> None:
         prepare(blender)
         story.button("roigs.reconstruct", 0.4)
-        blender.until(f"{BUSY} and {STATE}.stage in ('matching', 'mapping') and {STATE}.step", 60)
+        blender.until(f"{BUSY} and {STATE}.stage in ('matching', 'mapping') and {STATE}.step", 600)
         step = story.ask(f"{STATE}.step if {STATE}.stage == 'matching' else 1000")
         expect(step > KILLED_AT, "the matches were lost")
         blender.until(f"{STATE}.stage == 'mapping' and {STATE}.step > 0", 900)
@@ -170,10 +170,8 @@ def train(story: Afternoon, side: int) -> None:
     def result() -> None:
         story.until_idle()
         blender.until(TRAINED)
+        story.keys("KP_Decimal", "KP_Subtract")
         story.ask("setattr(view()['area'].spaces.active.overlay, 'show_overlays', False)")
-        story.button("photo=", 0.62)
-        blender.until("view()['area'].spaces.active.region_3d.view_perspective == 'CAMERA'")
-        story.ask("setattr(bpy.context.scene.camera.data, 'show_background_images', False)")
         blender.pause(5.0)
 
     story.step("box", box)
