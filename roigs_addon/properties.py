@@ -177,8 +177,8 @@ def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
 
 
 def _other_photos(settings: RoigsScene, _: bpy.types.Context) -> None:
-    """Other photos get another project folder."""
-    settings.project = ""
+    """Other photos get another project folder, and other masks."""
+    settings.project = settings.masks = ""
 
 
 class RoigsScene(bpy.types.PropertyGroup):
@@ -189,7 +189,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=RELATIVE,
         update=_other_photos,
-        description="Folder of the photos to reconstruct",
+        description="Folder of the photos to reconstruct, or a video",
     )
     project: StringProperty(
         name="Project Folder",
@@ -197,6 +197,13 @@ class RoigsScene(bpy.types.PropertyGroup):
         options=RELATIVE,
         description="Where the COLMAP project of the photos goes; what is there is resumed"
         " (empty: beside the photos)",
+    )
+    masks: StringProperty(
+        name="Masks",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder of masks, NAME.png for the photo NAME, black where features are left"
+        " out (empty: the folder masks beside the photos, if there is one)",
     )
     feature_side: IntProperty(
         name="Photo Size",

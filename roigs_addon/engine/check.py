@@ -25,6 +25,9 @@ TASKS = (
     ("Selecting by Gaussian process", python.FOR_GAUSSIAN_PROCESS),
     ("Training and rendering", python.FOR_TRAINING),
     ("Photos with lens distortion", python.FOR_DISTORTION),
+    ("Scenes from photos", python.FOR_RECONSTRUCTING),
+    ("Scenes from videos", python.FOR_VIDEOS),
+    ("Scenes from HEIC photos", python.FOR_HEIC),
 )
 
 last: tuple[Finding, ...] = ()

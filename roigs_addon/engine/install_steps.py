@@ -9,11 +9,14 @@ import platform
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from .python import SOURCE, environment_python
 
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
-DOWNLOAD_BYTES, DISK_BYTES = 310e6, 960e6
+OPTIONAL = {"video": "Installing PyAV for videos", "heic": "Installing pillow-heif for HEIC"}
+"""Extras of the project that not every platform has wheels for, and what their steps are called."""
+DOWNLOAD_BYTES, DISK_BYTES = 350e6, 1_100e6
 """What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
 
 
@@ -38,11 +41,19 @@ class Step:
 
     title: str
     command: list[str]
+    needed: bool = True
+    """Whether the environment is of no use if it fails."""
+
+
+def _project() -> dict[str, Any]:
+    text = (SOURCE / "pyproject.toml").read_text(encoding="utf-8")
+    found: dict[str, Any] = tomllib.loads(text)["project"]
+    return found
 
 
 def requirements(*extras: str) -> list[str]:
     """What training needs, and the given extras of the project, as pip expects it."""
-    project = tomllib.loads((SOURCE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = _project()
     optional = project["optional-dependencies"]
     return [
         *project["dependencies"],
@@ -66,7 +77,8 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     ]
     if plan.wheels is not None:
         source = ["--no-index", "--find-links", str(plan.wheels)]
-        return [make, Step(title="Installing", command=[*pip, *source, *wanted]), *finish]
+        install = Step(title="Installing", command=[*pip, *source, *wanted])
+        return [make, install, *_optional([*pip, *source]), *finish]
     index = ["--index", CUDA_INDEX] if cuda else []
     torch = [python, _script("install_torch"), *index]
     return [
@@ -75,7 +87,17 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
         Step(title="Updating pip", command=[*pip, "pip>=24.1"]),
         Step(title="Installing torch", command=torch),
         Step(title="Installing the rest", command=[*pip, *wanted]),
+        *_optional(pip),
         *finish,
+    ]
+
+
+def _optional(pip: list[str]) -> list[Step]:
+    """What the engine also works without; never compiled here."""
+    extras = _project()["optional-dependencies"]
+    return [
+        Step(title=title, command=[*pip, "--only-binary", ":all:", *extras[extra]], needed=False)
+        for extra, title in OPTIONAL.items()
     ]
 
 

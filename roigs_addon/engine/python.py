@@ -20,12 +20,14 @@ SOURCE = Path(__file__).resolve().parents[2]
 VARIABLE = "ROIGS_ENGINE_PYTHON"
 """Environment variable that names the engine's Python: for tests and render farms."""
 
-PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch")
+PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pillow_heif")
 FOR_READING = ("numpy",)
 FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
 FOR_REFINING = ("numpy", "pycolmap")
 FOR_DISTORTION = ("numpy", "PIL", "pycolmap")
 FOR_RECONSTRUCTING = ("numpy", "PIL", "pycolmap")
+FOR_VIDEOS = (*FOR_RECONSTRUCTING, "av")
+FOR_HEIC = (*FOR_RECONSTRUCTING, "pillow_heif")
 FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
 
 MARKER = "roigs-complete.json"

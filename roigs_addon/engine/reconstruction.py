@@ -11,7 +11,7 @@ from ..shared import EngineError, files, lock, projects, run_files
 
 WORK, STATE = "reconstruction", "state.json"
 """The engine's own folder, and its record in there."""
-DATABASE, REPORT = "database.db", "reconstruction.md"
+REPORT = "reconstruction.md"
 """Beside that folder."""
 
 
@@ -65,11 +65,6 @@ def is_free(folder: Path) -> bool:
         return True
     except OSError:
         return False
-
-
-def is_others(folder: Path) -> bool:
-    """Whether a folder has a database that another program made, which the engine would replace."""
-    return os.path.lexists(folder / DATABASE) and not os.path.isfile(folder / WORK / STATE)
 
 
 def _told(report: Path) -> tuple[str, tuple[str, ...]]:

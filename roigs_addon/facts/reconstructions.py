@@ -13,19 +13,26 @@ from ..jobs import reconstruct_job
 from ..properties import scene_props
 from .run_facts import is_old
 
-Found = tuple[Path, ReconstructionStatus]
+Found = tuple[Path, ReconstructionStatus, Path | None]
 
-_found: dict[tuple[str, str], tuple[float, Found]] = {}
+_found: dict[tuple[str, str, str], tuple[float, Found]] = {}
 
 
 def of(scene: bpy.types.Scene) -> Found:
-    """The folder and what it says; for a scene that has photos."""
+    """The folder, what it says, and the photos' masks; for a scene that has photos."""
     props = scene_props(scene)
-    key = props.photos, props.project
+    key = props.photos, props.project, props.masks
     if is_old(_found.get(key)):
         _found.clear()
         folder = reconstruct_job.project_folder(scene)
-        _found[key] = time.monotonic(), (folder, reconstruction.read(folder))
+        _found[key] = (
+            time.monotonic(),
+            (
+                folder,
+                reconstruction.read(folder),
+                reconstruct_job.masks_folder(scene),
+            ),
+        )
     return _found[key][1]
 
 
@@ -33,7 +40,7 @@ def report(scene: bpy.types.Scene) -> Path | None:
     """The report of the scene's reconstruction, if there is one."""
     if not scene_props(scene).photos:
         return None
-    folder, status = of(scene)
+    folder, status, _ = of(scene)
     return folder / reconstruction.REPORT if status.summary else None
 
 

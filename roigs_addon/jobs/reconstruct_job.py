@@ -14,6 +14,7 @@ from ..blender import absolute
 from ..engine import reconstruction
 from ..errors import AddonError
 from ..properties import scene_props
+from ..shared import projects
 from . import import_job, options_files, run_folders
 from .spec import RECONSTRUCTING, JobSpec
 
@@ -21,23 +22,24 @@ NO_PHOTOS = "Choose the folder of the photos first."
 FOLDER = "Project Folder"
 MOST_TRIED = 100
 """Names for a new folder; if none can be looked into, the engine says why."""
-WORDS = {"--out": FOLDER, "--run-dir": FOLDER}
+MASKS = "masks"
+"""Folder beside the photos."""
+WORDS = {"--out": FOLDER, "--run-dir": FOLDER, "--masks": "Masks"}
 
 
 def spec(scene: bpy.types.Scene) -> JobSpec:
     """The job that reconstructs the scene's photos and imports the model.
 
     Raises:
-        AddonError: there is no folder of photos, the project folder has another program's
-            database, or the cache cannot be written to.
+        AddonError: there is no folder of photos, or the cache cannot be written to.
     """
     props = scene_props(scene)
     if not props.photos:
         raise AddonError(NO_PHOTOS)
-    absolute(props.project)  # raises, which panels must not
+    for path in (props.project, props.masks):
+        absolute(path)  # raises, which panels must not
     photos, project = photos_folder(props.photos), project_folder(scene)
-    if reconstruction.is_others(project):
-        raise AddonError(f"{project} has a COLMAP database already. Choose another {FOLDER}.")
+    masks = masks_folder(scene)
     log = import_job.made_export_folder(project) / import_job.LOG
     # The file keeps both, so that Continue finds them.
     _keep(scene, photos, project)
@@ -58,6 +60,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
             *("reconstruct", str(photos), "--out", str(project)),
             *("--max-side", str(props.feature_side)),
             *("--pairs", props.pairs, "--cameras", props.shared_cameras),
+            *(("--masks", str(masks)) if masks else ()),
             *options_files.threads_option(),
         ],
         log=log,
@@ -67,22 +70,33 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 
 def _keep(scene: bpy.types.Scene, photos: Path, project: Path) -> None:
-    """Store both; in this order, for other photos clear the project."""
-    scene_props(scene).photos, scene_props(scene).project = str(photos), str(project)
+    """Store both; the same photos again must not clear what belongs to them."""
+    props = scene_props(scene)
+    if props.photos != str(photos):
+        masks = props.masks
+        props.photos, props.masks = str(photos), masks
+    props.project = str(project)
 
 
 def photos_folder(chosen: str) -> Path:
-    """The folder that was chosen; of a photo, its folder.
+    """The folder that was chosen; of a photo, its folder. A video stays.
 
     Raises:
         AddonError: there is no such folder, or the .blend that it is beside was never saved.
     """
     folder = absolute(chosen)
     if os.path.isfile(folder):
+        if is_video(folder):
+            return folder
         folder = folder.parent
     if not os.path.isdir(folder):
         raise AddonError(f"There is no folder {folder}. Choose the folder of the photos.")
     return folder
+
+
+def is_video(path: Path) -> bool:
+    """Whether a path names a video, by its ending."""
+    return path.suffix.lower() in projects.VIDEOS and not os.path.isdir(path)
 
 
 def project_folder(scene: bpy.types.Scene) -> Path:
@@ -91,14 +105,23 @@ def project_folder(scene: bpy.types.Scene) -> Path:
     return _absolute(props.project) if props.project else proposed(_absolute(props.photos))
 
 
+def masks_folder(scene: bpy.types.Scene) -> Path | None:
+    """The folder of the photos' masks: the scene's, or the one beside the photos, if any."""
+    props = scene_props(scene)
+    if props.masks:
+        return _absolute(props.masks)
+    beside = _absolute(props.photos).parent / MASKS
+    return beside if os.path.isdir(beside) else None
+
+
 def proposed(photos: Path) -> Path:
-    """A folder beside the photos that holds a reconstruction or nothing.
+    """A folder beside the photos or the video that holds a reconstruction or nothing.
 
     It is named after the photos; after the folder above if theirs is called `images`, by which a
     COLMAP project would be known.
     """
     named = photos.parent if photos.name.lower().startswith("images") else photos
-    name = f"{named.name or 'photos'}_colmap"
+    name = f"{(named.stem if is_video(named) else named.name) or 'photos'}_colmap"
     names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
     folders = (photos.parent / name for name in itertools.islice(names, MOST_TRIED))
     return next((f for f in folders if reconstruction.is_free(f)), photos.parent / name)

@@ -1,4 +1,4 @@
-"""Photos dropped on a 3D view: their folder becomes the scene's.
+"""Photos or a video dropped on a 3D view: their folder, or the video, becomes the scene's.
 
 Blender hands over files of known suffixes only, so a folder cannot be dropped. It has a handler
 of its own for pictures in a 3D view, and shows a menu of both.
@@ -7,6 +7,7 @@ of its own for pictures in a 3D view, and shows a menu of both.
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
@@ -14,7 +15,8 @@ from bpy.props import CollectionProperty, StringProperty
 
 from ..blender import registration, scene_of
 from ..errors import AddonError
-from ..jobs import current
+from ..jobs import current, reconstruct_job
+from ..shared import projects
 from .base import BUSY, FRESH, available, failed
 from .reconstruct import take_photos
 
@@ -25,7 +27,8 @@ TAB = "ROI-GS"
 
 
 class DropPhotos(bpy.types.Operator):
-    """Take the folder of the dropped photos for a reconstruction; nothing starts yet"""
+    """Take the folder of the dropped photos, or the video, for a reconstruction; nothing starts \
+yet"""
 
     bl_idname = "roigs.drop_photos"
     bl_label = "Photos for ROI-GS"
@@ -42,7 +45,9 @@ class DropPhotos(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Put the folder into the scene's settings, and show the panel."""
         try:
-            take_photos(scene_of(context), self.directory)
+            first = Path(self.directory, self.files[0].name) if self.files else None
+            video = first is not None and reconstruct_job.is_video(first)
+            take_photos(scene_of(context), str(first) if video else self.directory)
         except AddonError as error:
             return failed(self, error)
         _show_tab(context.area)
@@ -67,7 +72,9 @@ class PhotosHandler(bpy.types.FileHandler):
     bl_idname = "ROIGS_FH_photos"
     bl_label = "Photos for ROI-GS"
     bl_import_operator = DropPhotos.bl_idname
-    bl_file_extensions = ".jpg;.jpeg;.png;.tif;.tiff;.bmp"
+    bl_file_extensions = ";".join(
+        (*(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".heic"), *sorted(projects.VIDEOS))
+    )
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:

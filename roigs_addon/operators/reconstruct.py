@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
@@ -25,7 +26,7 @@ NO_REPORT = "There is no report yet"
 
 
 class ChoosePhotos(bpy.types.Operator):
-    """Choose the folder of photos from which a scene is made; no COLMAP is needed.
+    """Choose the folder of photos, or the video, from which a scene is made; no COLMAP is needed.
     JPEG, PNG, TIFF, BMP, WebP, JPEG 2000, PPM and HEIC are read; export RAW files as JPEG first"""
 
     bl_idname = "roigs.choose_photos"
@@ -36,6 +37,7 @@ class ChoosePhotos(bpy.types.Operator):
     filepath: StringProperty(subtype="FILE_PATH", options=FRESH)
     filter_folder: BoolProperty(default=True, options={"HIDDEN", *FRESH})
     filter_image: BoolProperty(default=True, options={"HIDDEN", *FRESH})
+    filter_movie: BoolProperty(default=True, options={"HIDDEN", *FRESH})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -52,14 +54,16 @@ class ChoosePhotos(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Put it into the scene's settings."""
         try:
-            take_photos(scene_of(context), self.directory or self.filepath)
+            video = reconstruct_job.is_video(Path(self.filepath))
+            chosen = self.filepath if video else self.directory or self.filepath
+            take_photos(scene_of(context), chosen)
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}
 
 
 def take_photos(scene: bpy.types.Scene, chosen: str) -> None:
-    """Make a folder the scene's photos; of a photo, its folder.
+    """Make a folder or a video the scene's photos; of a photo, its folder.
 
     Raises:
         AddonError: there is no such folder.
@@ -80,7 +84,7 @@ resumes"""
     photos: StringProperty(
         name="Photos",
         subtype="DIR_PATH",
-        description="Folder of the photos (empty: the scene's)",
+        description="Folder of the photos, or a video (empty: the scene's)",
         options=FRESH,
     )
     project: StringProperty(

@@ -43,9 +43,12 @@ class PhotosPanel(SidebarPanel):
         column.enabled = not current.busy()
         column.prop(props, "photos")
         column.prop(props, "project")
-        folder, status = reconstructions.of(scene)
+        folder, status, masks = reconstructions.of(scene)
         if not props.project:
-            show.say(layout, str(folder), "BLANK1")
+            show.say(column, str(folder), "BLANK1")
+        column.prop(props, "masks")
+        if masks and not props.masks:
+            show.say(column, str(masks), "BLANK1")
         row = layout.row(align=True)
         text = "Continue" if status.unfinished and not current.busy() else Reconstruct.bl_label
         row.operator(Reconstruct.bl_idname, text=text, icon="PLAY")

@@ -7,6 +7,8 @@ from pathlib import Path
 
 PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Names of a project's folders of photos; the first one that fits is used."""
+VIDEOS = {".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v"}
+"""Suffixes of videos that become photos."""
 SPARSE = "sparse"
 SUFFIXES = (".bin", ".txt")
 

@@ -1,7 +1,7 @@
 """What the photos of a model were taken of: where a first box goes.
 
 People aim: the sparse points near the middle of many photos, and close together, are on what they
-wanted to show.
+wanted to show. What that stands on is left out, and what stands beside it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .standing import standing
+
 Vectors = NDArray[np.float64]
 Bounds = tuple[Vectors, Vectors]
 """Lower and upper corner."""
@@ -21,6 +23,7 @@ FEWEST_POINTS = 10
 MIDDLE = 0.4  # how far from the middle a photo shows its subject, in half its shorter side
 REACH = 0.3  # of the photos' distance: how far the subject extends from its centre
 OUTLIERS = 0.02  # share of the subject's points that is ignored at each side
+STRAYS = 0.002  # the same, of what stands apart from all else
 FLOATING = 0.005  # share of the points above the subject's foot that is ignored at its top
 MARGIN = 1.1  # factor on the size, for what has no points
 ROUNDS = 10  # of moving the centre to the middle of the points around it
@@ -66,8 +69,17 @@ def subject(
         if near.sum() < FEWEST_POINTS:
             return None
         (centre,) = _quantiles(placed[near], weights[near], [0.5])
+    thing = standing(placed, weights, np.linalg.norm(placed - centre, axis=1), reach)
+    if thing is not None and thing[0].sum() >= FEWEST_POINTS:
+        low, high = np.quantile(placed[thing[0]], [STRAYS, 1 - STRAYS], axis=0)
+        low[2] = thing[1]
+        return _with_margin(low, high)
     low, high = _quantiles(placed[near], weights[near], [OUTLIERS, 1 - OUTLIERS])
     high[2] = max(high[2], _top(placed, low, high, reach))
+    return _with_margin(low, high)
+
+
+def _with_margin(low: Vectors, high: Vectors) -> Bounds:
     middle, half = (low + high) / 2, (high - low) / 2 * MARGIN
     return middle - half, middle + half
 

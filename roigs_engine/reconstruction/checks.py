@@ -69,7 +69,7 @@ def warnings_of_matches(
     if total and sum(kinds.get(kind, 0) for kind in STILL) > BEHIND * total:
         found.append(
             "In most photos, the background stands still, as with a turntable."
-            " Mask it (--masks), or move the camera instead."
+            " Give masks that hide it (Masks, --masks), or move the camera instead."
         )
     return found
 

@@ -83,7 +83,7 @@ def _register(photos: int) -> None:
         raise EngineError(
             f"{counted(photos, 'photo')} in HEIC format: reading them needs pillow-heif, which is"
             f" not installed ({error}).",
-            "Run: pip install pillow-heif. Or convert them to JPEG.",
+            "Run: pip install pillow-heif (Blender: set up the engine again). Or convert to JPEG.",
         ) from error
     pillow_heif.register_heif_opener()
 

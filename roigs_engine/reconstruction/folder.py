@@ -20,7 +20,7 @@ from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
 from .checks import unread_in_words
-from .look import Photo
+from .look import Photo, digests_of
 from .settings import Settings
 
 IMAGES, DATABASE, WORK, REPORT = (
@@ -77,10 +77,13 @@ class Folder:
 
         Raises:
             RunFolderError: another engine is at work here, or the folder cannot be written.
-            SceneError: it has a model that this command did not make.
+            SceneError: it has a model or a database that this command did not make.
         """
-        if model_suffix(self.model) and not self.work("state.json").exists():
-            raise SceneError(f"{self.root} has a model already.", "Give another --out.")
+        if not self._record.exists():
+            if model_suffix(self.model):
+                raise SceneError(f"{self.root} has a model already.", "Give another --out.")
+            for path in filter(os.path.lexists, self._replaced()):
+                raise SceneError(f"{path} is not of this command.", "Give another --out.")
         with locked(self.work(), warn):
             yield
 
@@ -92,7 +95,7 @@ class Folder:
         """
         state = self._state()
         features = settings.of_features()
-        digests = {photo.name: photo.digest for photo in photos}
+        digests = digests_of(photos)
         known: dict[str, str] = state.get("photos", {})
         why = ""
         if self.database.exists():
@@ -103,15 +106,28 @@ class Folder:
         if why:
             self.forget()
         state = {"version": VERSION, "features": features, "photos": digests}
-        write_json(self.work("state.json"), state | {"done": self._done()})
+        write_json(self._record, state | {"done": self._done()})
         return why
 
     def forget(self) -> None:
         """Remove the database and what was made of it, except results."""
-        for suffix in ("", "-wal", "-shm", "-journal"):
-            self.database.with_name(DATABASE + suffix).unlink(missing_ok=True)
-        for name in ("models", "snapshots"):
-            shutil.rmtree(self.work(name), ignore_errors=True)
+        for path in self._replaced():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+
+    def _replaced(self) -> list[Path]:
+        """What this command may remove, where its record says that it was made by it."""
+        files = [
+            self.database.with_name(DATABASE + end) for end in ("", "-wal", "-shm", "-journal")
+        ]
+        return files + [self.work(name) for name in ("models", "snapshots")]
+
+    @property
+    def _record(self) -> Path:
+        """Settings and photos; it is written before anything else that takes time to make."""
+        return self.work("state.json")
 
     def _done(self) -> Any:
         return self._state().get("done")
@@ -122,11 +138,11 @@ class Folder:
 
     def finish(self, key: str) -> None:
         """Record that the model was made with this key."""
-        write_json(self.work("state.json"), self._state() | {"done": key})
+        write_json(self._record, self._state() | {"done": key})
 
     def _state(self) -> dict[str, Any]:
         try:
-            record = read_json(self.work("state.json"))
+            record = read_json(self._record)
         except RunFolderError:
             return {}
         return record if isinstance(record, dict) else {}

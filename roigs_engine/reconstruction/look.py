@@ -94,6 +94,11 @@ def look_at(files: Mapping[str, Path], remembered: Path, context: Context) -> Fo
     return Found(photos=tuple(photos), unreadable=unreadable, copies=copies)
 
 
+def digests_of(photos: Sequence[Photo]) -> dict[str, str]:
+    """Name -> digest."""
+    return {photo.name: photo.digest for photo in photos}
+
+
 def camera_groups(photos: Sequence[Photo], cameras: str) -> list[list[Photo]]:
     """The photos that share a camera, see `Settings.cameras`; of one size in any case."""
     groups: dict[object, list[Photo]] = defaultdict(list)

@@ -34,7 +34,7 @@ from .database import (
 from .findings import NOTHING, Reconstruction, as_markdown, findings
 from .folder import Folder
 from .frames import take_frames
-from .look import Found, Photo, camera_groups, look_at
+from .look import Found, Photo, camera_groups, digests_of, look_at
 from .mapping import map_models, map_rest
 from .settings import Settings
 from .similarity import LARGEST, similarities
@@ -234,7 +234,7 @@ def reconstruct(
         if video:
             files = take_frames(source, folder, frames, context)
         found = _taken(files, {} if video else folder.unread_of(source), folder, context)
-        key = json_digest({"settings": asdict(settings), "photos": digests_of(found)})
+        key = json_digest({"settings": asdict(settings), "photos": digests_of(found.photos)})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
             return folder.model
@@ -265,8 +265,3 @@ def _taken(
         context.warn(text)
     folder.take_photos(list(found.photos))
     return replace(found, unread=unread)
-
-
-def digests_of(found: Found) -> dict[str, str]:
-    """Name -> digest of the photos to use."""
-    return {photo.name: photo.digest for photo in found.photos}

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError, SceneError
+from ..formats.projects import VIDEOS
 
-EXTENSIONS = {".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v"}
 ENDS_EARLY = 0.98  # of the frames that the file's header promises
 Pixels = NDArray[np.uint8]
 
 
 def is_video(path: Path) -> bool:
     """Whether the path names a video, by its ending."""
-    return path.suffix.lower() in EXTENSIONS and not path.is_dir()
+    return path.suffix.lower() in VIDEOS and not path.is_dir()
 
 
 def av_module() -> Any:
@@ -28,7 +28,7 @@ def av_module() -> Any:
     except ImportError as error:
         raise EngineError(
             f"Reading videos needs PyAV, which is not installed ({error}).",
-            "Run: pip install av. Or give a folder of frames.",
+            "Run: pip install av (Blender: set up the engine again). Or give a folder of frames.",
         ) from error
     return av
 

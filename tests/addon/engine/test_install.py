@@ -52,6 +52,27 @@ def test_requirements_are_those_of_the_project() -> None:
     assert any(r.startswith("numpy") for r in wanted)
 
 
+def test_videos_and_heic_are_read_where_there_are_wheels(tmp_path: Path) -> None:
+    """Where there are none, the set-up must not compile them, nor fail."""
+    online = install_steps.steps(Plan(environments=(tmp_path,)), Path("python"), tmp_path / "1")
+    optional = [step.command for step in online if not step.needed]
+    assert [command[-1].partition(">")[0] for command in optional] == ["av", "pillow-heif"]
+    assert all(":all:" in command for command in optional)
+    assert not any("av>" in name for name in install_steps.requirements())  # of the marker
+
+
+def test_what_is_not_needed_may_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_steps(monkeypatch)
+    planned = install.steps
+    fails = Step(
+        title="More", command=[sys.executable, "-c", "raise SystemExit('no wheel')"], needed=False
+    )
+    monkeypatch.setattr(install, "steps", lambda *given: [*planned(*given), fails])
+    done = run(Installation(Plan(environments=(tmp_path,))))
+    assert done.message == "" and done.python is not None
+    assert "no wheel" in done.log.read_text(encoding="utf-8")
+
+
 def test_success_leaves_one_complete_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,10 +216,13 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     assert [step.title for step in offline] == [
         "Creating the environment",
         "Installing",
+        "Installing PyAV for videos",
+        "Installing pillow-heif for HEIC",
         "Removing what is not needed",
         "Testing the environment",
     ]
-    assert "--no-index" in offline[1].command
+    assert all("--no-index" in step.command for step in offline[1:4])
+    assert [step.needed for step in offline] == [True, True, False, False, True, True]
     online = install_steps.steps(Plan(environments=(tmp_path,), cuda=True), base, made)
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
     own = ("install_torch", "trim_engine", "try_engine")

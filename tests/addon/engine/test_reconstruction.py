@@ -88,10 +88,10 @@ def test_the_report_is_the_engines(tmp_path: Path) -> None:
 def test_only_its_own_or_an_empty_folder_is_free(tmp_path: Path) -> None:
     assert reconstruction.is_free(tmp_path) and reconstruction.is_free(tmp_path / "none")
     write(tmp_path / "database.db")
-    assert not reconstruction.is_free(tmp_path) and reconstruction.is_others(tmp_path)
+    assert not reconstruction.is_free(tmp_path)
     assert not reconstruction.is_free(tmp_path / "database.db")
     begin(tmp_path, done=None)
-    assert reconstruction.is_free(tmp_path) and not reconstruction.is_others(tmp_path)
+    assert reconstruction.is_free(tmp_path)
 
 
 def test_names_are_the_engines() -> None:
@@ -100,8 +100,7 @@ def test_names_are_the_engines() -> None:
     from roigs_engine.reconstruction import folder, look, mapping, similarity
     from roigs_engine.reconstruction import reconstruct as engine
 
-    ours = (reconstruction.WORK, reconstruction.DATABASE, reconstruction.REPORT)
-    assert ours == (folder.WORK, folder.DATABASE, folder.REPORT)
+    assert (reconstruction.WORK, reconstruction.REPORT) == (folder.WORK, folder.REPORT)
     stages = (own_files.LOOK, own_files.FEATURES, own_files.COMPARE)
     assert stages == (look.STAGE, engine.FEATURES, similarity.STAGE)
     assert (own_files.MATCHING, own_files.MAPPING) == (engine.MATCHING, mapping.STAGE)

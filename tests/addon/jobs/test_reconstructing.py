@@ -188,8 +188,10 @@ def test_the_folders_of_others_are_left(
     shutil.copytree(project, copy)
     said = refusal(blender, photos=str(photos), project=str(copy))
     assert "has a model already" in said and "another Project Folder" in said and "--" not in said
+    shutil.rmtree(copy / "sparse")
     (copy / "database.db").write_text("theirs")
-    assert "Choose another Project Folder" in refusal(blender, project=str(copy))
+    said = refusal(blender, project=str(copy))
+    assert "is not of this command. Give another Project Folder." in said
     assert (copy / "database.db").read_text() == "theirs"
     assert not (copy / "reconstruction").exists()
 
@@ -240,6 +242,32 @@ def test_what_it_asks_of_the_engine(
     monkeypatch.setattr(settings, "get", lambda: settings.Settings(threads=1))
     asked += ["--threads", "1"]
     assert reconstruct_job.spec(blender.context.scene).arguments == asked
+
+
+def test_masks_beside_the_photos_are_used(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import reconstruct_job
+    from roigs_engine.reconstruction.checks import warnings_of_matches
+
+    def asked() -> list[str]:
+        return reconstruct_job.spec(blender.context.scene).arguments
+
+    def shown() -> str:
+        return panel(blender).replace(" ", "")  # long lines are wrapped
+
+    (tmp_path / "garden").mkdir()
+    blender.ops.roigs.choose_photos(directory=str(tmp_path / "garden"))
+    props, beside = blender.context.scene.roigs, tmp_path / "masks"
+    assert "--masks" not in asked() and str(beside) not in shown()
+    beside.mkdir()
+    assert asked()[-2:] == ["--masks", str(beside)] and str(beside) in shown()
+    props.masks = str(tmp_path / "mine")
+    assert asked()[-2:] == ["--masks", props.masks]
+    blender.ops.roigs.choose_photos(directory=str(tmp_path))
+    assert not props.masks
+    (said,) = warnings_of_matches(["a", "b"], {}, {7: 3})
+    assert "Masks" in said and "--masks" in said
 
 
 def test_the_options_are_the_engines(blender: ModuleType, addon: ModuleType) -> None:
@@ -368,9 +396,27 @@ def test_dropped_photos_bring_their_folder(
 
 def test_the_handler_takes_photos_that_the_engine_reads(addon: ModuleType) -> None:
     from roigs_addon.operators.drop import PhotosHandler
-    from roigs_engine.photos.files import EXTENSIONS
+    from roigs_engine.formats.projects import VIDEOS
+    from roigs_engine.photos.files import EXTENSIONS, HEIC
 
-    assert set(PhotosHandler.bl_file_extensions.split(";")) <= EXTENSIONS
+    assert set(PhotosHandler.bl_file_extensions.split(";")) <= EXTENSIONS | HEIC | VIDEOS
+
+
+def test_a_video_is_taken_like_a_folder_of_photos(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import reconstruct_job
+
+    walk, props = tmp_path / "a walk.MP4", blender.context.scene.roigs
+    walk.touch()
+    inside = {"directory": f"{tmp_path}{os.sep}", "filepath": str(walk)}
+    assert blender.ops.roigs.choose_photos(**inside) == {"FINISHED"}
+    assert props.photos == str(walk) and "Not reconstructed yet" in panel(blender)
+    asked = reconstruct_job.spec(blender.context.scene).arguments
+    assert asked[:4] == ["reconstruct", str(walk), "--out", str(tmp_path / "a walk_colmap")]
+    props.photos = ""
+    blender.ops.roigs.drop_photos(directory=str(tmp_path), files=[{"name": walk.name}])
+    assert props.photos == str(walk)
 
 
 def test_folders_beside_a_blend_that_was_never_saved(

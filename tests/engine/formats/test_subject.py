@@ -72,3 +72,43 @@ def test_a_thin_top_is_inside() -> None:
     neck = random.uniform((-0.03, -0.6, -0.03), (0.03, 0.1, 0.03), (70, 3))
     _, high = subject(photos(), np.concatenate([foot, neck, room()[2000:]]), upright)
     assert high[2] > 0.4
+
+
+def on_a_table(*things: tuple[float, float]) -> np.ndarray:
+    """Boxes of side 0.3 on a table in a room, at these places."""
+    random = np.random.default_rng(0)
+    table = random.uniform((-1, -1, 0), (1, 1, 0.005), (3000, 3))
+    boxes = [random.uniform((x, y, 0), (x + 0.3, y + 0.3, 0.3), (500, 3)) for x, y in things]
+    return np.concatenate([table, *boxes, room()[2000:]])
+
+
+UPRIGHT = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+"""From a frame whose y axis points down, as the photos' does."""
+
+
+@pytest.mark.parametrize("scale", [0.01, 1, 100])
+def test_of_things_on_a_table_one_is_in_the_box_and_the_table_is_not(scale: float) -> None:
+    points = on_a_table((-0.1, -0.1), (0.45, -0.1), (-0.1, -0.7)) @ UPRIGHT[:3, :3]
+    views = photos()
+    for view in views:
+        view.pose[:3, 3] *= scale
+    low, high = subject(views, scale * points, UPRIGHT)
+    np.testing.assert_allclose(low / scale, (-0.1, -0.1, 0), atol=0.03)
+    np.testing.assert_allclose(high / scale, (0.2, 0.2, 0.3), atol=0.03)
+
+
+def test_a_table_that_is_not_quite_level_is_still_the_table() -> None:
+    angle = np.radians(8)
+    tilt = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    points = on_a_table((-0.15, -0.15), (0.5, 0.3)) @ tilt.T @ UPRIGHT[:3, :3]
+    low, high = subject(photos(), points, UPRIGHT)
+    assert (high - low < 0.42).all()
+
+
+def test_what_floats_or_lies_flat_has_a_box_too() -> None:
+    """As without a table: there is nothing to tell them from."""
+    points = on_a_table() @ UPRIGHT[:3, :3]
+    low, high = subject(photos(), points, UPRIGHT)
+    assert (high > low).all() and high[0] - low[0] > 0.5

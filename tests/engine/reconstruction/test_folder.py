@@ -75,6 +75,18 @@ def test_a_foreign_model_is_refused(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize("place", ["database.db", "database.db-wal", "reconstruction/models"])
+def test_what_others_made_is_refused(tmp_path: Path, place: str) -> None:
+    theirs = tmp_path / place
+    theirs.parent.mkdir(exist_ok=True)
+    theirs.write_bytes(b"theirs")
+    folder = Folder(tmp_path)
+    with pytest.raises(SceneError, match="not of this command"), folder.held(QUIET.warn):
+        pass
+    assert theirs.read_bytes() == b"theirs"
+    assert [path.name for path in tmp_path.iterdir()] == [Path(place).parts[0]]
+
+
 def test_changed_settings_and_photos_begin_again(photos: Path, tmp_path: Path) -> None:
     folder, settings = Folder(tmp_path / "scene"), Settings()
     found = looked(folder, photos)
