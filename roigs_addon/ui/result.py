@@ -44,7 +44,10 @@ class ResultPanel(SidebarPanel):
     def draw(self, context: bpy.types.Context) -> None:
         """Import, the objects, what is wrong with them, render."""
         layout, scene = layout_of(self), scene_of(context)
-        layout.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
+        row = layout.row(align=True)
+        row.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
+        if run_facts.earlier(scene):  # above all that differs between the results
+            row.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         items = lookup.splats(scene)
         if not items:
             show.todo(layout, "Train first to get Gaussians")
@@ -134,7 +137,6 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         show.say(layout, f"Last result: {said}" if said else "Last result", "INFO")
     if results:
         column = layout.column(align=True)
-        column.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         size = text.in_gb(sum(result.size for result in results))
         column.label(text=f"Earlier results, {size} in total")
     for result in results:
