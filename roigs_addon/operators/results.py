@@ -122,7 +122,7 @@ class SetDetail(bpy.types.Operator):
 
 def _select_shown(context: bpy.types.Context) -> None:
     """Keep what the user works on at hand: the other object of its pair, if that is shown now."""
-    active = context.active_object
+    active = view_layer_of(context).objects.active  # the context has no hidden one
     if active is None or not object_props(active).off:
         return
     pairs = detail.pairs(scene_of(context))

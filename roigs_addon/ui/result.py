@@ -103,7 +103,9 @@ def _draw_pair(
 ) -> None:
     props = object_props(shown)
     own = shown.name != splats.object_name(props.level, props.roi)  # a copy, or renamed
-    _draw_name(row, shown, shown.name if own else names.get(props.roi, props.roi))
+    split = row.split(factor=0.52, align=True)  # copies differ in the end of their names
+    _draw_name(split, shown, shown.name if own else names.get(props.roi, props.roi))
+    row = split.row(align=True)
     for label, fine in (("Coarse", False), ("Fine", True)):
         depress = (shown == pair.fine) == fine
         button = row.operator(SetDetail.bl_idname, text=label, depress=depress)
