@@ -45,6 +45,11 @@ def state() -> JobState:
     return _no_job if job is None else job.state
 
 
+def outcome() -> str:
+    """What came of the last job; empty if an undo has taken it back."""
+    return job.state.outcome if job is not None and job.spec.is_so() else ""
+
+
 def start(engine: Engine, spec: JobSpec) -> Job:
     """Start a job; in a window, also the timer that follows it.
 

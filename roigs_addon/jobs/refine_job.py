@@ -63,4 +63,10 @@ def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
 def _importing(scene: bpy.types.Scene, folder: Path, done_text: str) -> JobSpec:
     images = scene_props(scene).images
     job = import_job.spec(scene, str(folder), images, same_frame=True)
-    return replace(job, title=REFINING, done_text=done_text)
+    find = run_folders.finder(scene)
+
+    def is_so() -> bool:
+        now = find()
+        return now is not None and scene_props(now).colmap == str(folder)
+
+    return replace(job, title=REFINING, done_text=done_text, is_so=is_so)

@@ -17,6 +17,11 @@ def nothing(*_: object) -> None:
     """The default of callbacks."""
 
 
+def always() -> bool:
+    """The default of `is_so`."""
+    return True
+
+
 @dataclass(frozen=True, kw_only=True)
 class JobSpec:
     """An engine command, and what to do with what it makes.
@@ -33,6 +38,7 @@ class JobSpec:
             stopped; returns the command with which the job goes on, or None if there is none; may
             raise AddonError.
         done_text: what the user is told then; empty where the window shows it anyway.
+        is_so: whether the scene still is as `done_text` says: a panel asks, also after an undo.
         words: option of the command -> the panel's name of it, for the engine's errors.
     """
 
@@ -44,4 +50,5 @@ class JobSpec:
     on_done: Callable[[], str | None] = nothing
     then: Callable[[Mapping[str, str]], JobSpec | None] | None = None
     done_text: str = ""
+    is_so: Callable[[], bool] = always
     words: Mapping[str, str] = field(default_factory=dict)

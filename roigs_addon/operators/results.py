@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender import leave_edit_mode, registration, scene_of
+from ..blender import leave_edit_mode, registration, scene_of, view_layer_of
 from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
@@ -116,7 +116,20 @@ class SetDetail(bpy.types.Operator):
                     detail.set_detail(scene, pair, self.fine)
         except AddonError as error:
             return failed(self, error)
+        _select_shown(context)
         return {"FINISHED"}
+
+
+def _select_shown(context: bpy.types.Context) -> None:
+    """Keep what the user works on at hand: the other object of its pair, if that is shown now."""
+    active = view_layer_of(context).objects.active  # the context has no hidden one
+    if active is None or not object_props(active).off:
+        return
+    pairs = detail.pairs(scene_of(context))
+    pair = next((pair for pair in pairs if active in (pair.fine, pair.coarse)), None)
+    if pair is not None and pair.shown is not None:
+        view_layer_of(context).update()  # until then, it cannot be selected
+        select_only(context, pair.shown)
 
 
 class ShowPoints(bpy.types.Operator):

@@ -93,8 +93,8 @@ def job(layout: bpy.types.UILayout, title: str) -> bool:
     if state.error:
         wrong(layout, state.error)
         layout.operator(train.ShowLog.bl_idname, icon="TEXT")
-    elif state.outcome:
-        done(layout, state.outcome)
+    elif outcome := current.outcome():
+        done(layout, outcome)
     return bool(state.error)
 
 

@@ -45,7 +45,10 @@ class ResultPanel(SidebarPanel):
     def draw(self, context: bpy.types.Context) -> None:
         """Import, the objects, what is wrong with them, render."""
         layout, scene = layout_of(self), scene_of(context)
-        layout.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
+        row = layout.row(align=True)
+        row.operator(LoadResults.bl_idname, icon="FILE_REFRESH")
+        if run_facts.earlier(scene):  # above all that differs between the results
+            row.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         items = lookup.splats(scene)
         if not items:
             show.todo(layout, "Train to get Gaussians, or import some")
@@ -104,7 +107,9 @@ def _draw_pair(
 ) -> None:
     props = object_props(shown)
     own = shown.name != splats.object_name(props.level, props.roi)  # a copy, or renamed
-    _draw_name(row, shown, shown.name if own else names.get(props.roi, props.roi))
+    split = row.split(factor=0.52, align=True)  # copies differ in the end of their names
+    _draw_name(split, shown, shown.name if own else names.get(props.roi, props.roi))
+    row = split.row(align=True)
     for label, fine in (("Coarse", False), ("Fine", True)):
         depress = (shown == pair.fine) == fine
         button = row.operator(SetDetail.bl_idname, text=label, depress=depress)
@@ -138,7 +143,6 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         show.say(layout, f"Last result: {said}" if said else "Last result", "INFO")
     if results:
         column = layout.column(align=True)
-        column.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         size = text.in_gb(sum(result.size for result in results))
         column.label(text=f"Earlier results, {size} in total")
     for result in results:

@@ -42,7 +42,7 @@ PUSH = "call('ed.undo_push', message={!r})"
 """Operators that scripts call make no undo steps."""
 
 EDIT = """
-item = next(o for o in bpy.data.objects if o.roigs.kind == "SPLATS" and not o.hide_get())
+item = next(o for o in bpy.data.objects if o.roigs.kind == "SPLATS" and o.visible_get())
 item.location.x += 0.1
 call("ed.undo_push", message="Move")
 """

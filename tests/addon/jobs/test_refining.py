@@ -107,6 +107,9 @@ def test_the_refined_model_takes_the_old_ones_place(
     text = panel(bpy)
     assert refine_job.REFINED in text and "garden: 8 photos" in text
     assert not bpy.ops.roigs.refine_cameras.poll()
+    for colmap in (tmp_path / "garden", refined):  # undo, redo
+        scene.roigs.colmap = str(colmap)
+        assert (refine_job.REFINED in panel(bpy)) == (colmap == refined)
     with pytest.raises(RuntimeError, match="The cameras are refined already"):
         bpy.ops.roigs.refine_cameras()
 

@@ -14,6 +14,7 @@ from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.scene.test_earlier_results import PARTS, archive, files
 from tests.addon.scene.test_edits import choose, cut
 from tests.addon.splat_cases import random_arrays, random_ply
+from tests.addon.ui.test_panels import Layout, stand_in
 
 pytestmark = pytest.mark.blender
 
@@ -250,6 +251,32 @@ def test_the_earlier_result_that_was_shown_last(blender: ModuleType, two) -> Non
     assert compared.shown_result(scene) == folder
     blender.ops.roigs.compare_results()
     assert compared.shown_result(scene) == older
+
+
+def test_the_button_stays_under_the_mouse(blender: ModuleType, two) -> None:
+    from roigs_addon.ui.result import ResultPanel
+
+    class Row(Layout):
+        """Notes what is drawn, in order; buttons by their operators."""
+
+        def __getattr__(self, name: str):
+            def take(*args: object, **_: object) -> Row:
+                self.labels.append(str(args[0]) if name == "operator" else name)
+                return Row(self.labels)
+
+            return take
+
+    for part in ("rois", "coarse"):
+        (two[2] / part / "thing.ply").unlink()
+    above = []
+    for _ in range(2):
+        panel = stand_in(ResultPanel)
+        panel.layout = Row([])
+        panel.draw(blender.context)
+        drawn = panel.layout.labels
+        above.append(drawn[: drawn.index("roigs.compare_results")])
+        blender.ops.roigs.compare_results()
+    assert above[0] == above[1]
 
 
 def test_without_another_result_there_is_no_compare(blender: ModuleType, run) -> None:

@@ -123,6 +123,7 @@ def test_copies(blender: ModuleType, two, linked: bool) -> None:  # noqa: F811
     bpy.context.view_layer.update()
     (stand_in,) = visible(scene) - {"Background", "thing Gaussians"}
     stand_in = scene.objects[stand_in]
+    assert bpy.context.active_object == stand_in and stand_in.select_get()
     assert stand_in.roigs.level == "SCENE" and stand_in.roigs.exposure == 1.0
     frames = [np.array(o.matrix_world) @ frame_of(o) for o in (copy, stand_in)]
     np.testing.assert_allclose(*frames, atol=1e-5)
