@@ -106,7 +106,7 @@ class Installation:
         """Run one program to its end; its output goes to the log.
 
         Raises:
-            AddonError: it failed.
+            AddonError: it failed, and the engine needs it.
         """
         if self.stopped:
             return
@@ -136,7 +136,9 @@ class Installation:
                 self.line = line.strip()
                 self._said.append(self.line)
                 print(self.line, file=log, flush=True)
-        if process.wait() and not self.stopped:
+        if process.wait() and not self.stopped and step.optional:
+            print("The engine works without it.", file=log, flush=True)
+        elif process.returncode and not self.stopped:
             raise AddonError(f"{step.title} failed: {useful(self._said)} See the log {self.log}")
 
     def _variables(self, step: Step) -> dict[str, str]:

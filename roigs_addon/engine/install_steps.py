@@ -13,8 +13,10 @@ from pathlib import Path
 from .python import SOURCE, environment_python
 
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
-DOWNLOAD_BYTES, DISK_BYTES = 310e6, 960e6
-"""What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
+DOWNLOAD_BYTES, DISK_BYTES = 435e6, 1480e6
+"""What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64).
+
+125e6 and 520e6 of it are for file formats."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +36,16 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One program that runs to its end."""
+    """One program that runs to its end.
+
+    Attributes:
+        title, command: of it.
+        optional: the engine works without it; if it fails, the set-up goes on.
+    """
 
     title: str
     command: list[str]
+    optional: bool = False
 
 
 def requirements(*extras: str) -> list[str]:
@@ -48,6 +56,12 @@ def requirements(*extras: str) -> list[str]:
         *project["dependencies"],
         *(needed for extra in ("train", *extras) for needed in optional[extra]),
     ]
+
+
+def format_packages() -> list[str]:
+    """What **Export** and **Import** need for other formats than PLY, as pip expects it."""
+    project = tomllib.loads((SOURCE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return list(project["optional-dependencies"]["formats"])
 
 
 def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
@@ -66,7 +80,8 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     ]
     if plan.wheels is not None:
         source = ["--no-index", "--find-links", str(plan.wheels)]
-        return [make, Step(title="Installing", command=[*pip, *source, *wanted]), *finish]
+        install = Step(title="Installing", command=[*pip, *source, *wanted])
+        return [make, install, *_formats([*pip, *source]), *finish]
     index = ["--index", CUDA_INDEX] if cuda else []
     torch = [python, _script("install_torch"), *index]
     return [
@@ -75,7 +90,16 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
         Step(title="Updating pip", command=[*pip, "pip>=24.1"]),
         Step(title="Installing torch", command=torch),
         Step(title="Installing the rest", command=[*pip, *wanted]),
+        *_formats(pip),
         *finish,
+    ]
+
+
+def _formats(pip: list[str]) -> list[Step]:
+    """One for each package: some systems have wheels for a part of them only."""
+    return [
+        Step(title=f"Installing {package}", command=[*pip, package], optional=True)
+        for package in format_packages()
     ]
 
 

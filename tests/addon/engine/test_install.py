@@ -66,6 +66,34 @@ def test_success_leaves_one_complete_environment(
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["2"]
 
 
+def test_formats_are_installed_where_there_are_wheels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = [name.partition(">=")[0] for name in install_steps.format_packages()]
+    assert {"gsply", "usd-core", "pygltflib"} <= set(wanted)
+    for wheels in (None, tmp_path):
+        plan = Plan(environments=(tmp_path,), wheels=wheels)
+        planned = install_steps.steps(plan, Path("python"), tmp_path / "1")
+        assert [step.command[-1].partition(">=")[0] for step in planned if step.optional] == wanted
+        offline = [step for step in planned if step.optional and "--no-index" in step.command]
+        assert len(offline) == (len(wanted) if wheels else 0)
+        assert not planned[-1].optional
+
+    def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
+        made = f"import os; os.makedirs({str(environment)!r})"
+        code = [sys.executable, "-uc"]
+        return [
+            Step(title="Make", command=[*code, made]),
+            Step(title="Installing x", command=[*code, "raise SystemExit(1)"], optional=True),
+        ]
+
+    fake_steps(monkeypatch)
+    monkeypatch.setattr(install, "steps", steps)
+    done = run(Installation(Plan(environments=(tmp_path,))))
+    assert done.message == "" and done.python is not None
+    assert "works without it" in done.log.read_text(encoding="utf-8")
+
+
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir() if path.is_dir())
 
@@ -192,7 +220,7 @@ def test_a_program_that_is_no_python_is_passed_over() -> None:
 def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     base, made = Path("python"), tmp_path / "1"
     offline = install_steps.steps(Plan(environments=(tmp_path,), wheels=tmp_path), base, made)
-    assert [step.title for step in offline] == [
+    assert [step.title for step in offline if not step.optional] == [
         "Creating the environment",
         "Installing",
         "Removing what is not needed",
