@@ -19,8 +19,13 @@ from .pictures import COLOURS, LOOK, look_at_boxes
 from .scenario import BUSY, STATE, import_demo, load_boxes, parser, prepare, window
 
 SIZE = (1040, 980)
+CLOSE = "close/vase_02.jpg"
+"""A photo of the vase."""
+
 SELECT, DELETE = 0.55, 0.8
 """Where in the sidebar's width the two buttons of a tool are."""
+
+IN_WINDOW = "bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'"
 
 COUNT = (
     "sum(len(o.data.vertices) for o in bpy.context.scene.objects"
@@ -58,14 +63,27 @@ def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
     """Select by floaters and boxes, delete, erase, undo."""
     whole = blender.ask(COUNT)
     blender.click(blender.find("roigs.find_floaters", x=SELECT))
+    blender.until(f"{BUSY}", 30)
     blender.until(f"not {BUSY}", 600)
     blender.pause(2.0)
     check(f"floaters: {blender.ask(STATE + '.outcome')}", bool(blender.ask(f"{STATE}.outcome")))
-    blender.click(blender.find("roigs.choose_by_box", x=SELECT))
+    floating = blender.ask(CHOSEN)
+    blender.ask("call('roigs.look_through', photo=CLOSE)".replace("CLOSE", repr(CLOSE)))
+    blender.ask("bpy.context.scene.camera.data.show_background_images = False")
     blender.pause(3.0)
-    chosen = blender.ask(CHOSEN)
-    check(f"outside the boxes: {chosen:,} of {whole:,}", 0 < chosen < whole)
+    blender.click(blender.find("where='INSIDE'", x=SELECT))
+    blender.until(f"{CHOSEN} not in (0, {floating})", 60)
+    blender.pause(4.0)
+    check(f"in the active box: {blender.ask(CHOSEN):,} of {whole:,}", True)
     picture("7-clean-up")
+    blender.ask("call('view3d.view_camera')")
+    look_at_boxes(blender)
+    blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
+    inside = blender.ask(CHOSEN)
+    blender.click(blender.find("where='OUTSIDE'", x=SELECT))
+    blender.until(f"{CHOSEN} not in (0, {inside})", 60)
+    chosen = blender.ask(CHOSEN)
+    check(f"outside the boxes: {chosen:,} of {whole:,}", inside < chosen < whole)
     blender.click(blender.find("roigs.delete_chosen", x=0.4))
     blender.pause(3.0)
     left = blender.ask(COUNT)
@@ -100,14 +118,14 @@ def leave_and_return(blender: Blender, folder: Path, picture: Callable[..., None
     blender.click(blender.find("roigs.export_gaussians", x=0.8))
     blender.until("file_browser() is not None")
     blender.pause(1.5)
-    picture("9-export", None, "")
+    picture("9-export")
     blender.choose(path)
     blender.until(f"not {BUSY}", 120)
     check(f"exported {path.stat().st_size / 1e6:.1f} MB", path.is_file())
     blender.ask("bpy.ops.wm.read_homefile(app_template='')")
     blender.pause(2.0)
     prepare(blender)
-    blender.ask(LOOK)
+    blender.ask(LOOK + IN_WINDOW)
     blender.click(blender.find("roigs.import_gaussians", x=0.2))
     blender.until("file_browser() is not None")
     blender.pause(1.5)
@@ -142,7 +160,7 @@ def main() -> int:
 
         try:
             prepare(blender)
-            blender.ask(LOOK)
+            blender.ask(LOOK + IN_WINDOW)
             import_demo(blender)
             load_boxes(blender)
             look_at_boxes(blender)
