@@ -118,7 +118,7 @@ def leave_and_return(blender: Blender, folder: Path, picture: Callable[..., None
     blender.click(blender.find("roigs.export_gaussians", x=0.8))
     blender.until("file_browser() is not None")
     blender.pause(1.5)
-    picture("9-export")
+    picture("9-export", crop="1040x330+0+0")
     blender.choose(path)
     blender.until(f"not {BUSY}", 120)
     check(f"exported {path.stat().st_size / 1e6:.1f} MB", path.is_file())
