@@ -32,6 +32,7 @@ class Settings:
     cache: str = ""
     preview_seconds: float = 5.0
     cuda: bool = False
+    formats: bool = True
     wheels: str = ""
 
 

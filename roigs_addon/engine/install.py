@@ -136,7 +136,10 @@ class Installation:
                 self.line = line.strip()
                 self._said.append(self.line)
                 print(self.line, file=log, flush=True)
-        if process.wait() and step.needed and not self.stopped:
+        if process.wait() and not self.stopped:
+            if not step.needed:
+                print("The engine works without it.", file=log, flush=True)
+                return
             raise AddonError(f"{step.title} failed: {useful(self._said)} See the log {self.log}")
 
     def _variables(self, step: Step) -> dict[str, str]:

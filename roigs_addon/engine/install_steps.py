@@ -6,6 +6,7 @@ The packages and their versions are in pyproject.toml alone, which is part of th
 from __future__ import annotations
 
 import platform
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +15,14 @@ from typing import Any
 from .python import SOURCE, environment_python
 
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
-OPTIONAL = {"video": "Installing PyAV for videos", "heic": "Installing pillow-heif for HEIC"}
-"""Extras of the project that not every platform has wheels for, and what their steps are called."""
+OPTIONAL = ("video", "heic")
+"""Extras of the project that not every platform has wheels for."""
+FORMATS = "formats"
+"""The extra of `Plan.formats`."""
 DOWNLOAD_BYTES, DISK_BYTES = 350e6, 1_100e6
 """What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
+FORMATS_DOWNLOAD_BYTES, FORMATS_DISK_BYTES = 125e6, 520e6
+"""What `Plan.formats` adds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,17 +32,24 @@ class Plan:
     Attributes:
         environments: folders of earlier ones; the new one is made in the first.
         cuda: torch for NVIDIA GPUs instead of the one for the CPU, and gsplat.
+        formats: also what **Export** and **Import** need for other formats than PLY.
         wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
     """
 
     environments: tuple[Path, ...]
     cuda: bool = False
+    formats: bool = True
     wheels: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One program that runs to its end."""
+    """One program that runs to its end.
+
+    Attributes:
+        title, command: of it.
+        optional: the engine works without it; if it fails, the set-up goes on.
+    """
 
     title: str
     command: list[str]
@@ -61,6 +73,11 @@ def requirements(*extras: str) -> list[str]:
     ]
 
 
+def name_of(package: str) -> str:
+    """The name of what pip is asked for, without its version."""
+    return re.split(r"[<>=!~;\[ ]", package)[0]
+
+
 def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     """The programs that make `environment` with the Python `base`."""
     python = str(environment_python(environment))
@@ -78,7 +95,7 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     if plan.wheels is not None:
         source = ["--no-index", "--find-links", str(plan.wheels)]
         install = Step(title="Installing", command=[*pip, *source, *wanted])
-        return [make, install, *_optional([*pip, *source]), *finish]
+        return [make, install, *_optional([*pip, *source], plan), *finish]
     index = ["--index", CUDA_INDEX] if cuda else []
     torch = [python, _script("install_torch"), *index]
     return [
@@ -87,17 +104,25 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
         Step(title="Updating pip", command=[*pip, "pip>=24.1"]),
         Step(title="Installing torch", command=torch),
         Step(title="Installing the rest", command=[*pip, *wanted]),
-        *_optional(pip),
+        *_optional(pip, plan),
         *finish,
     ]
 
 
-def _optional(pip: list[str]) -> list[Step]:
-    """What the engine also works without; never compiled here."""
+def _optional(pip: list[str], plan: Plan) -> list[Step]:
+    """What the engine also works without: one for each package, as some have no wheel here.
+
+    They are never compiled.
+    """
     extras = _project()["optional-dependencies"]
     return [
-        Step(title=title, command=[*pip, "--only-binary", ":all:", *extras[extra]], needed=False)
-        for extra, title in OPTIONAL.items()
+        Step(
+            title=f"Installing {name_of(package)}",
+            command=[*pip, "--only-binary", ":all:", package],
+            needed=False,
+        )
+        for extra in (*OPTIONAL, *([FORMATS] if plan.formats else []))
+        for package in extras[extra]
     ]
 
 

@@ -12,7 +12,7 @@ from ..errors import AddonError
 from ..scene import edits
 from ..scene.frame_request import models_of, shown
 from ..shared import files
-from .spec import EXPORTING, JobSpec
+from .spec import EXPORTING, PACKAGES, JobSpec
 
 NAME = "roigs-export"
 """Of the list of models and of the log, in Blender's temporary folder."""
@@ -60,4 +60,5 @@ def spec(
         arguments=["convert", str(listed), str(path), *options],
         log=listed.with_suffix(".log"),
         done_text=f"Exported {path.name}",
+        words=PACKAGES,
     )

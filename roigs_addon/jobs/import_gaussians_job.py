@@ -17,7 +17,7 @@ from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import splats
 from . import run_folders
-from .spec import IMPORTING_GAUSSIANS, JobSpec
+from .spec import IMPORTING_GAUSSIANS, PACKAGES, JobSpec
 
 ENDINGS = (".compressed.ply", ".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
 """Of the names of files that can be imported."""
@@ -61,6 +61,7 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
         log=folder / LOG,
         on_done=build,
         done_text=f"Imported {name}",
+        words=PACKAGES,
     )
 
 

@@ -12,6 +12,9 @@ TRAINING, EXPORTING = "Training", "Exporting"
 IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
+PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on's preferences"}
+"""Of the engine's error that a package of a format is missing: what a user of Blender does."""
+
 
 def nothing(*_: object) -> None:
     """The default of callbacks."""

@@ -50,6 +50,12 @@ class SetUpEngine(bpy.types.Operator):
         description="Install the CUDA build of torch: a download of several gigabytes",
         options=FRESH,
     )
+    formats: BoolProperty(
+        name="File Formats",
+        default=True,
+        description="Also install what Export and Import need for other formats than PLY",
+        options=FRESH,
+    )
     wheels: StringProperty(
         name="Folder of Wheels",
         subtype="DIR_PATH",
@@ -100,6 +106,7 @@ class SetUpEngine(bpy.types.Operator):
         return Plan(
             environments=settings.environments(),
             cuda=self.cuda,
+            formats=self.formats,
             wheels=wheels,
         )
 

@@ -54,7 +54,7 @@ class CleanUpPanel(SidebarPanel):
             label = f"Delete {count:,} Selected"
             row.operator(DeleteChosen.bl_idname, text=label, icon="TRASH")
             row.operator(ForgetChosen.bl_idname, text="", icon="X")
-        show.say(layout, "Brightness and tint: in Look, above", "BLANK1")
+        show.say(layout, "Brightness and tint: select one, then Look", "BLANK1")
 
 
 def _pair(

@@ -10,7 +10,12 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from .. import blender, settings
 from ..blender import region_of, registration
 from ..engine import check, install
-from ..engine.install_steps import DISK_BYTES, DOWNLOAD_BYTES
+from ..engine.install_steps import (
+    DISK_BYTES,
+    DOWNLOAD_BYTES,
+    FORMATS_DISK_BYTES,
+    FORMATS_DOWNLOAD_BYTES,
+)
 from ..windows import redraw_sidebars
 from .layout import PIXELS_PER_LETTER, wrapped
 
@@ -63,6 +68,12 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         description="Install the CUDA build of torch: several gigabytes."
         " Training on a GPU also needs NVIDIA's CUDA toolkit",
     )
+    formats: BoolProperty(
+        name="File Formats",
+        default=True,
+        description="Also install what Export and Import need for SPZ, SOG, glTF, OpenUSD and web"
+        " pages. PLY needs none of it",
+    )
     wheels: StringProperty(
         name="Folder of Wheels",
         subtype="DIR_PATH",
@@ -96,19 +107,23 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
     if made is not None:
         _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
     layout.prop(page, "cuda")
+    layout.prop(page, "formats")
     layout.prop(page, "wheels")
-    _lines(layout, _needed_space(page.cuda), "INFO")
+    _lines(layout, _needed_space(page), "INFO")
     row = layout.row(align=True)
     button = row.operator("roigs.setup_engine", icon="IMPORT")
-    button.cuda, button.wheels = page.cuda, page.wheels
+    button.cuda, button.formats, button.wheels = page.cuda, page.formats, page.wheels
     row.operator("roigs.remove_engine", icon="TRASH")
 
 
-def _needed_space(cuda: bool) -> str:
+def _needed_space(page: RoigsPreferences) -> str:
     """What setting up takes, in words."""
-    if cuda:
+    if page.cuda:
         return "Downloads several gigabytes and takes more of the disk."
     download, disk = DOWNLOAD_BYTES / 1e6, DISK_BYTES / 1e6
+    if page.formats:
+        download += FORMATS_DOWNLOAD_BYTES / 1e6
+        disk += FORMATS_DISK_BYTES / 1e6
     return f"Downloads about {download:.0f} MB and takes {disk:.0f} MB of the disk (on Linux)."
 
 

@@ -16,7 +16,7 @@ from ..scene import clouds, point_edits
 from ..windows import redraw
 from .handler import ViewHandler
 
-COLOUR, WIDTH = (1.0, 0.45, 0.05, 0.9), 3.0
+COLOUR, WIDTH = (1.0, 0.45, 0.05, 0.6), 2.0
 """Width in pixels, at an interface scale of 1."""
 
 _meshes: set[int] = set()

@@ -19,6 +19,9 @@ from .damage import HINT, damaged
 FAR = 1e4
 """So many times its size away from the origin, float32 shows a model's Gaussians moved."""
 
+COMPRESSED, HEADER = ".compressed.ply", 1024
+"""Suffix of compressed PLYs, and bytes of a PLY that say whether it is one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FileFormat:
@@ -40,7 +43,7 @@ class FileFormat:
 
 
 FORMATS = (
-    FileFormat(title="compressed PLY", suffix=".compressed.ply", up="-y", module="compressed_ply"),
+    FileFormat(title="compressed PLY", suffix=COMPRESSED, up="-y", module="compressed_ply"),
     FileFormat(title="PLY", suffix=".ply", up="-y"),
     FileFormat(title="SPZ", suffix=".spz", up="y", module="spz"),
     FileFormat(title="SOG", suffix=".sog", up="-y", module="sog"),
@@ -108,6 +111,8 @@ def read(path: Path) -> Arrays:
     form = format_of(path)
     if not form.reads:
         raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")
+    if not form.module and _is_compressed(path):  # whatever its name says
+        form = format_of(Path(COMPRESSED))
     if not form.module:
         return read_ply(path)
     reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
@@ -126,3 +131,12 @@ def read(path: Path) -> Arrays:
     if not len(arrays["means"]):
         raise RunFolderError(f"{path} has no Gaussians that can be drawn.", HINT)
     return arrays
+
+
+def _is_compressed(path: Path) -> bool:
+    """Whether a PLY is a compressed one; False if it cannot be read, which its reader will say."""
+    try:
+        with open(path, "rb", opener=regular) as file:
+            return b"\nelement chunk " in file.read(HEADER)
+    except OSError:
+        return False

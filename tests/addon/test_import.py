@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-from roigs_engine.exchange import formats
+from roigs_engine.errors import EngineError
+from roigs_engine.exchange import formats, packages
 from roigs_engine.exchange.axes import turn
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.jobs.test_refining import use
@@ -57,12 +59,12 @@ def test_every_format_stands_upright(
     random = np.random.default_rng(0)
     arrays = random_arrays(60, seed=1, coefficients=1)
     arrays["means"] = random.uniform((-1, -1, 0), (1, 1, 3), (60, 3)).astype(np.float32)
-    matrix = turn("z", form.up)[:3, :3]
+    write_ply(tmp_path / "z.ply", arrays)
     path = tmp_path / f"vase{form.suffix}"
     try:
-        formats.write(path, {**arrays, "means": (arrays["means"] @ matrix.T).astype(np.float32)})
-    except formats.EngineError as error:
-        pytest.skip(str(error))
+        command_line(engine, "convert", tmp_path / "z.ply", path, "--from-up", "z")
+    except subprocess.CalledProcessError as error:
+        pytest.skip(error.stderr)
     item = bring(blender, path)
     assert item.name == "vase" and item.parent is None
     found = points(item)
@@ -215,9 +217,19 @@ def test_files_that_are_none(blender: ModuleType, engine, tmp_path: Path) -> Non
 def test_a_missing_package_is_said(
     blender: ModuleType, addon, ply: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = "say(event='failed', message='SPZ needs gsply.', hint='Install gsply.'); sys.exit(2)"
-    use(monkeypatch, tmp_path, said)
-    with pytest.raises(RuntimeError, match="Install gsply"):
+    """With the words of the engine, and what to do in Blender."""
+
+    def missing(name: str, package: str | None = None) -> None:
+        raise ImportError(f"No module named '{name}'")
+
+    monkeypatch.setattr(packages, "import_module", missing)
+    with pytest.raises(EngineError) as caught:
+        packages.package("gsply", "gsply", "SPZ")
+    error = caught.value
+    event = f"event='failed', message={error.message!r}, hint={error.hint!r}"
+    use(monkeypatch, tmp_path, f"say({event}); sys.exit(2)")
+    wanted = "Install gsply, or set up the engine again in the add-on's preferences"
+    with pytest.raises(RuntimeError, match=wanted):
         blender.ops.roigs.import_gaussians(filepath=str(ply))
 
 

@@ -52,13 +52,22 @@ def test_requirements_are_those_of_the_project() -> None:
     assert any(r.startswith("numpy") for r in wanted)
 
 
-def test_videos_and_heic_are_read_where_there_are_wheels(tmp_path: Path) -> None:
-    """Where there are none, the set-up must not compile them, nor fail."""
-    online = install_steps.steps(Plan(environments=(tmp_path,)), Path("python"), tmp_path / "1")
-    optional = [step.command for step in online if not step.needed]
-    assert [command[-1].partition(">")[0] for command in optional] == ["av", "pillow-heif"]
+@pytest.mark.parametrize("wheels", [False, True])
+@pytest.mark.parametrize("formats", [False, True])
+def test_what_not_every_platform_has_is_installed_where_it_can_be(
+    tmp_path: Path, *, wheels: bool, formats: bool
+) -> None:
+    """Where there are no wheels, the set-up must not compile, nor fail."""
+    plan = Plan(environments=(tmp_path,), formats=formats, wheels=tmp_path if wheels else None)
+    steps = install_steps.steps(plan, Path("python"), tmp_path / "1")
+    optional = [step.command for step in steps if not step.needed]
+    names = [install_steps.name_of(command[-1]) for command in optional]
+    assert names[:2] == ["av", "pillow-heif"]
+    assert ({"gsply", "usd-core", "pygltflib"} <= set(names[2:])) == formats
     assert all(":all:" in command for command in optional)
+    assert all(("--no-index" in command) == wheels for command in optional)
     assert not any("av>" in name for name in install_steps.requirements())  # of the marker
+    assert steps[-1].needed
 
 
 def test_what_is_not_needed_may_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,7 +79,8 @@ def test_what_is_not_needed_may_fail(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(install, "steps", lambda *given: [*planned(*given), fails])
     done = run(Installation(Plan(environments=(tmp_path,))))
     assert done.message == "" and done.python is not None
-    assert "no wheel" in done.log.read_text(encoding="utf-8")
+    said = done.log.read_text(encoding="utf-8")
+    assert "no wheel" in said and "works without it" in said
 
 
 def test_success_leaves_one_complete_environment(
@@ -212,12 +222,13 @@ def test_a_program_that_is_no_python_is_passed_over() -> None:
 
 def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     base, made = Path("python"), tmp_path / "1"
-    offline = install_steps.steps(Plan(environments=(tmp_path,), wheels=tmp_path), base, made)
+    plan = Plan(environments=(tmp_path,), formats=False, wheels=tmp_path)
+    offline = install_steps.steps(plan, base, made)
     assert [step.title for step in offline] == [
         "Creating the environment",
         "Installing",
-        "Installing PyAV for videos",
-        "Installing pillow-heif for HEIC",
+        "Installing av",
+        "Installing pillow-heif",
         "Removing what is not needed",
         "Testing the environment",
     ]

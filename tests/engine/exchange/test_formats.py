@@ -141,6 +141,13 @@ def test_splat_files_are_read_back(tmp_path: Path) -> None:
         formats.read(path)
 
 
+def test_a_compressed_ply_of_another_name(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    formats.write(tmp_path / "a.compressed.ply", arrays())
+    (tmp_path / "a.compressed.ply").rename(tmp_path / "b.ply")
+    assert len(formats.read(tmp_path / "b.ply")["means"]) == 400
+
+
 def test_web_pages_are_only_written(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         formats.read(tmp_path / "a.html")

@@ -1,0 +1,181 @@
+"""Imports, cleans up and exports Gaussians by clicks in a real Blender window; makes pictures.
+
+    python -m tools.window.clean_up BLENDER --engine-python PYTHON --run FOLDER [--out FOLDER]
+
+Needs what `driver` needs, and a finished run of the demo scene, of which it takes a copy. The
+pictures go to docs/pictures.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from .driver import REPOSITORY, Blender, WindowError
+from .pictures import COLOURS, LOOK, look_at_boxes
+from .scenario import BUSY, STATE, import_demo, load_boxes, parser, prepare, window
+
+SIZE = (1040, 980)
+CLOSE = "close/vase_02.jpg"
+"""A photo of the vase."""
+
+SELECT, DELETE = 0.55, 0.8
+"""Where in the sidebar's width the two buttons of a tool are."""
+
+IN_WINDOW = "bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'"
+
+COUNT = (
+    "sum(len(o.data.vertices) for o in bpy.context.scene.objects"
+    " if o.roigs.kind == 'SPLATS' and o.visible_get())"
+)
+CHOSEN = (
+    "sum(v.select for o in bpy.context.scene.objects"
+    " if o.roigs.kind == 'SPLATS' and o.visible_get() for v in o.data.vertices)"
+)
+
+
+def check(text: str, good: bool) -> None:
+    """Print how it went; raises WindowError if it did not."""
+    print(f"{'good' if good else 'BAD '} {text}", flush=True)
+    if not good:
+        raise WindowError(text)
+
+
+def open_panel(blender: Blender) -> None:
+    """Open the sub-panel by a click on its header, which is below the button for the export."""
+    x, y = blender.find("roigs.export_gaussians", x=0.8)
+    for below in range(24, 130, 12):
+        blender.click((x, y + below))
+        blender.pause(0.7)
+        try:
+            blender.find("roigs.choose_by_box", x=SELECT)
+        except WindowError:
+            blender.find("roigs.export_gaussians", x=0.8)
+        else:
+            return
+    raise WindowError("The panel did not open.")
+
+
+def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
+    """Select by floaters and boxes, delete, erase, undo."""
+    whole = blender.ask(COUNT)
+    blender.click(blender.find("roigs.find_floaters", x=SELECT))
+    blender.until(f"{BUSY}", 30)
+    blender.until(f"not {BUSY}", 600)
+    blender.pause(2.0)
+    check(f"floaters: {blender.ask(STATE + '.outcome')}", bool(blender.ask(f"{STATE}.outcome")))
+    floating = blender.ask(CHOSEN)
+    blender.ask("call('roigs.look_through', photo=CLOSE)".replace("CLOSE", repr(CLOSE)))
+    blender.ask("bpy.context.scene.camera.data.show_background_images = False")
+    blender.pause(3.0)
+    blender.click(blender.find("where='INSIDE'", x=SELECT))
+    blender.until(f"{CHOSEN} not in (0, {floating})", 60)
+    blender.pause(4.0)
+    check(f"in the active box: {blender.ask(CHOSEN):,} of {whole:,}", True)
+    picture("7-clean-up")
+    blender.ask("call('view3d.view_camera')")
+    look_at_boxes(blender)
+    blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
+    inside = blender.ask(CHOSEN)
+    blender.click(blender.find("where='OUTSIDE'", x=SELECT))
+    blender.until(f"{CHOSEN} not in (0, {inside})", 60)
+    chosen = blender.ask(CHOSEN)
+    check(f"outside the boxes: {chosen:,} of {whole:,}", inside < chosen < whole)
+    blender.click(blender.find("roigs.delete_chosen", x=0.4))
+    blender.pause(3.0)
+    left = blender.ask(COUNT)
+    check(f"deleted: {left:,} are left", left == whole - chosen)
+    blender.click(blender.find("roigs.erase_brush", x=DELETE))
+    blender.pause(0.5)
+    brush(blender, "mousedown")
+    picture("8-brush", (340, 520))
+    blender.screen.do("mouseup", "1")
+    blender.pause(3.0)
+    erased = left - blender.ask(COUNT)
+    check(f"the brush erased {erased:,}", erased > 0)
+    blender.press("Escape")
+    blender.press("ctrl+z")
+    blender.until(f"{COUNT} == {left}", 20)
+    check("undo brought them back", True)
+
+
+def brush(blender: Blender, button: str) -> None:
+    """Begin a stroke over the middle of the view."""
+    blender.screen.do("mousemove", "290", "540")
+    blender.pause(0.5)
+    blender.screen.do(button, "1")
+    for x in range(290, 320, 5):
+        blender.screen.do("mousemove", str(x), str(540 + (x - 290)))
+        blender.pause(0.1)
+
+
+def leave_and_return(blender: Blender, folder: Path, picture: Callable[..., None]) -> None:
+    """Export as SPZ, then import that into an empty file."""
+    path = folder / "vase and can.spz"
+    blender.click(blender.find("roigs.export_gaussians", x=0.8))
+    blender.until("file_browser() is not None")
+    blender.pause(1.5)
+    picture("9-export", crop="1040x330+0+0")
+    blender.choose(path)
+    blender.until(f"not {BUSY}", 120)
+    check(f"exported {path.stat().st_size / 1e6:.1f} MB", path.is_file())
+    blender.ask("bpy.ops.wm.read_homefile(app_template='')")
+    blender.pause(2.0)
+    prepare(blender)
+    blender.ask(LOOK + IN_WINDOW)
+    blender.click(blender.find("roigs.import_gaussians", x=0.2))
+    blender.until("file_browser() is not None")
+    blender.pause(1.5)
+    blender.choose(path)
+    blender.until(f"not {BUSY}", 120)
+    blender.until(f"{COUNT} > 0", 20)
+    blender.ask("[o.select_set(True) for o in bpy.context.scene.objects] and None")
+    blender.ask("call('view3d.view_axis', type='FRONT')")
+    blender.ask("call('view3d.view_selected')")
+    blender.pause(8.0)
+    picture("10-import")
+    check(f"imported {blender.ask(COUNT):,}", True)
+
+
+def main() -> int:
+    """Do it, with pictures."""
+    options = parser(__doc__)
+    options.add_argument("--run", type=Path, required=True, help="a finished run of the demo")
+    options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
+    given = options.parse_args()
+    with tempfile.TemporaryDirectory() as temporary, window(given, *SIZE) as blender:
+        folder = Path(temporary)
+        run = shutil.copytree(given.run, folder / "run", symlinks=True)
+
+        def picture(
+            name: str, mouse: tuple[int, int] | None = (3, 450), crop: str = "1040x958+0+0"
+        ) -> None:
+            if mouse is not None and mouse[0] == 3:
+                blender.screen.do("mousemove", *(str(side) for side in mouse))
+            blender.pause(2.0)
+            blender.screen.picture(given.out / f"{name}.png", crop, *COLOURS)
+
+        try:
+            prepare(blender)
+            blender.ask(LOOK + IN_WINDOW)
+            import_demo(blender)
+            load_boxes(blender)
+            look_at_boxes(blender)
+            blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
+            blender.ask("call('roigs.load_results')")
+            blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
+            blender.pause(5.0)
+            open_panel(blender)
+            clean_up(blender, picture)
+            leave_and_return(blender, folder, picture)
+        except Exception:
+            blender.screen.picture(given.out / "failed.png")
+            raise
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
