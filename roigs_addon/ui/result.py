@@ -31,6 +31,8 @@ from .layout import SidebarPanel
 
 Objects = list[bpy.types.Object]
 
+NAMED = 2
+"""Missing files that are named."""
 TRUE_COLOURS = ("Standard", "Raw")
 """View transforms that show the photos' colours."""
 
@@ -52,13 +54,15 @@ class ResultPanel(SidebarPanel):
         _draw_objects(layout.column(align=True), splats, shown_levels(scene), names)
         _draw_as_points(layout, splats)
         for path, problem in viewport.problems().items():
+            if path and not run_facts.is_file(Path(path)):
+                continue  # the next line says it
             named = not path or path in problem
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine archives files.
         if not current.busy() and (missing := run_facts.missing_splats(scene)):
-            listed = ", ".join(missing)
-            told = f"Missing splat files: {listed}. Train, or set the Run Folder and load results"
-            show.wrong(layout, told)
+            more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
+            listed = ", ".join(missing[:NAMED]) + more
+            show.wrong(layout, f"Missing splat files: {listed}. Set the Run Folder, or train")
         _draw_results(layout, scene)
         if splats:
             _draw_render(layout, scene)
@@ -132,6 +136,11 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         column.operator(CompareResults.bl_idname, icon="ARROW_LEFTRIGHT")
         size = text.in_gb(sum(result.size for result in results))
         column.label(text=f"Earlier results, {size} in total")
+    sides = {result.settings.max_side for result in results if result.psnr}
+    if last.psnr:
+        sides.add(last.settings.max_side)
+    if len(sides) > 1:
+        show.say(layout, "PSNR compares results of one photo size only", "INFO")
     for result in results:
         made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
         title = run_settings.title(result.settings)
@@ -159,7 +168,7 @@ def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         show.wrong(layout, problem)
     view = scene.view_settings
     if view is not None and view.view_transform not in TRUE_COLOURS:
-        show.todo(layout, "Colours differ from the photos'")
+        show.todo(layout, "For the photos' colours, choose the Standard view transform")
         layout.prop(view, "view_transform")
     row = layout.row(align=True)
     row.operator("render.render", text="Render", icon="RENDER_STILL").use_viewport = True
