@@ -230,3 +230,20 @@ def test_psnr_of_other_sizes_is_not_compared(blender: ModuleType, run) -> None:
     (archived / "settings.json").write_text(json.dumps({"max_side": 320}))
     assert "25.0 dB at 320 px on 1 test photo" in text()
     assert "one photo size only" in text()
+
+
+def test_the_label_of_test_photos_says_what_the_number_is(
+    blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from types import SimpleNamespace
+
+    from roigs_addon.ui import layout
+    from roigs_addon.ui.train import TrainSettingsPanel
+
+    labels: list[str] = []
+    column = SimpleNamespace(prop=lambda *_, text="": labels.append(text))
+    monkeypatch.setattr(layout, "setting_column", lambda _: column)
+    for number in (0, 8):
+        run[0].roigs.test_every = number
+        said(blender, TrainSettingsPanel)
+    assert list(filter(None, labels)) == ["Test Photos (none)", "Test: One Photo in"]
