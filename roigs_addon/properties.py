@@ -275,7 +275,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="Test Photos",
         default=0,
         min=0,
-        description="Keep every n-th photo of a box out of training, to measure with; 0: none",
+        description="Keep one photo in so many out of training, to measure with: 8 is one in eight;"
+        " 0: none",
     )
     excluded: CollectionProperty(
         type=RoigsExcludedPhoto, description="Photos that are neither selected nor trained on"

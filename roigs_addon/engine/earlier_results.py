@@ -45,7 +45,8 @@ def earlier_results(run: Path) -> list[EarlierResult]:
             size = clean_up.disk_size([folder])
         except OSError:
             continue  # not complete, or being moved right now
-        settings, psnr = run_settings.read(folder), report.psnr(folder)
+        settings = run_settings.read(folder)
+        psnr = report.psnr(folder, settings.max_side)
         found.append(
             EarlierResult(folder=folder, made=made, size=size, settings=settings, psnr=psnr)
         )

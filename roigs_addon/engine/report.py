@@ -7,11 +7,12 @@ from pathlib import Path
 from ..shared import EngineError, files, run_files, text
 
 
-def psnr(folder: Path) -> str:
-    """'27.4 dB on 5 test photos', the mean of all boxes; empty if it was not measured.
+def psnr(folder: Path, side: int | None = None) -> str:
+    """'27.4 dB at 640 px on 5 test photos', the mean of all boxes; empty if it was not measured.
 
     Args:
         folder: a run folder, or an archived result.
+        side: longest side of the photos, if known: it decides what a PSNR is worth.
     """
     try:
         report = files.read_json(folder / run_files.REPORT_DATA)
@@ -20,4 +21,5 @@ def psnr(folder: Path) -> str:
         photos = text.counted(len(report["test_views"]), f"{report.get('photos', 'test')} photo")
     except (EngineError, KeyError, TypeError, ValueError, IndexError):
         return ""
-    return f"{sum(values) / len(values):.1f} dB on {photos}" if values else ""
+    size = f" at {side} px" if side else ""
+    return f"{sum(values) / len(values):.1f} dB{size} on {photos}" if values else ""

@@ -16,13 +16,22 @@ CELLS = 24  # along the longest side, in which points are counted; fewer for few
 PER_CELL = 2.25  # points per cell, if they all lay on one face of the cube of cells
 SPARSE = 0.1  # of the usual number of points around a point: with fewer it is an outlier
 MARGIN = 0.02  # of the size, added at each side
+TELLING = 3  # points that a part must be expected to have, so that having none shows it is empty:
+# by Poisson's law, 95 % of such parts have some
+UNSURE = 0.05  # of the size: if a part so large may well have no points, they are too few to trust
 AROUND = 2.0  # the floor is looked for this far around the box, in half sides
 BELOW = 3.0  # and this far below its centre, in half its longest side
 STEP = 0.02  # resolution of the floor's height, likewise
 
 
-def tight(points: Vectors) -> Bounds | None:
-    """The bounds of points (N, 3) without outliers, which have few others near; None if too few."""
+def tight(points: Vectors, half_sides: Vectors | None = None) -> Bounds | None:
+    """The bounds of points (N, 3) without outliers, which have few others near; None if too few.
+
+    Args:
+        points: to fit to.
+        half_sides: of a box around the whole thing. Where the outermost points are far apart, as
+            on a smooth part, the thing may go on beyond them: there less of the box is cut off.
+    """
     if len(points) < FEWEST:
         return None
     dense = points[_is_dense(points)]
@@ -30,7 +39,19 @@ def tight(points: Vectors) -> Bounds | None:
         return None
     low, high = dense.min(axis=0), dense.max(axis=0)
     margin = MARGIN * np.maximum(high - low, (high - low).max() * 0.1)
-    return low - margin, high + margin
+    outer_low, outer_high = low - margin, high + margin
+    if half_sides is not None:
+        ordered = np.sort(dense, axis=0)
+        low -= ordered[TELLING] - ordered[0]
+        high += ordered[-1] - ordered[-1 - TELLING]
+        outer_low = np.minimum(outer_low, np.maximum(low, -half_sides))
+        outer_high = np.maximum(outer_high, np.minimum(high, half_sides))
+    return outer_low, outer_high
+
+
+def is_unsure(points: Vectors) -> bool:
+    """Whether points (N, 3) are so few that a thing may be larger than they show."""
+    return len(points) * UNSURE < TELLING
 
 
 def _is_dense(points: Vectors) -> NDArray[np.bool_]:
@@ -43,7 +64,9 @@ def _is_dense(points: Vectors) -> NDArray[np.bool_]:
     np.add.at(counts, tuple(cells.T), 1)
     around = sum(counts[tuple((cells + shift).T)] for shift in product((-1, 0, 1), repeat=3))
     others = np.asarray(around) - 1
-    return np.asarray(others >= max(1.0, SPARSE * float(np.median(others))))
+    # Of few points, most may be on a textured part: the others are no outliers for that.
+    usual = 0.0 if is_unsure(points) else SPARSE * float(np.median(others))
+    return np.asarray(others >= max(1.0, usual))
 
 
 def floor(points: Vectors, half_sides: Vectors, up: int, sign: int) -> float | None:

@@ -126,9 +126,12 @@ timer = Timer(_poll, POLL_SECONDS, persistent=True)
 
 @persistent
 def _after_load(*_: object) -> None:
-    """A loaded file has ended the operator that listened to Esc."""
+    """A loaded file has ended the operator that listened to Esc, and ended jobs are of another."""
+    global job
     if job is not None:
         job.hears_esc = False
+        if job.finished:
+            job = None
 
 
 def register() -> None:

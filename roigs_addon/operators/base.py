@@ -136,8 +136,8 @@ class EngineOperator(bpy.types.Operator):
         job = self._job
         if job.result is not None:
             if job.result.failed:
-                # An error would pop up over the panel, which shows the message anyway.
-                tell(self, "WARNING", job.result.message)
+                # An error would pop up over the panel, which has the whole message.
+                tell(self, "WARNING", f"{job.spec.title} failed: see the tab ROI-GS (N)")
                 return {"CANCELLED", "PASS_THROUGH"}
             if not job.result.stopped:
                 self._tell(job)

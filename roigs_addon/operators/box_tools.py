@@ -14,7 +14,7 @@ from ..errors import AddonError
 from ..geometry import fitting
 from ..scene import box_faces, clouds, lookup, rois
 from . import mouse
-from .base import FRESH, NO_BOX, available, box_problem, failed
+from .base import FRESH, NO_BOX, available, box_problem, failed, tell
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult
@@ -70,15 +70,18 @@ class FitToPoints(BoxTool):
             edited.update_from_editmode()
             placed = box_faces.to_frame(roi, rois.selected_vertices(edited))
             bpy.ops.object.mode_set(mode="OBJECT")
+            bounds = fitting.tight(placed)
             where = "selected. Select more"
         else:
             placed = box_faces.to_frame(roi, _sparse_points(scene_of(context)))
             placed = placed[(np.abs(placed) <= shape.half).all(axis=1)]
+            bounds = fitting.tight(placed, shape.half)
             where = f"in '{roi.name}'. Enlarge or move it"
-        bounds = fitting.tight(placed)
         if bounds is None:
             raise AddonError(f"There are too few points {where}.")
         box_faces.set_bounds(roi, shape, *bounds)
+        if fitting.is_unsure(placed):
+            tell(self, "WARNING", f"Fitted to {len(placed)} points only: check each face")
 
 
 class SnapToFloor(BoxTool):

@@ -58,7 +58,8 @@ def _describe(layout: bpy.types.UILayout, roi: bpy.types.Object, scene: bpy.type
         return
     points, photos = found
     if not points:
-        show.wrong(layout, "Empty: it contains no points of the model")
+        if lookup.points(scene) is not None:  # else step 1 says what is missing
+            show.wrong(layout, "Empty: no points of the model are in it")
         return
     seen = "" if photos is None else f", seen in {text.counted(photos, 'photo')}"
     show.done(layout, f"{text.counted(points, 'point')}{seen}")

@@ -32,6 +32,8 @@ from .layout import SidebarPanel
 
 Objects = list[bpy.types.Object]
 
+NAMED = 2
+"""Missing files that are named."""
 TRUE_COLOURS = ("Standard", "Raw")
 """View transforms that show the photos' colours."""
 
@@ -56,6 +58,8 @@ class ResultPanel(SidebarPanel):
         _draw_objects(layout.column(align=True), scene, names)
         _draw_as_points(layout, items)
         for path, problem in viewport.problems().items():
+            if path and not run_facts.is_file(Path(path)):
+                continue  # the next line says it
             named = not path or path in problem
             show.wrong(layout, problem if named else f"{Path(path).name}: {problem}")
         # While it trains, the engine archives files.
@@ -74,12 +78,13 @@ class ResultPanel(SidebarPanel):
 def _missing_in_words(scene: bpy.types.Scene, names: list[str]) -> str:
     """Whose files are missing, where they were, and what helps in this scene."""
     files = [object_props(scene.objects[name]).ply for name in names]
-    folders = {str(Path(file).parent) for file in files}
-    where = files[0] if len(files) == 1 else ", ".join(sorted(folders))
-    helps = "Put them back where they were"
-    if scene_props(scene).colmap:
-        helps += ", train, or set the Run Folder and load results"
-    return f"Missing splat files: {', '.join(names)} ({where}). {helps}"
+    folders = sorted({str(Path(file).parent) for file in files})
+    where = files[0] if len(files) == 1 else ", ".join(folders)
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    helps = "Put them back" + (
+        ", set the Run Folder, or train" if scene_props(scene).colmap else ""
+    )
+    return f"Missing splat files: {', '.join(names[:NAMED])}{more} ({where}). {helps}"
 
 
 def _draw_objects(
@@ -145,6 +150,11 @@ def _draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         column = layout.column(align=True)
         size = text.in_gb(sum(result.size for result in results))
         column.label(text=f"Earlier results, {size} in total")
+    sides = {result.settings.max_side for result in results if result.psnr}
+    if last.psnr:
+        sides.add(last.settings.max_side)
+    if len(sides) > 1:
+        show.say(layout, "PSNR compares results of one photo size only", "INFO")
     for result in results:
         made = time.strftime("%d %b %Y, %H:%M", time.localtime(result.made))
         title = run_settings.title(result.settings)
@@ -174,7 +184,7 @@ def _draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         layout.operator(ShowInRenders.bl_idname, icon="RENDER_STILL")
     view = scene.view_settings
     if view is not None and view.view_transform not in TRUE_COLOURS:
-        show.todo(layout, "Colours differ from the photos'")
+        show.todo(layout, "For the photos' colours, choose the Standard view transform")
         layout.prop(view, "view_transform")
     row = layout.row(align=True)
     row.operator("render.render", text="Render", icon="RENDER_STILL").use_viewport = True

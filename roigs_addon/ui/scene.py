@@ -9,6 +9,7 @@ import bpy
 from ..blender import layout_of, mesh_of, registration, scene_of
 from ..facts import photo_names
 from ..geometry.photo import Photo
+from ..jobs import current
 from ..jobs.import_job import project_name
 from ..jobs.spec import IMPORTING, REFINING
 from ..operators.scene import ImportColmap, LookThrough, RefineCameras
@@ -48,7 +49,7 @@ class ScenePanel(SidebarPanel):
             row.prop(cloud, "hide_viewport", text="", emboss=False)
         exclusions.counted(layout, scene)
         exclusions.weak(layout, scene)
-        if props.skipped:
+        if props.skipped and not _skipping_is_said():
             show.wrong(layout, f"Skipped: {props.skipped}")
         row = layout.row(align=True)
         name, photo = photo_at_hand(context), _photo(context)
@@ -64,6 +65,12 @@ def photo_at_hand(context: bpy.types.Context) -> str:
     """The text of the button between the arrows: the photo that it looks through."""
     photo = _photo(context)
     return photo_names.short_name(scene_of(context), photo.name) if photo else "Look Through"
+
+
+def _skipping_is_said() -> bool:
+    """Whether the warnings of the import, which are above, name the skipped photos."""
+    state = current.state()
+    return state.title == IMPORTING and any(w.startswith("Skipped") for w in state.warnings)
 
 
 def _photo(context: bpy.types.Context) -> Photo | None:

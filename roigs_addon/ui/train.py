@@ -93,9 +93,14 @@ class TrainSettingsPanel(SidebarPanel):
         """Steps, strategy, test photos, seed, run folder."""
         layout, scene = layout_of(self), scene_of(context)
         column = show.setting_column(layout)
-        for name in ("steps_factor", "strategy", "test_every", "seed", "run_dir"):
-            column.prop(scene_props(scene), name)
-        if not scene_props(scene).run_dir:
+        props = scene_props(scene)
+        for name in ("steps_factor", "strategy"):
+            column.prop(props, name)
+        label = "Test: One Photo in" if props.test_every else "Test Photos (none)"
+        column.prop(props, "test_every", text=label)
+        for name in ("seed", "run_dir"):
+            column.prop(props, name)
+        if not props.run_dir:
             show.say(layout, str(run_folders.run_folder(scene)), "FILE_FOLDER")
 
 

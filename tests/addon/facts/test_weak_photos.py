@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from types import ModuleType
 
 import numpy as np
@@ -15,8 +16,6 @@ pytestmark = pytest.mark.blender
 def test_they_are_named_until_they_are_excluded(
     blender: ModuleType, run, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    import shutil
-
     from roigs_addon.facts import weak_photos
     from roigs_addon.ui.scene import ScenePanel
 

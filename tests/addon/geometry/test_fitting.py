@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roigs_addon.geometry.fitting import floor, tight
+from roigs_addon.geometry.fitting import floor, is_unsure, tight
 
 RANDOM = np.random.default_rng(0)
 
@@ -64,3 +64,23 @@ def test_the_floor_is_where_the_table_is(up: int, sign: int) -> None:
 def test_nothing_around_is_no_floor() -> None:
     thing = RANDOM.uniform(-0.4, 0.4, (500, 3))
     assert floor(thing, np.array([0.5, 0.5, 0.5]), 2, 1) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_smooth_parts_are_not_cut_off(seed: int) -> None:
+    """A vase: many points on its foot, a few on its glaze, none on its rim."""
+    random = np.random.default_rng(seed)
+    foot = random.uniform((-0.3, -0.3, -1), (0.3, 0.3, -0.8), (40, 3))
+    glaze = random.uniform((-0.3, -0.3, -0.8), (0.3, 0.3, 1), (8, 3))
+    half = np.array([0.4, 0.4, 1.1])
+    points = np.concatenate([foot, glaze])
+    low, high = tight(points, half)
+    assert high[2] > 0.85 and (high <= half).all() and (low >= -half * 1.05).all()
+    assert low[2] == pytest.approx(-1, abs=0.1)  # there the points are near one another
+    assert high[2] >= tight(points)[1][2]
+
+
+def test_many_points_are_fitted_as_before() -> None:
+    thing = RANDOM.uniform(-1, 1, (5000, 3))
+    np.testing.assert_allclose(tight(thing, np.full(3, 1.5)), tight(thing), atol=0.01)
+    assert not is_unsure(thing) and is_unsure(thing[:50])

@@ -69,6 +69,19 @@ def test_fit(blender: ModuleType, table) -> None:
     lookup.box(table, blender.context.scene)  # still a box
 
 
+def test_a_fit_to_few_points_is_warned_of(
+    blender: ModuleType, addon: ModuleType, capfd: pytest.CaptureFixture[str]
+) -> None:
+    blender.ops.roigs.add_roi()
+    cloud = points_of(blender, None, np.random.default_rng(0).uniform(-0.5, 0.5, (30, 3)))
+    blender.ops.roigs.fit_box()
+    assert "Fitted to 30 points only: check each face" in capfd.readouterr().out
+    blender.data.objects.remove(cloud)
+    points_of(blender, None, np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3)))
+    blender.ops.roigs.fit_box()
+    assert "check each face" not in capfd.readouterr().out
+
+
 def test_a_box_that_a_constraint_turns(blender: ModuleType, table) -> None:
     target = blender.data.objects.new("target", None)
     blender.context.scene.collection.objects.link(target)

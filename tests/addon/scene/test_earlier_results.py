@@ -111,7 +111,7 @@ def test_the_panel_lists_them(blender: ModuleType, run) -> None:
     texts = said(blender, ResultPanel)
     assert "Earlier results, 1 MB in total" in texts
     assert "Standard, 960 px" in texts
-    assert "27.4 dB on 2 test photos, " in " ".join(texts)
+    assert "27.4 dB at 960 px on 2 test photos, " in " ".join(texts)
     (found,) = run_facts.earlier(scene)
     assert found.folder == place
     assert found.size == sum(f.stat().st_size for f in place.rglob("*.*"))

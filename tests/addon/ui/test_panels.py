@@ -56,7 +56,8 @@ def test_missing_files_are_named(blender: ModuleType, run) -> None:
     assert run_facts.missing_splats(scene) == []
     moved = folder.rename(folder.with_name("moved"))
     assert run_facts.missing_splats(scene) == ["Background", "thing Gaussians", "thing coarse"]
-    assert any("Missing splat files: Background" in text for text in said(blender, ResultPanel))
+    told = " ".join(said(blender, ResultPanel))
+    assert "Missing splat files: Background, thing Gaussians and 1 more" in told
     scene.roigs.run_dir = str(moved)
     blender.ops.roigs.load_results()
     assert run_facts.missing_splats(scene) == []
@@ -69,10 +70,10 @@ def test_what_renders_lack_is_said(blender: ModuleType, run) -> None:
     scene, _ = run
     blender.ops.roigs.load_results()
     scene.view_settings.view_transform = "AgX"
-    assert any("Colours differ" in text for text in said(blender, ResultPanel))
+    assert "choose the Standard view transform" in " ".join(said(blender, ResultPanel))
     scene.view_settings.view_transform = "Standard"
     texts = said(blender, ResultPanel)
-    assert not any("Colours differ" in text or "Renders lack" in text for text in texts)
+    assert not any("view transform" in text or "Renders lack" in text for text in texts)
     scene.render.use_compositing = False
     assert any("Switch on" in text for text in said(blender, ResultPanel))
     scene.render.use_compositing = True
@@ -154,3 +155,95 @@ def test_folders_that_cannot_be_looked_at(blender: ModuleType, run, tmp_path: Pa
     from roigs_addon.engine import environments
 
     assert environments.made([Path(strange)]) == []
+
+
+def test_a_missing_file_is_said_once(
+    blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon import viewport
+    from roigs_addon.ui.result import ResultPanel
+
+    blender.ops.roigs.load_results()
+    there, gone = (str(run[1] / name) for name in ("result.ply", "gone.ply"))
+    problems = {there: "it is damaged", gone: f"There is no file {gone}"}
+    monkeypatch.setattr(viewport, "problems", lambda: problems)
+    text = " ".join(said(blender, ResultPanel))
+    assert "it is damaged" in text and "gone.ply" not in text
+
+
+def test_skipped_photos_are_said_once(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.ui.scene import ScenePanel
+    from tests.addon.colmap_project import write_project
+    from tests.addon.scenes import imported
+
+    folder = write_project(tmp_path / "garden")
+    (folder / "images" / "photo 3.png").unlink()
+    imported(blender, folder)
+    for _ in range(2):  # first the import's own warning, then what the scene remembers
+        assert " ".join(said(blender, ScenePanel)).count("Skipped") == 1
+        current.job = None
+
+
+def test_what_a_job_said_is_gone_with_its_file(blender: ModuleType, run) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.ui.scene import ScenePanel
+
+    current.state().error = "Something is wrong."
+    assert any("Something is wrong." in text for text in said(blender, ScenePanel))
+    blender.ops.wm.read_homefile(use_empty=True)
+    assert current.state().title == ""
+    assert not any("Something is wrong." in text for text in said(blender, ScenePanel))
+
+
+def test_a_box_without_a_model_is_not_called_empty(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon.ui.boxes import BoxesPanel
+
+    blender.ops.roigs.add_roi()
+    blender.context.view_layer.update()
+    assert not any("Empty" in text for text in said(blender, BoxesPanel))
+
+
+def test_psnr_of_other_sizes_is_not_compared(blender: ModuleType, run) -> None:
+    import json
+    import shutil
+
+    from roigs_addon.shared import run_files
+    from roigs_addon.ui.result import ResultPanel
+
+    folder = run[1]
+    report = {"test_views": ["1"], "rois": [{"rows": [{"roi_psnr": 25}]}]}
+    (folder / "report.json").write_text(json.dumps(report))
+    (folder / "settings.json").write_text(json.dumps({"preset": "draft", "max_side": 640}))
+    archived = folder / "archive" / "results-1"
+    for file in (run_files.RESULT, run_files.BACKGROUND, "report.json", "settings.json"):
+        (archived / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(folder / file, archived / file)
+
+    def text() -> str:
+        return " ".join(said(blender, ResultPanel))
+
+    assert "25.0 dB at 640 px on 1 test photo" in text()
+    assert "one photo size only" not in text()
+    (archived / "settings.json").write_text(json.dumps({"max_side": 320}))
+    assert "25.0 dB at 320 px on 1 test photo" in text()
+    assert "one photo size only" in text()
+
+
+def test_the_label_of_test_photos_says_what_the_number_is(
+    blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from types import SimpleNamespace
+
+    from roigs_addon.ui import layout
+    from roigs_addon.ui.train import TrainSettingsPanel
+
+    labels: list[str] = []
+    column = SimpleNamespace(prop=lambda *_, text="": labels.append(text))
+    monkeypatch.setattr(layout, "setting_column", lambda _: column)
+    for number in (0, 8):
+        run[0].roigs.test_every = number
+        said(blender, TrainSettingsPanel)
+    assert list(filter(None, labels)) == ["Test Photos (none)", "Test: One Photo in"]
