@@ -142,13 +142,9 @@ def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:
 
 def turned(arrays: Arrays, matrix: Float64) -> Arrays:
     """The model after a rotation; bit for bit the same if that changes nothing."""
-    from ..model.gaussians import Gaussians
-    from ..rasterize.placed import PlacedModel
+    from ..exchange.moved import moved
 
-    if (matrix == np.eye(4)).all():
-        return arrays
-    gaussians, frame = Gaussians.framed(_drawable(arrays))
-    return _merged([PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)])
+    return arrays if (matrix == np.eye(4)).all() else moved(_drawable(arrays), matrix)
 
 
 def _drawable(arrays: Arrays) -> Arrays:

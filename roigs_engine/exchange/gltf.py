@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ..formats.files import atomic_write
 from ..model.gaussians import SH_C0
+from ..model.scene import Float64
 from .arrays import Arrays, logits, opacities, unit_quats
 from .damage import damaged, reading
+from .moved import moved
 from .packages import package
 
 TITLE = "glTF"
@@ -102,7 +105,7 @@ def _sh_name(degree: int, number: int) -> str:
 
 
 def read(path: Path) -> Arrays:
-    """Read the Gaussians of a GLB with one such primitive, whose node is not moved.
+    """Read the Gaussians of a GLB with one such primitive, where its node has them.
 
     Raises:
         RunFolderError: the file is damaged, or has none.
@@ -111,14 +114,14 @@ def read(path: Path) -> Arrays:
     record, blob = _parts(path)
     with reading(path, TITLE):
         found = [
-            primitive["attributes"]
-            for mesh in record.get("meshes", [])
+            (number, primitive["attributes"])
+            for number, mesh in enumerate(record.get("meshes", []))
             for primitive in mesh["primitives"]
             if NAME in primitive.get("extensions", {})
         ]
         if len(found) != 1:
             raise damaged(path, TITLE, f"{len(found)} primitives with {NAME}, not one")
-        (at,) = found
+        ((mesh, at),) = found
 
         def get(name: str) -> NDArray[np.float32]:
             if name not in at:
@@ -128,13 +131,45 @@ def read(path: Path) -> Arrays:
         sh = [_sh_name(degree, number) for degree, number in _coefficients(16)]
         there = next((k for k, name in enumerate(sh) if name not in at), len(sh))
         bands = max((k for k in (1, 4, 9, 16) if k <= there), default=1)
-        return {
+        arrays = {
             "means": get("POSITION"),
             "quats": np.roll(get(f"{NAME}:ROTATION"), 1, axis=1),
             "log_scales": np.log(np.maximum(get(f"{NAME}:SCALE"), 1e-30)),
             "logit_opacities": logits(get(f"{NAME}:OPACITY").reshape(-1)),
             "sh": np.stack([get(name) for name in sh[:bands]], axis=1),
         }
+        return moved(arrays, _transform(record, mesh))
+
+
+def _transform(record: dict[str, Any], mesh: int) -> Float64:
+    """(4, 4) from a mesh to the scene."""
+    nodes = record.get("nodes", [])
+    shown = [number for number, node in enumerate(nodes) if node.get("mesh") == mesh]
+    if len(shown) > 1:
+        raise ValueError(f"its Gaussians are shown {len(shown)} times, not once")
+    parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
+    matrix = np.eye(4)
+    number = shown[0] if shown else None
+    for _ in nodes:
+        if number is None:
+            break
+        matrix = _node_matrix(nodes[number]) @ matrix
+        number = parents.get(number)
+    if number is not None and nodes:
+        raise ValueError("its nodes form a circle")
+    return matrix
+
+
+def _node_matrix(node: dict[str, Any]) -> Float64:
+    """(4, 4) from a node to its parent."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    if "rotation" in node:
+        matrix[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
+    matrix[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
+    matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
+    return matrix
 
 
 def _parts(path: Path) -> tuple[dict[str, Any], bytes]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.files import atomic_write
+from ..model.scene import Float64
 from .arrays import Arrays, Float32, in_morton_order, opacities, unit_quats
 from .compressed_ply import arrays_of
 from .damage import reading, refuse_bomb
@@ -23,9 +24,13 @@ from .packages import package
 
 TITLE = "SOG"
 CODES = 256  # numbers that a codebook has
-PALETTE = 4096  # sets of SH coefficients that Gaussians share, at most
+BINS = 4096  # of a histogram of values
+PALETTE = 65_536  # sets of SH coefficients that Gaussians share, at most
+EACH = 5  # Gaussians in a set, on average, at least
+GROUPS = 256  # that are divided into sets on their own: k-means of all sets would take far longer
 ACROSS = 64  # sets in a row of the picture of the palette
-SAMPLE = 40_000  # rows that palettes are fitted to
+SAMPLE = 40_000  # rows that groups are fitted to
+ROUNDS = 8  # of k-means
 MOST = 50_000_000  # Gaussians
 MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
 MOST_META = 16 << 20  # bytes
@@ -42,8 +47,9 @@ def write(path: Path, arrays: Arrays) -> None:
     arrays = in_morton_order(arrays)
     count, side = len(arrays["means"]), int(np.ceil(np.sqrt(len(arrays["means"]))))
     low, high, bounds = _positions(arrays["means"].astype(np.float64))
-    scales, scale_codes = _coded(arrays["log_scales"].astype(np.float32))
-    colours, colour_codes = _coded(arrays["sh"][:, 0].astype(np.float32))
+    weights = _weights(arrays)
+    scales, scale_codes = _coded(arrays["log_scales"].astype(np.float32), weights)
+    colours, colour_codes = _coded(arrays["sh"][:, 0].astype(np.float32), weights)
     alpha = np.clip(np.round(opacities(arrays) * 255), 0, 255).astype(np.uint8)
     pictures = {
         "means_l.webp": _square(low, side),
@@ -63,7 +69,8 @@ def write(path: Path, arrays: Arrays) -> None:
     }
     bands = arrays["sh"].shape[1]
     if bands > 1:
-        labels, centroids, codes, used = _palette(arrays["sh"][:, 1:].astype(np.float32))
+        higher = arrays["sh"][:, 1:].astype(np.float32)
+        labels, centroids, codes, used = _palette(higher, weights)
         pictures["shN_centroids.webp"] = centroids
         pictures["shN_labels.webp"] = _square(labels, side)
         meta["shN"] = {
@@ -76,6 +83,15 @@ def write(path: Path, arrays: Arrays) -> None:
         packed.writestr("meta.json", json.dumps(meta))
         for name, picture in pictures.items():
             packed.writestr(name, _webp(picture))
+
+
+def _weights(arrays: Arrays) -> Float32:
+    """(N,) how much of each Gaussian is seen, roughly."""
+    sizes = np.sort(arrays["log_scales"].astype(np.float64), axis=1)
+    area = np.exp(np.clip((sizes[:, 1] + sizes[:, 2]) / 2, -30, 30))
+    seen = opacities(arrays) * area
+    weights: Float32 = np.maximum(seen / max(float(seen.mean()), 1e-30), 1e-3).astype(np.float32)
+    return weights
 
 
 def _positions(means: NDArray[np.float64]) -> tuple[Bytes, Bytes, dict[str, list[float]]]:
@@ -98,51 +114,97 @@ def _rotations(quats: Float32) -> Bytes:
     return np.column_stack((coded, 252 + largest)).astype(np.uint8)
 
 
-def _coded(values: Float32) -> tuple[Bytes, list[float]]:
-    """Values as numbers of a codebook's entries: its quantiles, with the ends."""
-    codes = _codebook(values.reshape(-1))
+def _coded(values: Float32, weights: Float32 | None = None) -> tuple[Bytes, list[float]]:
+    """Values (N, ...) as numbers of a codebook's entries; `weights` (N,) say which count more."""
+    if weights is None:
+        weights = np.ones(len(values), np.float32)
+    each = np.repeat(weights, values[0].size)
+    codes = _codebook(values.reshape(-1).astype(np.float64), each.astype(np.float64))
     middles = (codes[1:] + codes[:-1]) / 2
     return np.searchsorted(middles, values).astype(np.uint8), codes.tolist()
 
 
-def _codebook(values: Float32) -> NDArray[np.float64]:
-    """(CODES,) sorted numbers that stand for all: a one-dimensional k-means from the quantiles."""
-    ordered = np.sort(values).astype(np.float64)
-    codes = np.quantile(ordered, (np.arange(CODES) + 0.5) / CODES)
+def _codebook(values: Float64, weights: Float64) -> Float64:
+    """(CODES,) sorted numbers that stand for all: a one-dimensional k-means.
+
+    It starts with codes as dense as the cube root of the values' density, which is best for many
+    codes: by quantiles, the few large values would get hardly any.
+    """
+    order = np.argsort(values)
+    ordered, weights = values[order], weights[order]
+    density, edges = np.histogram(ordered, BINS, weights=weights)
+    reached = np.concatenate(([0.0], np.cumsum(np.cbrt(density))))
+    codes: Float64 = np.interp((np.arange(CODES) + 0.5) / CODES * reached[-1], reached, edges)
     codes[0], codes[-1] = ordered[0], ordered[-1]
-    sums = np.concatenate(([0.0], np.cumsum(ordered)))
+    sums = np.concatenate(([0.0], np.cumsum(ordered * weights)))
+    counts = np.concatenate(([0.0], np.cumsum(weights)))
     for _ in range(20):
         cuts = np.searchsorted(ordered, (codes[1:] + codes[:-1]) / 2)
-        edges = np.concatenate(([0], cuts, [len(ordered)]))
-        number = np.diff(edges)
-        means = np.diff(sums[edges]) / np.maximum(number, 1)
-        codes = np.sort(np.where(number > 0, means, codes))
+        ends = np.concatenate(([0], cuts, [len(ordered)]))
+        number = np.diff(counts[ends])
+        means = np.diff(sums[ends]) / np.maximum(number, 1e-30)
+        codes = np.sort(np.where(np.diff(ends) > 0, means, codes))
     return codes
 
 
-def _palette(sh: Float32) -> tuple[Bytes, Bytes, list[float], int]:
-    """Labels (N, 3), the picture of the palette, its codebook, and how many sets it has."""
-    cluster: Any = package("sklearn.cluster", "scikit-learn", TITLE)
+def _palette(sh: Float32, weights: Float32) -> tuple[Bytes, Bytes, list[float], int]:
+    """Labels (N, 3), the picture of the palette, its codebook, and how many sets it has.
+
+    Args:
+        sh: (N, K, 3) above degree 0.
+        weights: (N,) how much of a Gaussian is seen.
+    """
     rows = sh.reshape(len(sh), -1)
-    wanted = int(min(PALETTE, max(ACROSS, 2 ** np.floor(np.log2(max(len(rows) / 16, 1))))))
-    random = np.random.default_rng(0)
-    sample = rows[random.permutation(len(rows))[:SAMPLE]]
-    wanted = min(wanted, len(sample))
-    found = cluster.MiniBatchKMeans(
-        wanted, batch_size=8 * wanted, n_init=1, max_iter=20, init="random", random_state=0
-    ).fit(sample)
-    labels = np.concatenate([found.predict(part) for part in np.array_split(rows, _parts(rows))])
-    numbers, codes = _coded(found.cluster_centers_.astype(np.float32))
-    bands = sh.shape[1]
-    picture = np.zeros((-(-wanted // ACROSS) * ACROSS, bands, 3), np.uint8)
-    picture[:wanted] = numbers.reshape(wanted, bands, 3)
+    labels, centres = _clusters(rows, weights)
+    used, bands = len(centres), sh.shape[1]
+    numbers, codes = _coded(centres)
+    picture = np.zeros((-(-used // ACROSS) * ACROSS, bands, 3), np.uint8)
+    picture[:used] = numbers.reshape(used, bands, 3)
     centroids = picture.reshape(-1, ACROSS * bands, 3)
     split = np.column_stack((labels & 255, labels >> 8, np.zeros_like(labels)))
-    return split.astype(np.uint8), centroids, codes, wanted
+    return split.astype(np.uint8), centroids, codes, used
 
 
-def _parts(rows: Float32) -> int:
-    return -(-len(rows) // SAMPLE)
+def _clusters(rows: Float32, weights: Float32) -> tuple[NDArray[np.int64], Float32]:
+    """The set of each row (N,), and the sets (at most PALETTE, D): k-means in two steps.
+
+    A group of similar rows gets sets by how far they are spread, and by how much they are seen.
+    """
+    random = np.random.default_rng(0)
+    wanted = int(np.clip(len(rows) // EACH, 1, PALETTE))
+    sample = random.permutation(len(rows))[:SAMPLE]
+    groups = min(GROUPS, wanted)
+    group = _means(rows[sample], weights[sample], groups).predict(rows)
+    members = [np.flatnonzero(group == k) for k in range(groups)]
+    spread = np.array([_spread(rows[m], weights[m]) for m in members])
+    shares = np.array([len(m) for m in members]) * spread
+    sizes = (shares / max(shares.sum(), 1e-30) * (wanted - groups)).astype(int) + 1
+    labels = np.zeros(len(rows), np.int64)
+    centres: list[Float32] = []
+    there = 0
+    for member, size in zip(members, sizes, strict=True):
+        if len(member):
+            found = _means(rows[member], weights[member], min(size, len(member)))
+            labels[member] = found.labels_ + there
+            centres.append(found.cluster_centers_.astype(np.float32))
+            there += len(centres[-1])
+    return labels, np.concatenate(centres)
+
+
+def _spread(rows: Float32, weights: Float32) -> float:
+    """Root of the mean weighted square of distances from the mean."""
+    if not len(rows):
+        return 0.0
+    return float(np.sqrt((np.square(rows - rows.mean(axis=0)).sum(axis=1) * weights).mean()))
+
+
+def _means(rows: Float32, weights: Float32, sets: int) -> Any:
+    cluster: Any = package("sklearn.cluster", "scikit-learn", TITLE)
+    start = np.random.default_rng(0).permutation(len(rows))[:sets]
+    model = cluster.KMeans(len(start), init=rows[start], n_init=1, max_iter=ROUNDS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # fewer different rows than sets
+        return model.fit(rows, sample_weight=weights)
 
 
 def _square(values: Bytes, side: int) -> Bytes:

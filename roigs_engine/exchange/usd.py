@@ -12,7 +12,9 @@ import numpy as np
 from ..errors import EngineError
 from ..formats.files import atomic_write
 from .arrays import Arrays, logits, opacities, unit_quats
+from .axes import turn
 from .damage import damaged, reading
+from .moved import moved
 from .packages import package
 
 TITLE = "OpenUSD"
@@ -72,14 +74,14 @@ def write(path: Path, arrays: Arrays) -> None:
 
 
 def read(path: Path) -> Arrays:
-    """Read the Gaussians of a stage with one such prim, in the frame of the stage.
+    """Read the Gaussians of a stage with one such prim, where the stage has them, y up.
 
     Raises:
         RunFolderError: the file is damaged, or has none.
         EngineError: usd-core is missing.
         OSError: it cannot be read.
     """
-    usd, *_ = _modules()
+    usd, geom, *_ = _modules()
     with reading(path, TITLE):
         stage = usd.Stage.Open(os.fspath(path), usd.Stage.LoadNone)
         prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == KIND]
@@ -96,10 +98,14 @@ def read(path: Path) -> Arrays:
         quats = np.array(
             [(q.GetReal(), *q.GetImaginary()) for q in orientations], np.float32
         ).reshape(-1, 4)
-        return {
+        arrays = {
             "means": means,
             "quats": quats,
             "log_scales": np.log(np.maximum(np.array(get("scales"), np.float32), 1e-30)),
             "logit_opacities": logits(np.array(get("opacities"), np.float32)),
             "sh": sh.reshape(len(means), bands, 3),
         }
+        # OpenUSD multiplies rows with matrices.
+        place = np.array(geom.Xformable(prims[0]).ComputeLocalToWorldTransform(0.0)).T
+        up = str(geom.GetStageUpAxis(stage)).lower()
+        return moved(arrays, turn(up, "y") @ place)

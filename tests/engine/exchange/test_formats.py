@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import struct
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError, EngineError, RunFolderError
-from roigs_engine.exchange import axes, formats, packages
+from roigs_engine.exchange import axes, formats, gltf, packages
+from roigs_engine.exchange.moved import moved
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
@@ -118,6 +123,98 @@ def test_only_what_is_in_a_box(tmp_path: Path) -> None:
     assert (read_ply(out)["means"][:, 0] >= 0).all()
 
 
+PLACE = np.eye(4)
+PLACE[:3, :3] = 0.5 * Rotation.from_rotvec([0.3, -0.2, 0.4]).as_matrix()
+PLACE[:3, 3] = 0.1, -0.2, 0.3
+
+
+def glb_with(path: Path, change: Any) -> None:
+    """A GLB whose JSON is changed."""
+    raw = path.read_bytes()
+    size = int.from_bytes(raw[12:16], "little")
+    record = json.loads(raw[20 : 20 + size])
+    change(record)
+    text = json.dumps(record).encode()
+    text += b" " * (-len(text) % 4)
+    rest = raw[20 + size :]
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    path.write_bytes(head + text + rest)
+
+
+def nodes(record: Any) -> None:
+    """The mesh's node is turned and scaled, its parent moved."""
+    turned = Rotation.from_matrix(2 * PLACE[:3, :3]).as_quat().tolist()
+    child = {"mesh": 0, "rotation": turned, "scale": [0.5] * 3}
+    moved = np.eye(4)
+    moved[:3, 3] = PLACE[:3, 3]
+    parent = {"children": [0], "matrix": moved.T.reshape(-1).tolist()}
+    record["nodes"] = [child, parent]
+    record["scenes"] = [{"nodes": [1]}]
+
+
+def test_a_gltf_node_moves_its_gaussians(tmp_path: Path) -> None:
+    pytest.importorskip("pygltflib")
+    path, values = tmp_path / "a.glb", arrays()
+    formats.write(path, values)
+    glb_with(path, nodes)
+    assert psnr(picture(formats.read(path)), picture(moved(values, PLACE))) > 60
+
+
+@pytest.mark.parametrize(
+    ("nodes", "why"),
+    [
+        ([{"mesh": 0}, {"mesh": 0}], "shown 2 times"),
+        ([{"mesh": 0, "children": [1]}, {"children": [0]}], "circle"),
+        ([{"mesh": 0, "scale": [1, 0, 1]}], "flattens"),
+        ([{"mesh": 0, "matrix": [1, 2]}], "not a whole glTF"),
+        ([{"mesh": 0, "rotation": [0, 0, 0, 0]}], "not a whole glTF"),
+        ([{"mesh": 0, "translation": [float("nan"), 0, 0]}], "none of space"),
+    ],
+)
+def test_gltf_nodes_that_make_no_sense_are_one_line(nodes: Any, why: str, tmp_path: Path) -> None:
+    pytest.importorskip("pygltflib")
+    formats.write(tmp_path / "a.glb", arrays())
+    glb_with(tmp_path / "a.glb", lambda record: record.update(nodes=nodes))
+    with pytest.raises(RunFolderError, match=why):
+        formats.read(tmp_path / "a.glb")
+
+
+def test_openusd_transforms_and_up_axis_move_the_gaussians(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Gf, Usd, UsdGeom
+
+    path, values = tmp_path / "a.usda", arrays()
+    formats.write(path, values)
+    stage = Usd.Stage.Open(str(path))
+    prim = UsdGeom.Xformable(stage.GetDefaultPrim())
+    prim.AddTransformOp().Set(Gf.Matrix4d(PLACE.T.tolist()))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.GetRootLayer().Save()
+    wanted = moved(values, axes.turn("z", "y") @ PLACE)
+    assert psnr(picture(formats.read(path)), picture(wanted)) > 60
+
+
+def test_a_validator_of_gltf_finds_nothing(tmp_path: Path) -> None:
+    """npm's gltf-validator, where NODE_PATH has it."""
+    pytest.importorskip("pygltflib")
+    there = [Path(p, "gltf-validator") for p in os.environ.get("NODE_PATH", "").split(os.pathsep)]
+    if shutil.which("node") is None or not any(path.is_dir() for path in there):
+        pytest.skip("no gltf-validator in NODE_PATH")
+    formats.write(tmp_path / "a.glb", arrays())
+    script = (
+        "require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync("
+        "process.argv[1]))).then(r => console.log(JSON.stringify(r.issues)))"
+    )
+    command = ["node", "-e", script, str(tmp_path / "a.glb")]
+    found = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    # It does not know the extension yet, so not the names of its attributes either.
+    strange = {"UNSUPPORTED_EXTENSION", "MESH_PRIMITIVE_INVALID_ATTRIBUTE"}
+    wrong = [message for message in found["messages"] if message["code"] not in strange]
+    assert not wrong
+    others = [m for m in found["messages"] if gltf.NAME not in json.dumps(m)]
+    assert not others
+
+
 def test_splat_files_have_32_bytes_each(tmp_path: Path) -> None:
     path = tmp_path / "model.splat"
     formats.write(path, arrays())
@@ -183,6 +280,28 @@ def test_what_cannot_be_drawn_is_left_out(tmp_path: Path) -> None:
     values["means"][0, 0], values["quats"][1] = np.nan, 0
     formats.write(tmp_path / "a.glb", values)
     assert len(formats.read(tmp_path / "a.glb")["means"]) == 398
+
+
+def test_sog_keeps_a_few_large_gaussians_large(tmp_path: Path) -> None:
+    """Those of a background are few; codes by quantiles made them up to a third smaller."""
+    needed(formats.format_of(tmp_path / "a.sog"))
+    values = arrays(4000)
+    random = np.random.default_rng(0)
+    values["log_scales"] = random.normal(-6, 0.7, (4000, 3)).astype(np.float32)
+    values["log_scales"][:20] = random.uniform(-2, 3, (20, 3))
+    formats.write(tmp_path / "a.sog", values)
+    large = np.sort(formats.read(tmp_path / "a.sog")["log_scales"].max(axis=1))[-20:]
+    wanted = np.sort(values["log_scales"].max(axis=1))[-20:]
+    assert np.abs(large - wanted).max() < 0.03
+
+
+def test_sog_of_equal_colours(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    needed(formats.format_of(tmp_path / "a.sog"))
+    values = arrays(1000)
+    values["sh"][:, 1:] = 0.25
+    formats.write(tmp_path / "a.sog", values)
+    assert np.abs(formats.read(tmp_path / "a.sog")["sh"][:, 1:] - 0.25).max() < 0.01
+    assert not recwarn.list
 
 
 def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
