@@ -31,7 +31,9 @@ def _say_nothing(text: str) -> None:
 
 
 @contextmanager
-def locked(folder: Path, warn: Callable[[str], None] = _say_nothing) -> Iterator[None]:
+def locked(
+    folder: Path, warn: Callable[[str], None] = _say_nothing, option: str = "--run-dir"
+) -> Iterator[None]:
     """Hold `folder`/run.lock while the block runs; `{"pid", "started", "events_from"}` is in it.
 
     `started` is in seconds since 1970; `events_from` is the size that events.jsonl had then. The
@@ -40,6 +42,7 @@ def locked(folder: Path, warn: Callable[[str], None] = _say_nothing) -> Iterator
     Args:
         folder: the run folder; created if it is missing.
         warn: told if the file system has no locks.
+        option: of the command, which names another folder.
 
     Raises:
         RunFolderError: another process holds it, or the folder cannot be written to.
@@ -48,7 +51,7 @@ def locked(folder: Path, warn: Callable[[str], None] = _say_nothing) -> Iterator
     try:
         file = _hold(path, warn)
     except BlockingIOError as error:
-        raise _in_use(path, error) from error
+        raise _in_use(path, error, option) from error
     except OSError as error:
         raise cannot_write(path, error) from error
     _held[path] = file
@@ -158,13 +161,13 @@ def _record_of_now(path: Path) -> dict[str, Any]:
     }
 
 
-def _in_use(path: Path, error: BlockingIOError) -> RunFolderError:
+def _in_use(path: Path, error: BlockingIOError, option: str) -> RunFolderError:
     """The error for a folder that another process uses."""
     record = read_record(path)
     pid, host = process.pid_of(record), process.host_of(record)
     who = f", process {pid}" if pid else ""
     where = f" on {host}" if host else ""
-    hint = "Wait for it, stop it, or choose another folder (--run-dir)."
+    hint = f"Wait for it, stop it, or choose another folder ({option})."
     if isinstance(error, MayLiveError):
         hint += f" If no engine is at work there, delete {path}."
     return RunFolderError(f"Another engine is at work in {path.parent}{who}{where}.", hint)

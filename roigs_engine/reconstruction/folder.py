@@ -84,7 +84,7 @@ class Folder:
                 raise SceneError(f"{self.root} has a model already.", "Give another --out.")
             for path in filter(os.path.lexists, self._replaced()):
                 raise SceneError(f"{path} is not of this command.", "Give another --out.")
-        with locked(self.work(), warn):
+        with locked(self.work(), warn, "--out"):
             yield
 
     def begin(self, photos: list[Photo], settings: Settings) -> str:

@@ -47,6 +47,8 @@ bpy.app.handlers.depsgraph_update_post.append(watch)
 MATCHING = f"{BUSY} and {STATE}.stage == 'matching' and {STATE}.step > {{}}"
 KILLED_AT = 120
 """Pairs that are matched when Blender is killed."""
+FRAME = ("KP_Decimal", *["KP_Subtract"] * 4)
+"""Keys that show the box beside the sidebar."""
 CUBE, NOTHING = (577, 470), (300, 800)
 """Places in the window."""
 
@@ -156,7 +158,7 @@ def train(story: Afternoon, side: int) -> None:
     def box() -> None:
         story.button("roigs.add_roi", 0.3)
         blender.until(f"len({OURS.format('ROI')}) == 1")
-        story.keys("KP_Decimal", "KP_Subtract")
+        story.keys(*FRAME)
 
     def select_cameras() -> None:
         story.button("roigs.select_cameras")
@@ -170,7 +172,7 @@ def train(story: Afternoon, side: int) -> None:
     def result() -> None:
         story.until_idle()
         blender.until(TRAINED)
-        story.keys("KP_Decimal", "KP_Subtract")
+        story.keys(*FRAME)
         story.ask("setattr(view()['area'].spaces.active.overlay, 'show_overlays', False)")
         blender.pause(5.0)
 

@@ -248,7 +248,6 @@ def test_masks_beside_the_photos_are_used(
     blender: ModuleType, addon: ModuleType, tmp_path: Path
 ) -> None:
     from roigs_addon.jobs import reconstruct_job
-    from roigs_engine.reconstruction.checks import warnings_of_matches
 
     def asked() -> list[str]:
         return reconstruct_job.spec(blender.context.scene).arguments
@@ -266,8 +265,6 @@ def test_masks_beside_the_photos_are_used(
     assert asked()[-2:] == ["--masks", props.masks]
     blender.ops.roigs.choose_photos(directory=str(tmp_path))
     assert not props.masks
-    (said,) = warnings_of_matches(["a", "b"], {}, {7: 3})
-    assert "Masks" in said and "--masks" in said
 
 
 def test_the_options_are_the_engines(blender: ModuleType, addon: ModuleType) -> None:

@@ -72,6 +72,11 @@ def test_what_all_pairs_have_in_common_is_said(kinds: dict[int, int], said: str)
     assert said in " ".join(texts) and bool(texts) == bool(said)
 
 
+def test_a_turntable_is_told_of_masks_in_the_panels_words_and_the_commands() -> None:
+    (said,) = warnings_of_matches(["a", "b"], {}, {7: 3})
+    assert "Masks" in said and "--masks" in said
+
+
 def test_each_missing_photo_has_a_reason() -> None:
     matched = {pair: 90 for pair in result().matched if set("defgh") & set("".join(pair)) == set()}
     few = result(

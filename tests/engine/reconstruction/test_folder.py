@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.context import QUIET
-from roigs_engine.errors import SceneError
+from roigs_engine.errors import RunFolderError, SceneError
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.look import Photo, look_at
 from roigs_engine.reconstruction.settings import Settings
@@ -85,6 +85,14 @@ def test_what_others_made_is_refused(tmp_path: Path, place: str) -> None:
         pass
     assert theirs.read_bytes() == b"theirs"
     assert [path.name for path in tmp_path.iterdir()] == [Path(place).parts[0]]
+
+
+def test_another_engine_in_the_folder_is_one_line(tmp_path: Path) -> None:
+    first, second = Folder(tmp_path), Folder(tmp_path)
+    with first.held(QUIET.warn), pytest.raises(RunFolderError) as error, second.held(QUIET.warn):
+        pass
+    assert "Another engine is at work" in error.value.message
+    assert "choose another folder (--out)" in error.value.hint
 
 
 def test_changed_settings_and_photos_begin_again(photos: Path, tmp_path: Path) -> None:
