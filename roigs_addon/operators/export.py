@@ -112,9 +112,9 @@ turned as they are now"""
         """Ask for the file; the file browser then calls `execute`."""
         assert context.window_manager is not None
         if not self.filepath:
-            colmap = Path(scene_props(scene_of(context)).colmap)
-            name = f"{import_job.project_name(colmap)}{self.filename_ext}"
-            self.filepath = folders.for_export() + name
+            colmap = scene_props(scene_of(context)).colmap
+            name = f"{import_job.project_name(Path(colmap))}{self.filename_ext}"
+            self.filepath = folders.for_export(colmap) + name
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

@@ -36,9 +36,10 @@ def for_boxes(colmap: str) -> str:
     return _first(before if same else "", project, before, _beside_blend())
 
 
-def for_export() -> str:
-    """Folder to export to."""
-    return _first(_last().get(EXPORT, ""), _beside_blend())
+def for_export(colmap: str) -> str:
+    """Folder to export to: where the last export went, else beside the .blend or the project."""
+    project = str(project_folder(Path(colmap)).parent) if colmap else ""
+    return _first(_last().get(EXPORT, ""), _beside_blend(), project)
 
 
 def for_gaussians() -> str:

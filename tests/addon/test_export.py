@@ -153,7 +153,18 @@ def test_the_next_file_is_offered_beside_the_last(
     from roigs_addon.operators import folders
 
     export(blender, tmp_path / "a.ply")
-    assert Path(folders.for_export()) == tmp_path
+    assert Path(folders.for_export("")) == tmp_path
+
+
+def test_the_first_file_is_offered_beside_the_project(
+    blender: ModuleType, scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.operators import folders
+
+    monkeypatch.setattr(folders, "_last", dict)
+    assert not blender.data.filepath and folders.for_export("") == ""
+    (tmp_path / "garden" / "sparse" / "0").mkdir(parents=True)
+    assert Path(folders.for_export(str(tmp_path / "garden"))) == tmp_path
 
 
 def test_without_results_there_is_nothing_to_export(blender: ModuleType, addon) -> None:

@@ -114,11 +114,14 @@ def brush(blender: Blender, button: str) -> None:
 
 def leave_and_return(blender: Blender, folder: Path, picture: Callable[..., None]) -> None:
     """Export as SPZ, then import that into an empty file."""
-    path = folder / "vase and can.spz"
+    path = folder / "objects.spz"
     blender.click(blender.find("roigs.export_gaussians", x=0.8))
     blender.until("file_browser() is not None")
     blender.pause(1.5)
-    picture("9-export", crop="1040x330+0+0")
+    blender.screen.do("mousemove", "960", "76", "click", "1")  # the list of formats
+    blender.pause(1.0)
+    picture("9-export", None, "340x330+700+0")
+    blender.press("Escape")
     blender.choose(path)
     blender.until(f"not {BUSY}", 120)
     check(f"exported {path.stat().st_size / 1e6:.1f} MB", path.is_file())

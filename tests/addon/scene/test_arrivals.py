@@ -109,7 +109,7 @@ def test_a_missing_file_is_named(blender: ModuleType, brought, engine, tmp_path:
     scene, folder = brought("append")
     file = folder / "rois" / "thing.ply"
     file.unlink()
-    told = f"Missing splat files: {NAME} ({file}). Put them back where they were"
+    told = f"Missing splat files: {NAME} ({file}). Put them back"
     assert told.replace(" ", "") in "".join(said(blender, ResultPanel)).replace(" ", "")
     assert seen_from_afar(blender, scene, tmp_path / "f12.png")[..., 3].max() == 0
     assert str(file) in rendering.problem

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -71,10 +71,10 @@ def test_the_question_says_what_it_frees(
 def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleType) -> None:
     from roigs_addon.ui import preferences
 
-    assert preferences._needed_space(False) == (
-        "Downloads about 310 MB and takes 960 MB of the disk (on Linux)."
-    )
-    assert "gigabytes" in preferences._needed_space(True)
+    for formats, size in ((False, "350 MB and takes 1100"), (True, "475 MB and takes 1620")):
+        said = preferences._needed_space(SimpleNamespace(cuda=False, formats=formats))
+        assert said == f"Downloads about {size} MB of the disk (on Linux)."
+    assert "gigabytes" in preferences._needed_space(SimpleNamespace(cuda=True))
 
 
 def test_all_versions_of_blender_share_the_environments(
