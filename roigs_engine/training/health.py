@@ -101,8 +101,6 @@ class Health:
         names = ", ".join(f"'{self._photos[k]}'" for k in worst[:NAMED])
         more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
         return (
-            f"{counted(len(worst), 'photo')} not as well matched as the others: {names}{more} (loss"
-            f" up to {least[worst[0]]:.3f}, the median is {middle:.3f}). Close-ups that no other"
-            " photo shows are fine; otherwise check that they are sharp, show this scene and have"
-            " correct poses."
+            f"{counted(len(worst), 'photo')} matched worse than the others: {names}{more} (loss up"
+            f" to {least[worst[0]]:.3f}, median {middle:.3f}). Fine for close-ups, else check them."
         )

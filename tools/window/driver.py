@@ -21,6 +21,8 @@ INSIDE = Path(__file__).with_name("inside.py")
 PROGRAMS = ("Xvfb", "xdotool", "import", "convert")
 STEP = 9
 """Pixels between places where a button is looked for; half of one's height."""
+COVERED = 26
+"""Pixels at the sidebar's top that the editor's header may cover: a click there is not its."""
 
 
 class WindowError(Exception):
@@ -200,7 +202,7 @@ class Blender:
         left, top, width, height = self.ask("sidebar()")
         column = left + int(x * width)
         for turn in range(6):
-            for y in range(top + 8, top + height - 4, STEP):
+            for y in range(top + COVERED, top + height - 4, STEP):
                 if command in self._command_at(column, y):
                     self._found[command, x] = (column, y + 3)
                     return column, y + 3

@@ -148,9 +148,9 @@ def test_a_photo_whose_loss_stays_high_is_named() -> None:
     normal = {k: 0.05 + 0.002 * k for k in range(20)}
     assert not visits(Health(names), normal).outliers()
     text = visits(Health(names), normal | {7: 0.4}).outliers()
-    assert text.startswith("1 photo not") and "'7.jpg'" in text and "(loss up to 0.4" in text
+    assert text.startswith("1 photo matched") and "'7.jpg'" in text and "(loss up to 0.4" in text
     many = visits(Health(names), normal | {k: 0.4 + k / 5 for k in range(1, 8)}).outliers()
-    assert many.startswith("7 photos not") and "'7.jpg', '6.jpg'" in many and "4 more" in many
+    assert many.startswith("7 photos matched") and "'7.jpg', '6.jpg'" in many and "4 more" in many
     once = visits(Health(names), normal)
     once.record_loss(999, 7, torch.tensor(0.4))  # on one visit only
     assert not once.outliers()
