@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,15 @@ class Afternoon:
         for key in keys:
             self.blender.press(key)
             self.blender.pause(0.4)
+
+    def save(self) -> None:
+        """Save; press again if the key was lost, as a user does who sees the asterisk."""
+        for _ in range(3):
+            self.keys("ctrl+s")
+            with suppress(WindowError):
+                self.blender.until("not bpy.data.is_dirty", 15)
+                return
+        raise WindowError("The file was not saved.")
 
     def close_render(self) -> None:
         """Close the window of the render with Escape, and go back to the 3D view."""
@@ -299,8 +309,7 @@ def second_training(story: Afternoon, side: int) -> None:
         blender.scroll(40)
 
     story.step("second-training", again)
-    story.keys("ctrl+s")
-    blender.until("not bpy.data.is_dirty")
+    story.save()
     blender.quit()
 
 
