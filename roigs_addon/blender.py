@@ -136,6 +136,20 @@ def persistent(handler: Handler) -> Handler:
     return kept
 
 
+def following(*handlers: tuple[str, Handler]) -> tuple[Registration, Registration]:
+    """What adds handlers, each with Blender's name of its event, and what removes them."""
+
+    def follow() -> None:
+        for event, handler in handlers:
+            getattr(bpy.app.handlers, event).append(handler)
+
+    def leave() -> None:
+        for event, handler in handlers:
+            getattr(bpy.app.handlers, event).remove(handler)
+
+    return follow, leave
+
+
 def registration(
     *classes: type, menus: Mapping[str, MenuEntry] = MappingProxyType({})
 ) -> tuple[Registration, Registration]:

@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..blender import persistent
+from ..blender import following, persistent
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..properties import scene_props
@@ -163,7 +163,7 @@ def _relative(folder: Path, parent: Path) -> str:
         return str(folder)
 
 
-HANDLERS = (
+_follow, _leave = following(
     ("save_pre", _before_save),
     ("save_post", _after_save),
     ("save_post_fail", _after_save),
@@ -175,12 +175,10 @@ HANDLERS = (
 
 def register() -> None:
     """Add the handlers."""
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    _follow()
 
 
 def unregister() -> None:
     """Remove them."""
     _settled.clear()
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    _leave()

@@ -9,7 +9,7 @@ import threading
 
 import bpy
 
-from ..blender import persistent
+from ..blender import following, persistent
 from ..properties import object_props
 from . import compositor, lookup
 
@@ -50,7 +50,7 @@ def _in_main_thread() -> bool:
     return threading.current_thread() is threading.main_thread()
 
 
-HANDLERS = (
+_follow, _leave = following(
     ("depsgraph_update_post", _on_change),
     ("undo_post", _on_step),
     ("redo_post", _on_step),
@@ -61,12 +61,10 @@ HANDLERS = (
 
 def register() -> None:
     """Follow changes."""
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    _follow()
 
 
 def unregister() -> None:
     """Follow none."""
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    _leave()
     _counted.clear()

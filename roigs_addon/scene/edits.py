@@ -22,7 +22,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blender import mesh_of, persistent
+from ..blender import following, mesh_of, persistent
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..geometry.splat_cloud import write_splats
@@ -89,7 +89,7 @@ def frame_of(item: bpy.types.Object) -> Matrix:
 
 def whole_frame(mesh: bpy.types.Mesh) -> Matrix:
     """(4, 4) from the frame of a mesh's file to its own, with what all points went through."""
-    found = cloud_of(mesh) if mesh.get(MARK) not in (None, state_of(mesh)) else None
+    found = cloud_of(mesh) if _differs(mesh) else None
     return imported_frame(mesh) if found is None else found[1]
 
 
@@ -119,7 +119,11 @@ def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
 def is_edited(item: bpy.types.Object) -> bool:
     """Whether an object's points are no longer those that were imported."""
     mesh = item.data
-    return isinstance(mesh, bpy.types.Mesh) and mesh.get(MARK) not in (None, state_of(mesh))
+    return isinstance(mesh, bpy.types.Mesh) and _differs(mesh)
+
+
+def _differs(mesh: bpy.types.Mesh) -> bool:
+    return mesh.get(MARK) not in (None, state_of(mesh))
 
 
 def put_aside(item: bpy.types.Object) -> None:
@@ -242,7 +246,7 @@ def _forget() -> None:
         known.clear()
 
 
-HANDLERS = (
+_follow, _leave = following(
     ("depsgraph_update_post", _on_change),
     ("undo_post", _after_undo),
     ("redo_post", _after_undo),
@@ -252,12 +256,10 @@ HANDLERS = (
 
 def register() -> None:
     """Follow changes."""
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    _follow()
 
 
 def unregister() -> None:
     """Follow none."""
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    _leave()
     _forget()

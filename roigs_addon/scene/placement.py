@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix as BlenderMatrix
 
-from ..blender import persistent, view_layer_of
+from ..blender import following, persistent, view_layer_of
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..properties import scene_props
@@ -205,18 +205,16 @@ def _after_undo(scene: bpy.types.Scene, *_: object) -> None:
         _follow_scale(scene, path, lookup.root_scale(scene) / before)
 
 
-HANDLERS = ("undo_post", "redo_post")
+_follow, _leave = following(("undo_post", _after_undo), ("redo_post", _after_undo))
 
 
 def register() -> None:
     """Follow undo and redo."""
-    for event in HANDLERS:
-        getattr(bpy.app.handlers, event).append(_after_undo)
+    _follow()
 
 
 def unregister() -> None:
     """Follow none."""
-    for event in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(_after_undo)
+    _leave()
     for known in (_written, _found, _scales):
         known.clear()

@@ -11,7 +11,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 
 from .. import blender
-from ..blender import mesh_of, persistent, view_layer_of
+from ..blender import following, mesh_of, persistent, view_layer_of
 from ..scene import clouds, point_edits
 from ..windows import redraw
 from .handler import ViewHandler
@@ -105,7 +105,7 @@ def _after_load(*_: object) -> None:
     _batches.clear()
 
 
-HANDLERS = (
+_follow, _leave = following(
     ("depsgraph_update_post", _on_change),
     ("undo_post", _after_undo),
     ("redo_post", _after_undo),
@@ -115,14 +115,12 @@ HANDLERS = (
 
 def register() -> None:
     """Start drawing; in background mode there is no viewport."""
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    _follow()
     _handler.start()
 
 
 def unregister() -> None:
     """Stop drawing."""
     _handler.stop()
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    _leave()
     _after_load()
