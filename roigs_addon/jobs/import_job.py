@@ -30,9 +30,10 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool =
         same_frame: see `importing.import_folder`.
 
     Raises:
-        AddonError: there is no such folder, or the cache cannot be written to.
+        AddonError: there is no such folder, its path is relative to a .blend that was never
+            saved, or the cache cannot be written to.
     """
-    folder = Path(bpy.path.abspath(chosen))
+    folder = blender.absolute(chosen)
     if os.path.isfile(folder):
         folder = folder.parent
     if not os.path.isdir(folder):
@@ -41,7 +42,7 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool =
     find = run_folders.finder(scene)
     arguments = ["export", str(folder), "--out", str(out)]
     if images:
-        arguments += ["--images", bpy.path.abspath(images)]
+        arguments += ["--images", str(blender.absolute(images))]
 
     def build() -> None:
         now = find()

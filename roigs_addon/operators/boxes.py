@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
@@ -10,7 +9,7 @@ import mathutils
 from bpy.props import BoolProperty, FloatVectorProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender import registration, scene_of
+from ..blender import absolute, registration, scene_of
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import lookup, rois, selections, start_cube
@@ -112,8 +111,9 @@ class LoadRois(bpy.types.Operator, ImportHelper):  # type: ignore[misc] # the st
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add its boxes, which are in the COLMAP frame, below the root."""
-        scene, path = scene_of(context), Path(bpy.path.abspath(self.filepath))
+        scene = scene_of(context)
         try:
+            path = absolute(self.filepath)
             rois.add_boxes(scene, rois.read(path))
         except AddonError as error:
             return failed(self, error)

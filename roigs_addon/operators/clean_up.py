@@ -189,8 +189,7 @@ class ForgetChosen(bpy.types.Operator):
 
 def marked(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The objects whose selected points are marked; of those that share their points, one."""
-    found = [item for item in lookup.splats(scene_of(context)) if chosen.are_shown(item)]
-    return list({item.data: item for item in found}.values())
+    return point_edits.distinct(i for i in lookup.splats(scene_of(context)) if chosen.are_shown(i))
 
 
 register, unregister = registration(ChooseByBox, ChooseByLook, DeleteChosen, ForgetChosen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -40,33 +41,47 @@ class RenderViewport(bpy.types.Operator):
         from ..viewport.picture import view_picture  # builds things of the GPU
 
         try:
-            pixels = view_picture(context)
+            image = _image(view_picture(context))
         except AddonError as error:
             return failed(self, error)
-        except (RuntimeError, MemoryError) as error:
+        except (RuntimeError, MemoryError, OSError) as error:
             return failed(self, f"There is no picture: {error}")
-        _show(_image(pixels))
+        _show(image)
         return {"FINISHED"}
 
 
 def _image(pixels: NDArray[np.float32]) -> bpy.types.Image:
-    """The picture as an image, in place of an earlier one that was not saved."""
-    height, width = pixels.shape[:2]
-    image = next((image for image in bpy.data.images if _is_free(image)), None)
+    """The picture as an image, in place of an earlier one that was not saved.
+
+    It is that of a temporary file, as Blender 5 asks at each saving of the .blend whether images
+    that were changed and not saved shall be.
+    """
+    path = os.path.join(bpy.app.tempdir, f"{IMAGE}.png")
+    _write(pixels, path)
+    image = next((i for i in bpy.data.images if _is_free(i, path)), None)
     if image is None:
-        image = bpy.data.images.new(IMAGE, width, height, alpha=True)
-    if tuple(image.size) != (width, height):
-        image.scale(width, height)
-    values: Any = image.pixels
-    values.foreach_set(pixels.ravel())
-    image.update()
+        image = bpy.data.images.load(path)
+        image.name = IMAGE
+    else:
+        image.reload()
     return image
 
 
-def _is_free(image: bpy.types.Image) -> bool:
-    """Whether an image is an earlier picture that saving would not put into another's file."""
-    ours = image.name.startswith(IMAGE) and image.library is None
-    return ours and not image.filepath and image.packed_file is None
+def _write(pixels: NDArray[np.float32], path: str) -> None:
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(IMAGE, width, height, alpha=True)
+    try:
+        values: Any = image.pixels
+        values.foreach_set(pixels.ravel())
+        image.filepath_raw, image.file_format = path, "PNG"
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
+
+
+def _is_free(image: bpy.types.Image, path: str) -> bool:
+    """Whether an image is the earlier picture: not saved elsewhere, and not packed."""
+    return image.filepath == path and image.library is None and image.packed_file is None
 
 
 def _show(image: bpy.types.Image) -> None:

@@ -28,7 +28,15 @@ def targets(context: bpy.types.Context) -> list[bpy.types.Object]:
     """
     seen = visible(context)
     chosen = [i for i in seen if i.select_get(view_layer=context.view_layer)] or seen
-    return list({mesh_of(i).session_uid: i for i in reversed(chosen)}.values())[::-1]
+    return distinct(chosen)
+
+
+def distinct(items: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Objects without those that share their points with an earlier one."""
+    first: dict[int, bpy.types.Object] = {}
+    for item in items:
+        first.setdefault(mesh_of(item).session_uid, item)
+    return list(first.values())
 
 
 def visible(context: bpy.types.Context) -> list[bpy.types.Object]:

@@ -47,8 +47,24 @@ def test_a_saved_picture_keeps_its_file(
 
     first = _image(np.full((2, 3, 4), 0.25, np.float32))
     assert _image(np.full((4, 4, 4), 0.5, np.float32)) == first and tuple(first.size) == (4, 4)
-    first.filepath_raw, first.file_format = str(tmp_path / "one.png"), "PNG"
+    np.testing.assert_allclose(first.pixels[:4], 0.5, atol=0.5 / 255)
+    kept = str(tmp_path / "one.png")
+    first.filepath_raw, first.file_format = kept, "PNG"
     first.save()
     second = _image(np.full((2, 2, 4), 1.0, np.float32))
-    assert second != first and not second.filepath and tuple(second.size) == (2, 2)
+    assert second != first and second.filepath != kept and tuple(second.size) == (2, 2)
     assert _image(np.ones((2, 2, 4), np.float32)) == second
+    second.pack()
+    assert _image(np.ones((3, 3, 4), np.float32)) != second
+
+
+def test_a_picture_is_no_change_that_blender_asks_to_save(
+    blender: ModuleType, addon: ModuleType
+) -> None:
+    """At each saving of the .blend, that is; also after a second one, of another size."""
+    from roigs_addon.operators.viewport_render import _image
+
+    for side in (2, 3):
+        image = _image(np.full((side, side, 4), 0.25, np.float32))
+        assert not image.is_dirty and image.name == "Viewport Render with Gaussians"
+        assert not any(other.is_dirty for other in blender.data.images)
