@@ -49,6 +49,7 @@ MODULES = (
     "operators.clean_up",
     "operators.floaters",
     "operators.erase_brush",
+    "operators.native_splats",
     "operators.viewport_render",
     "viewport",
     "rendering",

@@ -46,7 +46,7 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
         raise AddonError("There is no COLMAP model. Import one first, or choose another axis.")
     name = _name(source)
     folder = made_folder(run_folders.settle(scene), OWN, IMPORTED)
-    path = _free(folder, name)
+    path = free_file(folder, name)
     before = [f"--from-up={'z' if in_model else up}"] if up else []
     find = run_folders.finder(scene)
 
@@ -79,8 +79,8 @@ def _name(source: Path) -> str:
     return stem.encode("utf-8", "replace").decode()[:MOST_LETTERS]
 
 
-def _free(folder: Path, name: str) -> Path:
-    """A file that does not exist: objects may show the earlier ones of that name."""
+def free_file(folder: Path, name: str) -> Path:
+    """A PLY that does not exist: objects may show the earlier ones of that name."""
     number, path = 1, folder / f"{name}.ply"
     while os.path.lexists(path):
         number += 1

@@ -20,7 +20,7 @@ TYPES = {
     "CAMERA": {"CAMERA"},
     "POINTS": {"MESH"},
     "ROI": {"EMPTY"},
-    "SPLATS": {"MESH", "POINTCLOUD"},  # the latter from native_splats.py
+    "SPLATS": {"MESH"},
 }
 """Blender's types of the objects of each kind; checked first, which is three times as fast."""
 

@@ -1,47 +1,109 @@
-"""Blender's own Gaussian splats (5.3 and later), behind a probe of what its PLY importer makes.
+"""Blender's own Gaussian splats (5.3 and later): made of the add-on's objects, and back.
 
-No build of 5.3 was available when this was written; it follows the importer's source. There, a
-3DGS PLY becomes a point cloud object with the attributes of `ATTRIBUTES`, its values in the file's
-own frame; a change of axes goes into the object's matrix. If an attempt gives anything else, it is
-removed, and the add-on shows its own points.
+No build of 5.3 was available when this was written; it follows the source of Blender's PLY
+importer. There, a 3DGS PLY becomes a point cloud object with the attributes of
+docs/conventions.md, its values in the file's own frame; a change of axes goes into the object's
+matrix. What an importer makes is checked; anything else is removed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Matrix
 
 from .. import blender
-from ..blender import delete, view_layer_of
+from ..blender import delete, mesh_of, view_layer_of
+from ..engine.writing import writing
+from ..errors import AddonError
+from ..geometry.splat_cloud import SH_C0, SplatCloud, write_splats
+from . import look, lookup
+from .splat_attributes import SHAPE, cloud_of, sh_of, values
 
 FIRST_VERSION = (5, 3, 0)
-ATTRIBUTES = {"position", "scale", "rotation", "radiance:base"}
+POSITION = "position"
 UNCHANGED = {"forward_axis": "Y", "up_axis": "Z", "global_scale": 1.0, "use_scene_unit": False}
 """Options of the importer: no change of axes or units."""
+NAME = "roigs-native.ply"
+"""In Blender's temporary folder."""
+REFUSED = "This Blender's PLY importer makes no Gaussian splats."
 
 
-def import_splats(path: Path) -> bpy.types.Object | None:
-    """The PLY as an object of Blender's own splats; None if this Blender has none.
+def exist() -> bool:
+    """Whether this Blender has splats of its own."""
+    return bpy.app.version >= FIRST_VERSION
 
-    The object is at the origin, in the collection that the importer puts it in.
+
+def are_in(item: bpy.types.Object) -> bool:
+    """Whether an object is of Blender's own splats."""
+    attributes = {attribute.name for attribute in getattr(item.data, "attributes", ())}
+    return item.type == "POINTCLOUD" and attributes >= {POSITION, *SHAPE}
+
+
+def of(item: bpy.types.Object) -> bpy.types.Object:
+    """A new object of Blender's own splats that looks like an object of Gaussians.
+
+    Raises:
+        AddonError: the object has no Gaussians, its edits cannot be written, or Blender refused.
     """
-    if bpy.app.version < FIRST_VERSION:
-        return None
-    with _undisturbed() as possible:
-        if not possible:
-            return None
+    found = cloud_of(mesh_of(item))
+    if found is None:
+        raise AddonError(f"'{item.name}' is no object of Gaussians any more. Import it again.")
+    cloud, applied = found
+    if not len(cloud):
+        raise AddonError(f"'{item.name}' has no Gaussians left.")
+    path = Path(bpy.app.tempdir) / NAME
+    with writing(path.parent, "temporary folder in Blender's preferences"):
+        write_splats(path, _shaded(cloud, look.gains(item)))
+    made = _imported(path)
+    path.unlink(missing_ok=True)
+    if made is None:
+        raise AddonError(REFUSED)
+    made.name = f"{item.name} Splats"
+    made.matrix_world = Matrix((lookup.matrix_world(item) @ applied).tolist())
+    for collection in list(made.users_collection):
+        collection.objects.unlink(made)
+    for collection in item.users_collection:
+        collection.objects.link(made)
+    return made
+
+
+def cloud_in(item: bpy.types.Object) -> SplatCloud:
+    """The Gaussians of an object of Blender's own splats, in the object's frame."""
+    data: Any = item.data
+    columns = [values(data, name) for name in (POSITION, *SHAPE)]
+    means, scales, quats, radiance = columns
+    if means is None or scales is None or quats is None or radiance is None:
+        raise AddonError(f"'{item.name}' has attributes of another kind than Blender's splats.")
+    return SplatCloud(
+        means=means, quats=quats, scales=scales, opacities=radiance[:, 3], sh=sh_of(data)
+    )
+
+
+def _shaded(cloud: SplatCloud, gains: look.Gains) -> SplatCloud:
+    """With its colours, 0.5 + SH, multiplied by gains."""
+    factors = np.array(gains, np.float32)
+    sh = cloud.sh * factors
+    sh[:, 0] += 0.5 * (factors - 1) / SH_C0
+    return replace(cloud, sh=sh)
+
+
+def _imported(path: Path) -> bpy.types.Object | None:
+    """The PLY as an object at the origin; None if Blender makes anything else of it."""
+    with _undisturbed():
         before = set(bpy.data.objects)
         # No such operator, an error that it reports, or unknown options.
         with suppress(AttributeError, RuntimeError, TypeError):
             importer: Any = bpy.ops.wm
             importer.ply_import(filepath=str(path), **UNCHANGED)
         made = [item for item in bpy.data.objects if item not in before]
-        if len(made) == 1 and _is_splats(made[0]):
+        if len(made) == 1 and are_in(made[0]):
             made[0].matrix_basis = Matrix()
             return made[0]
         for item in made:
@@ -49,26 +111,15 @@ def import_splats(path: Path) -> bpy.types.Object | None:
         return None
 
 
-def _is_splats(item: bpy.types.Object) -> bool:
-    attributes = {attribute.name for attribute in getattr(item.data, "attributes", ())}
-    return item.type == "POINTCLOUD" and attributes >= ATTRIBUTES
-
-
 @contextmanager
-def _undisturbed() -> Iterator[bool]:
-    """A context for the importer, after which the user's selection is as before.
-
-    False if it cannot run, which is so outside object mode. The operator needs a window, and a
-    timer has none of its own.
-    """
-    window = bpy.context.window or next(iter(blender.windows()), None)
-    with bpy.context.temp_override(window=window):
+def _undisturbed() -> Iterator[None]:
+    """A context for the importer, after which the user's selection is as before."""
+    with bpy.context.temp_override(
+        window=bpy.context.window or next(iter(blender.windows()), None)
+    ):
         layer = view_layer_of(bpy.context)
-        if bpy.context.mode != "OBJECT":
-            yield False
-            return
         active, selected = layer.objects.active, {o for o in layer.objects if o.select_get()}
-        yield True
+        yield
         for item in layer.objects:
             item.select_set(item in selected)
         layer.objects.active = active

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import AttributeTypeItems
 
 Float32 = NDArray[np.float32]
+Points = bpy.types.Mesh | bpy.types.PointCloud
 
 WIDTHS = {"FLOAT": 1, "FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "QUATERNION": 4}
 SHAPE = ("scale", "rotation", "radiance:base")
@@ -77,10 +78,6 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
     scales, quats, radiance = shape
     if scales is None or quats is None or radiance is None:
         return None
-    sh = [radiance[:, :3]]
-    while len(sh) < 16 and (band := values(mesh, _sh_name(len(sh)))) is not None:
-        sh.append(band)
-    degree = int(np.sqrt(len(sh)))  # whole bands only
     means = clouds.positions_of(mesh)
     there = drawn(mesh)
     imported = values(mesh, PLACE)
@@ -94,9 +91,20 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         quats=quats[there],
         scales=scales[there],
         opacities=radiance[there, 3],
-        sh=np.stack(sh[: degree**2], axis=1)[there],
+        sh=sh_of(mesh)[there],
     )
     return cloud, applied
+
+
+def sh_of(data: Points) -> Float32:
+    """(N, K, 3) SH coefficients of points that have `SHAPE`, of whole degrees only."""
+    radiance = values(data, "radiance:base")
+    assert radiance is not None
+    sh = [radiance[:, :3]]
+    while len(sh) < 16 and (band := values(data, _sh_name(len(sh)))) is not None:
+        sh.append(band)
+    degree = int(np.sqrt(len(sh)))
+    return np.stack(sh[: degree**2], axis=1)
 
 
 def drawn(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
@@ -106,13 +114,14 @@ def drawn(mesh: bpy.types.Mesh) -> NDArray[np.bool_]:
     return np.asarray(~hidden(mesh) & sized & np.isfinite(means).all(axis=1))
 
 
-def values(mesh: bpy.types.Mesh, name: str) -> Float32 | None:
+def values(data: Points, name: str) -> Float32 | None:
     """(N, numbers) of a point attribute; None if there is none of that name."""
-    attribute: Any = mesh.attributes.get(name)
+    attribute: Any = data.attributes.get(name)
     if attribute is None or attribute.domain != "POINT" or attribute.data_type not in WIDTHS:
         return None
     width = WIDTHS[attribute.data_type]
-    flat = np.empty(width * len(mesh.vertices), np.float32)
+    points = data.vertices if isinstance(data, bpy.types.Mesh) else data.points
+    flat = np.empty(width * len(points), np.float32)
     attribute.data.foreach_get(clouds.ATTRIBUTE_KEYS[attribute.data_type], flat)
     return flat.reshape(-1, width)
 

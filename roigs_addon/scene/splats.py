@@ -28,7 +28,6 @@ from . import (
     detail,
     edits,
     lookup,
-    native_splats,
     origins,
     start_cube,
     visibility,
@@ -162,7 +161,7 @@ def set_points(scene: bpy.types.Scene, points: bool) -> None:
     """Show points in the viewport instead of Gaussians."""
     for item in lookup.splats(scene):
         modifier = item.modifiers.get(HIDE)
-        if modifier is not None:  # Blender's own splats are drawn by Blender
+        if modifier is not None:
             object_props(item).as_points = points
             modifier.show_viewport = modifier.show_render = not points
 
@@ -209,7 +208,7 @@ def read_files(files: Mapping[Part, Path]) -> dict[Part, bpy.types.Object]:
     made: dict[Part, bpy.types.Object] = {}
     try:
         for part, path in files.items():
-            made[part] = native_splats.import_splats(path) or _points(object_name(*part), path)
+            made[part] = _points(object_name(*part), path)
             made[part].name = UNUSED  # an object that is renamed may need its name
     except AddonError:
         for item in made.values():
@@ -229,9 +228,6 @@ def show(
     """
     (level, roi), name = part, object_name(*part)
     shown = _of(scene, level, roi)
-    for other in [item for item in shown if item.type != fresh.type]:
-        shown.remove(other)  # made by a Blender with other kinds of splats
-        bpy.data.objects.remove(other)
     if shown:  # they keep their names, places and whatever the user did with them
         _give_data(shown, fresh)
     else:
@@ -283,12 +279,7 @@ def _new_object(scene: bpy.types.Scene, name: str, item: bpy.types.Object) -> bp
     if collection is None:
         collection = bpy.data.collections.new(COLLECTION)
         scene.collection.children.link(collection)
-    for other in item.users_collection:  # where Blender's importer put it
-        other.objects.unlink(item)
     collection.objects.link(item)
-    if item.type != "MESH":
-        object_props(item).as_points = True
-        return item
     material = bpy.data.materials.get(MATERIAL) or clouds.colour_material(MATERIAL, "opacity")
     clouds.show_as_points(item, material, "radius")
     clouds.add_nodes_modifier(item, HIDE, _nothing_group())

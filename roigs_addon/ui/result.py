@@ -15,6 +15,7 @@ from ..jobs import current
 from ..jobs.spec import EXPORTING, IMPORTING_GAUSSIANS
 from ..operators.export import ExportGaussians
 from ..operators.import_gaussians import ImportGaussians
+from ..operators.native_splats import FromNative, ToNative
 from ..operators.results import (
     DeleteResult,
     LoadResults,
@@ -25,7 +26,7 @@ from ..operators.results import (
 )
 from ..operators.run_folder import CleanUp, CompareResults
 from ..properties import object_props, scene_props
-from ..scene import compared, compositor, detail, lookup, splats
+from ..scene import compared, compositor, detail, lookup, native_splats, splats
 from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
@@ -71,6 +72,10 @@ class ResultPanel(SidebarPanel):
         row = layout.row(align=True)
         row.operator(ImportGaussians.bl_idname, text="Import…", icon="IMPORT")
         row.operator(ExportGaussians.bl_idname, text="Export…", icon="EXPORT")
+        if native_splats.exist():
+            row = layout.row(align=True)
+            row.operator(ToNative.bl_idname)
+            row.operator(FromNative.bl_idname)
         for title in (IMPORTING_GAUSSIANS, EXPORTING):
             show.job(layout, title)
 
@@ -129,11 +134,10 @@ def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> No
 
 
 def _draw_as_points(layout: bpy.types.UILayout, splats: Objects) -> None:
-    drawn = [item for item in splats if item.type == "MESH"]  # Blender draws its own kind
-    if not drawn:
+    if not splats:
         return
     row = layout.row(align=True)
-    as_points = object_props(drawn[0]).as_points
+    as_points = object_props(splats[0]).as_points
     for label, points in (("Gaussians", False), ("Points", True)):
         button = row.operator(ShowPoints.bl_idname, text=label, depress=as_points == points)
         button.points = points

@@ -54,10 +54,12 @@ CUBE, NOTHING = (577, 470), (300, 800)
 
 
 def copied(folder: Path, source: Path, count: int) -> Path:
-    """A folder with so many photos of another one; 0: all."""
+    """A folder with so many photos of another one; 0: all, also those in its folders."""
     photos = folder / ROOM
+    if not count:
+        return Path(shutil.copytree(source, photos))
     photos.mkdir()
-    for path in sorted(source.iterdir())[: count or None]:
+    for path in sorted(source.iterdir())[:count]:
         shutil.copyfile(path, photos / path.name)
     return photos
 

@@ -7,14 +7,17 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose
 
 from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.scenes import ready
 from tests.addon.splat_cases import random_ply
 
 pytestmark = pytest.mark.blender
+
+C0 = 0.28209479177387814
 
 WHOLE = {
     "position": "FLOAT_VECTOR",
@@ -29,7 +32,7 @@ class Newer:
 
     def __init__(self, bpy: ModuleType, importer: Callable[..., Any] | None) -> None:
         self._bpy = bpy
-        self.app = SimpleNamespace(version=(5, 3, 0))
+        self.app = SimpleNamespace(version=(5, 3, 0), tempdir=bpy.app.tempdir)
         self.ops = bpy.ops if importer is None else SimpleNamespace(wm=self)
         self.ply_import = importer
 
@@ -75,14 +78,44 @@ def scene(blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path)
         path = tmp_path / "run" / f"{name}.ply"
         path.parent.mkdir(parents=True, exist_ok=True)
         random_ply(path, 20, seed=1)
-    return ready(blender, project, tmp_path / "run")
+    made = ready(blender, project, tmp_path / "run")
+    blender.ops.roigs.load_results()
+    return made
 
 
 def use(monkeypatch: pytest.MonkeyPatch, bpy: ModuleType, importer: Callable[..., Any] | None):
-
     from roigs_addon.scene import native_splats
 
     monkeypatch.setattr(native_splats, "bpy", Newer(bpy, importer))
+
+
+def reads(bpy: ModuleType, looks: dict[str, Any]) -> Callable[..., set[str]]:
+    """An importer that makes splats with the numbers of the PLY, and remembers these."""
+
+    def ply_import(*, filepath: str, **_: Any) -> set[str]:
+        from roigs_addon.geometry.splat_cloud import read_splats
+
+        cloud = read_splats(filepath)
+        looks["cloud"] = cloud
+        data = bpy.data.pointclouds.new("import")
+        data.resize(len(cloud))
+        columns = {
+            "position": cloud.means,
+            "scale": cloud.scales,
+            "rotation": cloud.quats,
+            "radiance:base": np.column_stack((cloud.sh[:, 0], cloud.opacities)),
+            **{f"radiance:sh_{k}": cloud.sh[:, k + 1] for k in range(15)},
+        }
+        for name, values in columns.items():
+            kind = WHOLE.get(name, "FLOAT_VECTOR")
+            found = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
+            key = {"QUATERNION": "value", "FLOAT_COLOR": "color"}.get(kind, "vector")
+            found.data.foreach_set(key, np.ascontiguousarray(values, np.float32).ravel())
+        item = bpy.data.objects.new("import", data)
+        bpy.context.scene.collection.objects.link(item)
+        return {"FINISHED"}
+
+    return ply_import
 
 
 HALVES = {
@@ -100,53 +133,91 @@ HALVES = {
 }
 
 
+@pytest.mark.parametrize("half", HALVES)
 def test_incomplete_splats_are_refused(
-    blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch
+    blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch, half: str
 ) -> None:
     from roigs_addon.scene import lookup
 
     camera = next(iter(lookup.cameras(scene).values()))
     camera.select_set(True)
     blender.context.view_layer.objects.active = camera
-    for half, importer in HALVES.items():
-        use(monkeypatch, blender, importer(blender))
-        assert blender.ops.roigs.load_results() == {"FINISHED"}
-        assert [item.type for item in lookup.splats(scene)] == ["MESH"] * 3, half
-        blocks = [*blender.data.objects, *blender.data.meshes, *blender.data.pointclouds]
-        assert not [block for block in blocks if "import" in block.name], half
-        assert len(blender.data.meshes) == 4, half  # with the sparse points
-        assert camera.select_get() and blender.context.view_layer.objects.active == camera, half
+    before = set(blender.data.objects)
+    use(monkeypatch, blender, HALVES[half](blender))
+    with pytest.raises(RuntimeError, match="importer makes no Gaussian splats"):
+        blender.ops.roigs.to_native_splats()
+    assert set(blender.data.objects) == before
+    assert not any(item.hide_render for item in lookup.splats(scene) if item.roigs.level == "ROI")
+    blocks = [*blender.data.meshes, *blender.data.pointclouds]
+    assert not [block for block in blocks if "import" in block.name]
+    assert camera.select_get() and blender.context.view_layer.objects.active == camera
 
 
-def test_complete_splats_are_used(
+def test_splats_stand_where_the_gaussians_are(
     blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Moved ones, and those whose origin is at their box; the selected ones are made, alone."""
+    from mathutils import Euler, Matrix
+
     from roigs_addon.scene import lookup
 
-    blender.ops.roigs.load_results()
     use(monkeypatch, blender, makes(blender, WHOLE))
-    for _ in range(2):  # in place of the add-on's own points, then of its like
-        assert blender.ops.roigs.load_results() == {"FINISHED"}
-        found = lookup.splats(scene)
-        assert {item.roigs.level for item in found} == {"RESULT", "ROI", "SCENE"}
-        assert [item.type for item in found] == ["POINTCLOUD"] * 3
-        for item in found:
-            assert item.parent == scene.roigs.root and item.roigs.as_points
-            assert_array_equal(
-                item.matrix_basis, [[float(i == j) for j in range(4)] for i in range(4)]
-            )
-        assert len(blender.data.pointclouds) == 3
-    blender.ops.roigs.set_detail(roi="thing", fine=False)
-    blender.ops.roigs.show_points(points=False)
-    monkeypatch.undo()
-    blender.ops.roigs.load_results()
-    assert [item.type for item in lookup.splats(scene)] == ["MESH"] * 3
+    (ours,) = (item for item in lookup.splats(scene) if item.roigs.level == "ROI")
+    ours.matrix_world = Matrix.LocRotScale((1, 2, 3), Euler((0.3, 0.2, 0.1)), (2, 2, 2))
+    ours.select_set(True)
+    blender.context.view_layer.update()
+    assert blender.ops.roigs.to_native_splats() == {"FINISHED"}
+    (made,) = (item for item in scene.objects if item.type == "POINTCLOUD")
+    blender.context.view_layer.update()
+    assert made.name == f"{ours.name} Splats" and made not in lookup.splats(scene)
+    frame = np.array(ours.data["roigs_frame"]).reshape(4, 4)
+    assert_allclose(made.matrix_world, np.array(ours.matrix_world) @ frame, atol=1e-5)
+    assert ours.hide_viewport and ours.hide_render
+    assert set(made.users_collection) == set(ours.users_collection)
 
 
-def test_older_blenders_are_not_asked(blender: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_way_there_and_back_changes_nothing(
+    blender: ModuleType, scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But that deleted points stay deleted, and a changed look is in the colours."""
+    from roigs_addon.scene import lookup
+    from roigs_addon.scene.splat_attributes import cloud_of
 
-    from roigs_addon.scene import native_splats
+    if "resize" not in blender.types.PointCloud.bl_rna.functions:
+        pytest.skip("Python cannot resize this Blender's point clouds")
+    looks: dict[str, Any] = {}
+    use(monkeypatch, blender, reads(blender, looks))
+    (ours,) = (item for item in lookup.splats(scene) if item.roigs.level == "ROI")
+    cloud, _ = cloud_of(ours.data)
+    ours.roigs.exposure = 1.0
+    ours.select_set(True)
+    assert blender.ops.roigs.to_native_splats() == {"FINISHED"}
+    written = looks["cloud"]
+    assert_allclose(0.5 + C0 * written.sh[:, 0], 2 * (0.5 + C0 * cloud.sh[:, 0]), atol=1e-5)
+    assert_allclose(written.sh[:, 1:], 2 * cloud.sh[:, 1:], atol=1e-5)
+    (made,) = (item for item in scene.objects if item.type == "POINTCLOUD")
+    blender.context.view_layer.objects.active = made
+    assert blender.ops.roigs.from_native_splats() == {"FINISHED"}
+    back = blender.context.view_layer.objects.active
+    blender.context.view_layer.update()
+    assert back in lookup.splats(scene) and back.roigs.level == "IMPORTED"
+    assert_allclose(back.matrix_world, made.matrix_world, atol=1e-6)
+    again, _ = cloud_of(back.data)
+    for name in ("means", "scales", "opacities", "sh"):
+        assert_allclose(getattr(again, name), getattr(written, name), atol=1e-5)
+    assert made.hide_render and Path(back.roigs.ply).is_file()
+
+
+def test_older_blenders_say_why(blender: ModuleType, scene, monkeypatch) -> None:
+    """Results are the add-on's own points in every Blender: only they can be cleaned up."""
+    from roigs_addon.scene import lookup, native_splats
 
     use(monkeypatch, blender, fails(AssertionError("asked")))
+    blender.ops.roigs.load_results()
+    assert [item.type for item in lookup.splats(scene)] == ["MESH"] * 3
     native_splats.bpy.app.version = (5, 2, 9)
-    assert native_splats.import_splats(Path("any.ply")) is None
+    assert not native_splats.exist()
+    with pytest.raises(RuntimeError, match=r"from version 5\.3 on"):
+        blender.ops.roigs.to_native_splats()
+    with pytest.raises(RuntimeError, match="Select an object of Blender's own splats"):
+        blender.ops.roigs.from_native_splats()

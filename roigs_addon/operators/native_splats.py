@@ -1,0 +1,93 @@
+"""Step 5, Result: between the add-on's Gaussians and Blender's own splats (5.3 and later)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..blender import leave_edit_mode, registration, scene_of
+from ..engine.own_files import IMPORTED, OWN
+from ..engine.writing import made_folder, writing
+from ..errors import AddonError
+from ..geometry.splat_cloud import write_splats
+from ..jobs import run_folders
+from ..jobs.import_gaussians_job import free_file
+from ..scene import lookup, native_splats, point_edits, splats
+from ..shared import names
+from .base import available, failed, select_only
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
+
+TOO_OLD = "Blender has splats of its own from version 5.3 on"
+NONE_NATIVE = "Select an object of Blender's own splats"
+
+
+class ToNative(bpy.types.Operator):
+    """Make Blender's own splats of the selected Gaussians, or of all that are visible, as they \
+look now; the add-on's are hidden"""
+
+    bl_idname = "roigs.to_native_splats"
+    bl_label = "To Blender's Splats"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """This Blender must have them, and there must be Gaussians."""
+        if not native_splats.exist():
+            return available(cls, TOO_OLD)
+        return available(cls, "" if point_edits.targets(context) else point_edits.NONE)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """One object for each; none if one fails."""
+        leave_edit_mode(lookup.splats(scene_of(context)))
+        items = [i for i in point_edits.visible(context) if i.select_get()]
+        items = items or point_edits.visible(context)
+        made: list[bpy.types.Object] = []
+        try:
+            for item in items:
+                made.append(native_splats.of(item))
+        except AddonError as error:
+            for other in made:
+                bpy.data.objects.remove(other)
+            return failed(self, error)
+        for item in items:
+            item.hide_viewport = item.hide_render = True
+        return {"FINISHED"}
+
+
+class FromNative(bpy.types.Operator):
+    """Make Gaussians of the selected object of Blender's own splats, which can be cleaned up, \
+recoloured and exported; Blender's are hidden"""
+
+    bl_idname = "roigs.from_native_splats"
+    bl_label = "From Blender's Splats"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """The active object must be one."""
+        item = context.active_object
+        return available(cls, "" if item and native_splats.are_in(item) else NONE_NATIVE)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Write them into the run folder, as imported ones are, and show the file."""
+        scene, item = scene_of(context), context.active_object
+        assert item is not None
+        try:
+            cloud = native_splats.cloud_in(item)
+            folder = made_folder(run_folders.settle(scene), OWN, IMPORTED)
+            path = free_file(folder, names.safe_name(item.name))
+            with writing(path.parent, "Run Folder"):
+                write_splats(path, cloud)
+            made = splats.show_imported(scene, path, item.name, in_model=False)
+        except AddonError as error:
+            return failed(self, error)
+        made.matrix_world = item.matrix_world
+        item.hide_viewport = item.hide_render = True
+        select_only(context, made)
+        return {"FINISHED"}
+
+
+register, unregister = registration(ToNative, FromNative)
