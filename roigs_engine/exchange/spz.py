@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gzip
 import struct
-import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from .arrays import Arrays, Float32, in_morton_order, unit_quats
 from .compressed_ply import arrays_of
 from .damage import damaged, reading, refuse_bomb
 from .packages import package
+from .scratch import scratch
 
 TITLE = "SPZ"
 MAGIC = 0x5053474E
@@ -28,17 +28,17 @@ MOST_FRACTION = 20  # bits behind the point
 SMALL, FINER = 0.05, 4  # a step is 2^-FINER of the size that this share of the Gaussians is below
 FARTHEST = 1000.0  # times the median distance from the origin: what is beyond is left out
 SCALES = (-10.0, 5.9375)  # logarithms that it can hold
-LOST = 0.01  # share of Gaussians whose size it may change
+LOST = 0.01  # share of Gaussians whose size it may change, or that it may leave out
 STEP = 10 / 128  # of SH above degree 0; its own encoder has 16 / 128 above degree 1: 3 dB less
 SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
 MOST = 50_000_000  # Gaussians
 
 
-def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
-    """Write Gaussians.
+def write(path: Path, arrays: Arrays, *, version: int = 3) -> int:
+    """Write Gaussians; returns how many: those that are far outside are left out.
 
     Raises:
-        ConfigError: their sizes are beyond what the format has.
+        ConfigError: their sizes or positions are beyond what the format has.
         EngineError: gsply is missing, or the file cannot be written.
     """
     gsply: Any = package("gsply", "gsply", TITLE)
@@ -57,6 +57,11 @@ def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
     room = BITS - 1 - np.ceil(np.log2(farthest))
     fraction = int(np.clip(room, 1, _enough(scales.astype(np.float32))))
     inside = reach < 2.0 ** (BITS - 1 - fraction)
+    if inside.mean() < 1 - LOST:
+        raise ConfigError(
+            "The model is too large, or too far from the origin, for SPZ.",
+            "Scale the model to a size of a few units, or use another format.",
+        )
     sh = _rounded(arrays["sh"].astype(np.float32))
     data = gsply.GSData.from_arrays(
         means=means[inside],
@@ -66,14 +71,15 @@ def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
         sh0=np.ascontiguousarray(sh[inside, 0]),
         shN=np.ascontiguousarray(sh[inside, 1:]),
     )
-    with tempfile.TemporaryDirectory() as folder:  # gsply takes names alone
-        made = Path(folder) / "model.spz"
+    with scratch(TITLE) as folder:
+        made = folder / "model.spz"
         spz.write_spz(made, data, version=version, fractional_bits=fraction)
-        with atomic_write(path) as file:
-            # What gsply compresses with is fast, and makes files that are a tenth larger.
-            raw = made.read_bytes()
-            smaller = raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
-            file.write(smaller)
+        raw = made.read_bytes()
+    # What gsply compresses with is fast, and makes files that are a tenth larger.
+    smaller = raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
+    with atomic_write(path) as file:
+        file.write(smaller)
+    return int(inside.sum())
 
 
 def _enough(log_scales: Float32) -> int:

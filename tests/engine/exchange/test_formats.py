@@ -30,6 +30,7 @@ NEEDS = {
     "sog": ("gsply", "imagecodecs", "sklearn"),
     "gltf": ("pygltflib",),
     "usd": ("pxr",),
+    "page": ("gsply",),
 }
 READABLE = [form for form in formats.FORMATS if form.reads]
 LEAST = {".splat": 20.0, ".sog": 25.0, ".spz": 36.0, ".compressed.ply": 40.0}
