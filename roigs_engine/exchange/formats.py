@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, RunFolderError
-from ..formats.files import regular
+from ..formats.files import regular, remove_leftovers_of
 from ..formats.splat_ply import read_ply, write_ply
 from .arrays import Arrays, extent, flaw, usable
 from .damage import HINT, damaged
@@ -83,6 +83,7 @@ def write(path: Path, arrays: Arrays, **more: Any) -> int:
         EngineError: a package is missing, or the file cannot be written.
     """
     form = format_of(path)
+    remove_leftovers_of(path)
     if not form.module:
         write_ply(path, arrays)
         return len(arrays["means"])

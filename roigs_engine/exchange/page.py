@@ -79,7 +79,7 @@ def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> int:
     }
     text = re.sub(r"\{\{(\w+)\}\}", lambda found: values[found[1]], _part("page.html"))
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))  # names on disk may be no UTF-8
     return counts[AFTER]
 
 

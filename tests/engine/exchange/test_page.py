@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -382,3 +383,10 @@ def test_a_missing_viewer_is_one_line(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(EngineError, match="A part of web pages is missing"):
         formats.write(tmp_path / "a.html", arrays())
     assert not (tmp_path / "a.html").exists()
+
+
+def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    path = tmp_path / os.fsdecode(b"a\xff.html")
+    formats.write(path, arrays())
+    assert "<title>a\\udcff</title>" in path.read_text(encoding="utf-8")

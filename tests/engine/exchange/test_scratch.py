@@ -13,6 +13,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.scratch import scratch
 from tests.engine.exchange.test_formats import arrays, needed
+from tests.engine.other_process import in_the_middle
 
 SMALL = """\
 import resource, sys
@@ -59,3 +60,28 @@ def test_without_a_folder_for_temporary_files(
 def test_full_memory_is_not_a_full_disk() -> None:
     with pytest.raises(RuntimeError), scratch("SPZ"):
         raise RuntimeError("std::bad_alloc")
+
+
+KILLED = """\
+import sys
+from pathlib import Path
+from roigs_engine.formats.files import atomic_write
+with atomic_write(Path(sys.argv[1])) as file:
+    file.write(b"half")
+    file.flush()
+    print("half", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
+def test_the_next_export_removes_what_a_killed_one_left(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"a{suffix}"
+    (tmp_path / f".b{suffix}.12-0123abcd.part").touch()  # of another file
+    with in_the_middle(KILLED, out, "half") as process:
+        process.kill()
+    with in_the_middle(KILLED, out, "half"):  # still writes
+        assert len(list(tmp_path.iterdir())) == 3
+        formats.write(out, arrays())
+        assert len(list(tmp_path.iterdir())) == 3
+        assert len(formats.read(out)["means"]) == 400
