@@ -118,7 +118,7 @@ def _embedded(name: str, arrays: Arrays) -> tuple[str, int]:
     """A script element with the model, and how many Gaussians it has."""
     with scratch("A web page") as folder:
         made = folder / "model.spz"
-        count = spz.write(made, arrays)
+        count = spz.write(made, arrays, step=spz.STEPS[-1])  # a page is to be small
         text = base64.b64encode(made.read_bytes()).decode()
     return f'<script id="{name}" type="text/plain">{text}</script>', count
 

@@ -133,3 +133,20 @@ def test_a_plain_ply_keeps_what_cannot_be_drawn(
     assert main(["convert", str(tmp_path / "in.ply"), str(tmp_path / "out.ply")]) == 0
     assert capsys.readouterr().out.startswith("400 Gaussians, ")
     np.testing.assert_array_equal(read_ply(tmp_path / "out.ply")["means"], values["means"])
+
+
+def test_spz_is_as_fine_as_an_eighth_of_a_ply_allows(tmp_path: Path) -> None:
+    """A model with few view-dependent colours had the coarse steps of one with many."""
+    pytest.importorskip("gsply")
+    errors = []
+    for spread in (0.02, 0.3):
+        values = arrays(20_000)
+        values["sh"][:, 1:] *= np.float32(spread / 0.12)
+        formats.write(tmp_path / "a.spz", values)
+        write_ply(tmp_path / "a.ply", values)
+        found = formats.read(tmp_path / "a.spz")
+        _, order = cKDTree(values["means"]).query(found["means"])
+        errors.append(np.abs(found["sh"][:, 1:] - values["sh"][order, 1:]).mean())
+        if spread == 0.02:
+            assert (tmp_path / "a.ply").stat().st_size > 8 * (tmp_path / "a.spz").stat().st_size
+    assert errors[0] < 1.05 / 128 and errors[1] > 2 / 128
