@@ -8,6 +8,7 @@ its pictures are compared too. Prints a table.
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import subprocess
 import tempfile
@@ -55,7 +56,15 @@ def foreign(path: Path, folder: Path) -> Arrays | None:
         return None
     back = folder / "foreign.ply"
     subprocess.run([TOOL, "-q", "-w", path, back], check=True, capture_output=True)
-    return read_ply(back)
+    found = read_ply(back)
+    return turned(found, axes.turn("y", "-y")) if path.suffix == ".spz" and as_ply() else found
+
+
+def as_ply() -> bool:
+    """Whether the other program takes SPZ as a PLY: from version 3 on."""
+    said = subprocess.run([TOOL, "--version"], check=True, capture_output=True, text=True)
+    version = re.search(r"v(\d+)\.", said.stdout + said.stderr)
+    return version is not None and int(version[1]) >= 3
 
 
 def rows(whole: Path, photos: list[PosedImage], folder: Path) -> list[tuple[str, ...]]:

@@ -38,6 +38,9 @@ EXAMPLES = """\
   python -m roigs_engine convert placed.json garden.compressed.ply
   python -m roigs_engine convert result.ply vase.html --fly-to rois.json --before scene/model.ply"""
 LIST = ".json"
+SCENE_UP = "-y"
+"""The axis that points up in formats that keep the frame of a scene."""
+OTHER = "Choose another OUT."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,29 +86,49 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     target = formats.format_of(args.out)
     refuse_page_options(args)
     listed = args.source.suffix.lower() == LIST
+    home = np.eye(4) if listed else _home(args, args.source)
     before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
     matrix = turn(before, args.up or target.up)
     poses = None if listed or target.suffix != PAGE else page_poses(args, console.context)
     if poses is not None:
-        matrix = page_turn(poses, args.up or target.up)
+        matrix = page_turn(poses, args.up or target.up) @ home
+    from_home = matrix @ home.T
     if listed:
         arrays = _placed(args, matrix)
+        there = len(arrays["means"])
     else:
-        refuse_inputs([args.out], [args.source])
-        read = _cropped(formats.read(args.source), args)
+        refuse_inputs([args.out], [args.source], OTHER)
+        arrays = _cropped(formats.read(args.source), args, home)
+        there = len(arrays["means"])
         console.context.check_cancelled()
-        arrays = turned(read, matrix)
+        arrays = turned(arrays, matrix)
     arrays = _shortened(arrays, args)
     console.context.check_cancelled()
     if target.suffix == PAGE:
-        known = None if poses is None else matrix
-        extras = page_extras(args, _before(args, target.up, known), matrix, poses)
-        formats.write(args.out, arrays, extras=extras)
+        known = None if poses is None else from_home
+        extras = page_extras(args, _before(args, target.up, known), from_home, poses)
+        written = formats.write(args.out, arrays, extras=extras)
     else:
-        formats.write(args.out, arrays)
+        written = formats.write(args.out, arrays)
     size = args.out.stat().st_size / 1e6
-    console.print(f"{counted(len(arrays['means']), 'Gaussian')}, {size:.1f} MB in {args.out}")
+    left = f" ({there - written:,} left out)" if written < there else ""
+    console.print(f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
+
+
+def _home(args: argparse.Namespace, path: Path) -> Float64:
+    """(4, 4) from a file's frame to that of the scene, in which boxes and photos are.
+
+    Formats with -y up keep the scene's frame, whichever axis points up in it. A file of another
+    format was turned; OUT, if it is one that keeps the scene's frame, tells how to turn it back.
+    """
+    from ..exchange import formats
+
+    form, target = formats.format_of(path), formats.format_of(args.out)
+    if form.up == SCENE_UP:
+        return np.eye(4)
+    up = args.up if args.up and target.up == SCENE_UP else SCENE_UP
+    return turn(args.from_up or form.up, up)
 
 
 def _shortened(arrays: Arrays, args: argparse.Namespace) -> Arrays:
@@ -116,24 +139,27 @@ def _shortened(arrays: Arrays, args: argparse.Namespace) -> Arrays:
 
 
 def _before(args: argparse.Namespace, up: str, known: Float64 | None) -> Arrays | None:
-    """The model of `--before`, as the first one is shown; `known` turns both upright."""
+    """The model of `--before`, as the first one is shown; `known` turns the scene upright."""
     if args.before is None:
         return None
     from ..exchange import formats
 
-    refuse_inputs([args.out], [args.before])
-    matrix = known
-    if matrix is None:
+    refuse_inputs([args.out], [args.before], OTHER)
+    home = _home(args, args.before)
+    if known is None:
         matrix = turn(args.from_up or formats.format_of(args.before).up, args.up or up)
-    return _shortened(turned(_cropped(formats.read(args.before), args), matrix), args)
+    else:
+        matrix = known @ home
+    return _shortened(turned(_cropped(formats.read(args.before), args, home), matrix), args)
 
 
-def _cropped(arrays: Arrays, args: argparse.Namespace) -> Arrays:
-    """What is in the boxes; everything if none is given."""
+def _cropped(arrays: Arrays, args: argparse.Namespace, home: Float64) -> Arrays:
+    """What is in the boxes; everything if none is given. `home` leads to the boxes' frame."""
     rois = boxes(args, required=False)
     if not rois:
         return arrays
-    means = arrays["means"].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # what is not finite is in no box
+        means = arrays["means"].astype(np.float64) @ home[:3, :3].T
     inside = np.any([roi.contains(means) for roi in rois], axis=0)
     if not inside.any():
         raise RoiError("The boxes hold no Gaussian.", "Are they from the same scene?")
@@ -170,7 +196,7 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> Arrays:
         wanted = placed_models(read_json(args.source, ConfigError, HINT))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
-    refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)])
+    refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)], OTHER)
     read = {
         name: Gaussians.framed(usable(formats.read(Path(name))))
         for name in dict.fromkeys(item.file for item in wanted)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.splat_ply import Floats
+from ..model.scene import Float64
 
 Float32 = NDArray[np.float32]
 Arrays = Mapping[str, Floats]
@@ -39,6 +40,9 @@ def logits(opacity: Float32) -> Float32:
 MOST = {"means": 1e15, "quats": 1e15, "log_scales": 60.0, "sh": 1e6}
 """Largest numbers with which a Gaussian can be drawn."""
 
+FLAT = -60.0
+"""Logarithm of a size that is 0 to everyone: codebooks would be wasted on smaller ones."""
+
 CERTAIN = 80.0
 """Logit of an opacity that is 1 to float32."""
 
@@ -61,11 +65,19 @@ def usable(arrays: Arrays) -> Arrays:
     """Without Gaussians that cannot be drawn."""
     good = drawable(arrays)
     found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
+    sizes: Floats = found["log_scales"]
+    if (sizes < FLAT).any():
+        found = {**found, "log_scales": np.maximum(sizes, np.float32(FLAT))}
     opacity: Floats = found["logit_opacities"]
     if (np.abs(opacity) > CERTAIN).any():
         clipped: Floats = np.clip(opacity, -CERTAIN, CERTAIN).astype(np.float32)
         found = {**found, "logit_opacities": clipped}
     return found
+
+
+def extent(means: Float64) -> float:
+    """The size of the model (N, 3) along its longest axis, without what lies far outside."""
+    return float(np.ptp(np.quantile(means, (0.01, 0.99), axis=0), axis=0).max())
 
 
 def flaw(arrays: Arrays) -> str:

@@ -21,8 +21,8 @@ BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
 MAX_HEADER = 1 << 16
 
 
-def write(path: Path, arrays: Arrays) -> None:
-    """Write Gaussians.
+def write(path: Path, arrays: Arrays) -> int:
+    """Write Gaussians; returns how many.
 
     Raises:
         EngineError: gsply is missing, or the file cannot be written.
@@ -39,6 +39,7 @@ def write(path: Path, arrays: Arrays) -> None:
     )
     with atomic_write(path) as file:
         file.write(data)
+    return len(sh)
 
 
 def read(path: Path) -> Arrays:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +15,9 @@ from ..formats.text import in_gb
 HINT = "Write or download the file again."
 MOST_RATIO, SMALL = 100, 64 << 20
 """Files of Gaussians unpack to some ten times their size; bombs to a thousand times."""
+
+OPENUSD = re.compile(r" at line \d+ in file .*? : '(.*?)\n?'(?:\n|$)", re.DOTALL)
+"""Its errors begin with the place in its source."""
 
 
 def damaged(path: Path, title: str, why: object) -> RunFolderError:
@@ -43,7 +47,8 @@ def _words(error: Exception) -> str:
     """What an error says, else its kind: OpenUSD's may quote bytes that are no text."""
     with suppress(UnicodeError):
         if text := str(error).strip():
-            return text
+            found = OPENUSD.search(text)
+            return found[1] if found else text
     return type(error).__name__
 
 

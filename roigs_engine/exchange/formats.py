@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, RunFolderError
-from ..formats.files import regular
+from ..formats.files import regular, remove_leftovers_of
 from ..formats.splat_ply import read_ply, write_ply
-from .arrays import Arrays, flaw, usable
+from .arrays import Arrays, extent, flaw, usable
 from .damage import HINT, damaged
 
 FAR = 1e4
@@ -70,8 +70,8 @@ def format_of(path: Path) -> FileFormat:
     return found
 
 
-def write(path: Path, arrays: Arrays, **more: Any) -> None:
-    """Write Gaussians in the format that the name says, whole or not at all.
+def write(path: Path, arrays: Arrays, **more: Any) -> int:
+    """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 
     Args:
         path: of the file.
@@ -83,21 +83,21 @@ def write(path: Path, arrays: Arrays, **more: Any) -> None:
         EngineError: a package is missing, or the file cannot be written.
     """
     form = format_of(path)
+    remove_leftovers_of(path)
     if not form.module:
         write_ply(path, arrays)
-        return
+        return len(arrays["means"])
     arrays = usable(arrays)
     if not len(arrays["means"]):
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     means = arrays["means"].astype(np.float64)
-    size = np.ptp(np.quantile(means, (0.01, 0.99), axis=0), axis=0).max()
-    if np.abs(np.median(means, axis=0)).max() > FAR * size > 0:
+    if np.abs(np.median(means, axis=0)).max() > FAR * extent(means) > 0:
         raise ConfigError(
             f"The model lies too far from the origin for {form.title}.",
             "Move it to the origin, or write a plain PLY.",
         )
-    writer: Callable[..., None] = import_module(f".{form.module}", __package__).write
-    writer(path, arrays, **more)
+    writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
+    return writer(path, arrays, **more)
 
 
 def read(path: Path) -> Arrays:

@@ -30,13 +30,14 @@ MEANING = {
     "projection": "perspective",
 }
 FLOAT, BYTE, POINTS, ARRAY_BUFFER = 5126, 5121, 0, 34962
+KINDS = {5120: "i1", BYTE: "u1", 5122: "<i2", 5123: "<u2", FLOAT: "<f4"}
 COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 MAGIC, VERSION, JSON, BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 MOST_JSON = 16 << 20  # bytes
 
 
-def write(path: Path, arrays: Arrays) -> None:
-    """Write Gaussians.
+def write(path: Path, arrays: Arrays) -> int:
+    """Write Gaussians; returns how many.
 
     Raises:
         EngineError: pygltflib is missing, or the file cannot be written.
@@ -76,6 +77,7 @@ def write(path: Path, arrays: Arrays) -> None:
     with atomic_write(path) as file:
         for part in made.save_to_bytes():
             file.write(part)
+    return len(arrays["means"])
 
 
 def _columns(arrays: Arrays) -> dict[str, NDArray[Any]]:
@@ -114,14 +116,16 @@ def read(path: Path) -> Arrays:
     record, blob = _parts(path)
     with reading(path, TITLE):
         found = [
-            (number, primitive["attributes"])
+            (number, primitive["attributes"], _packed_by(primitive["extensions"][NAME]))
             for number, mesh in enumerate(record.get("meshes", []))
             for primitive in mesh["primitives"]
             if NAME in primitive.get("extensions", {})
         ]
         if len(found) != 1:
             raise damaged(path, TITLE, f"{len(found)} primitives with {NAME}, not one")
-        ((mesh, at),) = found
+        ((mesh, at, inner),) = found
+        if inner:
+            raise damaged(path, TITLE, f"its Gaussians are packed by {inner[0]}")
 
         def get(name: str) -> NDArray[np.float32]:
             if name not in at:
@@ -139,6 +143,11 @@ def read(path: Path) -> Arrays:
             "sh": np.stack([get(name) for name in sh[:bands]], axis=1),
         }
         return moved(arrays, _transform(record, mesh))
+
+
+def _packed_by(extension: dict[str, Any]) -> list[str]:
+    """The names of extensions that pack the Gaussians; others may be ignored."""
+    return [name for name in extension.get("extensions", {}) if "compression" in name]
 
 
 def _transform(record: dict[str, Any], mesh: int) -> Float64:
@@ -190,11 +199,16 @@ def _parts(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def _values(record: dict[str, Any], blob: bytes, number: int) -> NDArray[np.float32]:
-    """The values of an accessor; bytes become numbers from 0 to 1."""
+    """The values of an accessor; normalized integers become numbers from -1 or 0 to 1."""
     accessor = record["accessors"][number]
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise ValueError("an accessor is sparse")
     view = record["bufferViews"][accessor["bufferView"]]
-    kinds: dict[int, np.dtype[Any]] = {FLOAT: np.dtype("<f4"), BYTE: np.dtype("u1")}
-    kind = kinds[accessor["componentType"]]
+    if packed := [*view.get("extensions", {})]:
+        raise ValueError(f"its values are packed by {packed[0]}")
+    if view.get("buffer", 0) != 0:
+        raise ValueError("its values are in another file")
+    kind: np.dtype[Any] = np.dtype(KINDS[accessor["componentType"]])
     count, width = int(accessor["count"]), COMPONENTS[accessor["type"]]
     start = int(view.get("byteOffset", 0)) + int(accessor.get("byteOffset", 0))
     stride = int(view.get("byteStride", width * kind.itemsize))
@@ -202,4 +216,6 @@ def _values(record: dict[str, Any], blob: bytes, number: int) -> NDArray[np.floa
     if count < 1 or start < 0 or stride < width * kind.itemsize or end > len(blob):
         raise ValueError("an accessor is longer than the file")
     values: NDArray[Any] = np.ndarray((count, width), kind, blob, start, (stride, kind.itemsize))
-    return (values / 255 if kind.itemsize == 1 else values).astype(np.float32)
+    if accessor.get("normalized") and kind.kind != "f":
+        values = np.maximum(values / np.iinfo(kind).max, -1)
+    return values.astype(np.float32)

@@ -10,7 +10,6 @@ import base64
 import html
 import json
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, MAX_SLOPE, NEAR
 from . import spz
 from .arrays import Arrays, usable
 from .page_views import FIELD, Ball, overview, photographed, viewpoint
+from .scratch import scratch
 
 PARTS = Path(__file__).parent / "page_parts"
 SCRIPTS = ("shaders.js", "renderer.js", "camera.js", "page.js")
@@ -52,8 +52,8 @@ class Extras:
     poses: Float64 | None = None
 
 
-def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
-    """Write the page.
+def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> int:
+    """Write the page; returns how many Gaussians of `arrays` it has.
 
     Raises:
         ConfigError: SPZ cannot hold a model, or `before` has no Gaussians.
@@ -65,24 +65,26 @@ def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> None:
         models = {BEFORE: usable(extras.before), AFTER: arrays}
         if not len(models[BEFORE]["means"]):
             raise ConfigError("The model before has no Gaussians.", "Give another --before.")
+    embedded = {name: _embedded(name, model) for name, model in models.items()}
+    counts = {name: count for name, (_, count) in embedded.items()}
     values = {
         "title": html.escape(printable(extras.title or path.stem)),
         "licence": _part("LICENSE.txt"),
         "style": _part("page.css"),
-        "count": f"{sum(len(model['means']) for model in models.values()):,}",
-        "page": _json(_description(models, extras)),
-        "models": "\n".join(_embedded(name, model) for name, model in models.items()),
+        "count": f"{sum(counts.values()):,}",
+        "page": _json(_description(arrays, counts, extras)),
+        "models": "\n".join(text for text, _ in embedded.values()),
         "worker": _part("worker.js"),
         "script": "\n".join(_part(name).replace('"use strict";\n', "") for name in SCRIPTS),
     }
     text = re.sub(r"\{\{(\w+)\}\}", lambda found: values[found[1]], _part("page.html"))
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))  # names on disk may be no UTF-8
+    return counts[AFTER]
 
 
-def _description(models: dict[str, Arrays], extras: Extras) -> dict[str, Any]:
+def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[str, Any]:
     """What the script of the page needs to know."""
-    shown = models[AFTER]
     whole = None if extras.poses is None else photographed(extras.poses)
     whole = whole or overview(shown)
     balls = [whole, *(ball for _, ball in extras.places)]
@@ -94,8 +96,8 @@ def _description(models: dict[str, Arrays], extras: Extras) -> dict[str, Any]:
     ]
     scale = LocalFrame.of_centres(shown["means"].astype(np.float64)).scale
     return {
-        "models": list(models),
-        "counts": {name: len(model["means"]) for name, model in models.items()},
+        "models": list(counts),
+        "counts": counts,
         "places": places,
         "field": FIELD,
         "rules": {
@@ -112,13 +114,13 @@ def _json(value: Any) -> str:
     return json.dumps(value).replace("<", "\\u003c")
 
 
-def _embedded(name: str, arrays: Arrays) -> str:
-    """A script element with the model."""
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "model.spz"
-        spz.write(made, arrays)
+def _embedded(name: str, arrays: Arrays) -> tuple[str, int]:
+    """A script element with the model, and how many Gaussians it has."""
+    with scratch("A web page") as folder:
+        made = folder / "model.spz"
+        count = spz.write(made, arrays, step=spz.STEPS[-1])  # a page is to be small
         text = base64.b64encode(made.read_bytes()).decode()
-    return f'<script id="{name}" type="text/plain">{text}</script>'
+    return f'<script id="{name}" type="text/plain">{text}</script>', count
 
 
 def _part(name: str) -> str:

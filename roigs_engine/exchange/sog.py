@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ConfigError
 from ..formats.files import atomic_write
 from ..model.scene import Float64
-from .arrays import Arrays, Float32, in_morton_order, opacities, unit_quats
+from .arrays import Arrays, Float32, extent, in_morton_order, opacities, unit_quats
 from .compressed_ply import arrays_of
 from .damage import reading, refuse_bomb
 from .packages import package
@@ -34,16 +35,19 @@ ROUNDS = 8  # of k-means
 MOST = 50_000_000  # Gaussians
 MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
 MOST_META = 16 << 20  # bytes
+COARSEST = 2e-3  # of the model's size: a step of its positions that is still hard to see
 
 Bytes = NDArray[np.uint8]
 
 
-def write(path: Path, arrays: Arrays) -> None:
-    """Write Gaussians, those that are near one another together.
+def write(path: Path, arrays: Arrays) -> int:
+    """Write Gaussians, those that are near one another together; returns how many.
 
     Raises:
+        ConfigError: the model is too small, or too far from the origin, for its positions.
         EngineError: Pillow or scikit-learn is missing, or the file cannot be written.
     """
+    _refuse_coarse(arrays["means"].astype(np.float64))
     arrays = in_morton_order(arrays)
     count, side = len(arrays["means"]), int(np.ceil(np.sqrt(len(arrays["means"]))))
     low, high, bounds = _positions(arrays["means"].astype(np.float64))
@@ -83,6 +87,18 @@ def write(path: Path, arrays: Arrays) -> None:
         packed.writestr("meta.json", json.dumps(meta))
         for name, picture in pictures.items():
             packed.writestr(name, _webp(picture))
+    return count
+
+
+def _refuse_coarse(means: Float64) -> None:
+    """Raise ConfigError if readers, which compute in float32, would show the Gaussians moved."""
+    distance = np.median(np.abs(means).max(axis=1))
+    step = float(np.finfo(np.float32).eps) * (1 + distance) * (1 + np.log1p(distance))
+    if step > COARSEST * extent(means) > 0:
+        raise ConfigError(
+            "The model is too small, or too far from the origin, for SOG.",
+            "Scale it to a size of a few units around the origin, or use another format.",
+        )
 
 
 def _weights(arrays: Arrays) -> Float32:

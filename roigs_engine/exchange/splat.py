@@ -19,8 +19,8 @@ LEAST = 1e-30
 """Stands for a scale of 0, which has no logarithm."""
 
 
-def write(path: Path, arrays: Arrays) -> None:
-    """Write Gaussians, the largest and most opaque first, as viewers that stream the file want it.
+def write(path: Path, arrays: Arrays) -> int:
+    """Write Gaussians; returns how many. The largest and most opaque are first, for streaming.
 
     Raises:
         RunFolderError: the file cannot be written.
@@ -34,6 +34,7 @@ def write(path: Path, arrays: Arrays) -> None:
     order = np.argsort(-arrays["log_scales"].sum(axis=1) - np.log(alpha + 1e-6), kind="stable")
     with atomic_write(path) as file:
         file.write(rows[order].tobytes())
+    return len(rows)
 
 
 def read(path: Path) -> Arrays:

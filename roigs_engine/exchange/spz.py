@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gzip
 import struct
-import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from .arrays import Arrays, Float32, in_morton_order, unit_quats
 from .compressed_ply import arrays_of
 from .damage import damaged, reading, refuse_bomb
 from .packages import package
+from .scratch import scratch
 
 TITLE = "SPZ"
 MAGIC = 0x5053474E
@@ -28,21 +28,28 @@ MOST_FRACTION = 20  # bits behind the point
 SMALL, FINER = 0.05, 4  # a step is 2^-FINER of the size that this share of the Gaussians is below
 FARTHEST = 1000.0  # times the median distance from the origin: what is beyond is left out
 SCALES = (-10.0, 5.9375)  # logarithms that it can hold
-LOST = 0.01  # share of Gaussians whose size it may change
-STEP = 10 / 128  # of SH above degree 0; its own encoder has 16 / 128 above degree 1: 3 dB less
+LOST = 0.01  # share of Gaussians whose size it may change, or that it may leave out
+STEPS = (4 / 128, 6 / 128, 8 / 128, 10 / 128)
+"""Of SH above degree 0; its own encoder has 16 / 128 above degree 1: 3 dB less than the last."""
+PART = 8.1  # the finest step is taken with which the file is at most this part of a PLY
+BLOCKS, BLOCK = 8, 4096  # of rows that tell how small the file becomes
 SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
 MOST = 50_000_000  # Gaussians
 
 
-def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
-    """Write Gaussians.
+def write(path: Path, arrays: Arrays, *, version: int = 3, step: float | None = None) -> int:
+    """Write Gaussians; returns how many: those that are far outside are left out.
+
+    Args:
+        path: of the file.
+        arrays: the model.
+        version: 3 or 4.
+        step: of SH above degree 0; None: the finest with which the file is small.
 
     Raises:
-        ConfigError: their sizes are beyond what the format has.
+        ConfigError: their sizes or positions are beyond what the format has.
         EngineError: gsply is missing, or the file cannot be written.
     """
-    gsply: Any = package("gsply", "gsply", TITLE)
-    spz: Any = package("gsply.spz", "gsply", TITLE)
     arrays = in_morton_order(arrays)
     scales = arrays["log_scales"]
     outside = (scales < SCALES[0]).all(axis=1) | (scales > SCALES[1]).any(axis=1)
@@ -51,29 +58,58 @@ def write(path: Path, arrays: Arrays, *, version: int = 3) -> None:
             "The Gaussians are too small or too large for SPZ.",
             "Scale the model to a size of a few units, or use another format.",
         )
-    means = arrays["means"].astype(np.float32)
-    reach = np.abs(means).max(axis=1)
+    reach = np.abs(arrays["means"].astype(np.float32)).max(axis=1)
     farthest = max(1e-6, min(float(reach.max()), FARTHEST * float(np.median(reach))))
     room = BITS - 1 - np.ceil(np.log2(farthest))
     fraction = int(np.clip(room, 1, _enough(scales.astype(np.float32))))
     inside = reach < 2.0 ** (BITS - 1 - fraction)
-    sh = _rounded(arrays["sh"].astype(np.float32))
+    if inside.mean() < 1 - LOST:
+        raise ConfigError(
+            "The model is too large, or too far from the origin, for SPZ.",
+            "Scale the model to a size of a few units, or use another format.",
+        )
+    kept = {name: values[inside] for name, values in arrays.items()}
+    data = _packed(kept, fraction, step or _finest(kept, fraction), version)
+    with atomic_write(path) as file:
+        file.write(data)
+    return int(inside.sum())
+
+
+def _packed(arrays: Arrays, fraction: int, step: float, version: int = 3) -> bytes:
+    """The file of these Gaussians, with so many bits behind the point and this step of SH."""
+    gsply: Any = package("gsply", "gsply", TITLE)
+    spz: Any = package("gsply.spz", "gsply", TITLE)
+    sh = _rounded(arrays["sh"].astype(np.float32), step)
     data = gsply.GSData.from_arrays(
-        means=means[inside],
-        scales=scales[inside].astype(np.float32),
-        quats=unit_quats(arrays)[inside],
-        opacities=arrays["logit_opacities"][inside].astype(np.float32),
-        sh0=np.ascontiguousarray(sh[inside, 0]),
-        shN=np.ascontiguousarray(sh[inside, 1:]),
+        means=arrays["means"].astype(np.float32),
+        scales=arrays["log_scales"].astype(np.float32),
+        quats=unit_quats(arrays),
+        opacities=arrays["logit_opacities"].astype(np.float32),
+        sh0=np.ascontiguousarray(sh[:, 0]),
+        shN=np.ascontiguousarray(sh[:, 1:]),
     )
-    with tempfile.TemporaryDirectory() as folder:  # gsply takes names alone
-        made = Path(folder) / "model.spz"
+    with scratch(TITLE) as folder:
+        made = folder / "model.spz"
         spz.write_spz(made, data, version=version, fractional_bits=fraction)
-        with atomic_write(path) as file:
-            # What gsply compresses with is fast, and makes files that are a tenth larger.
-            raw = made.read_bytes()
-            smaller = raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
-            file.write(smaller)
+        raw = made.read_bytes()
+    # What gsply compresses with is fast, and makes files that are a tenth larger.
+    return raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
+
+
+def _finest(arrays: Arrays, fraction: int) -> float:
+    """The finest step of SH with which the file is small, by a sample of the Gaussians."""
+    count, bands = arrays["sh"].shape[:2]
+    if bands == 1:
+        return STEPS[-1]
+    starts = np.linspace(0, max(count - BLOCK, 0), BLOCKS).astype(int)
+    rows = np.unique(np.add.outer(starts, np.arange(BLOCK)))
+    rows = rows[rows < count]
+    sample = {name: values[rows] for name, values in arrays.items()}
+    most = len(rows) * 4 * (14 + 3 * bands) / PART
+    for step in STEPS[:-1]:
+        if len(_packed(sample, fraction, step)) <= most:
+            return step
+    return STEPS[-1]
 
 
 def _enough(log_scales: Float32) -> int:
@@ -82,10 +118,10 @@ def _enough(log_scales: Float32) -> int:
     return int(np.clip(np.ceil(FINER - small), 1, MOST_FRACTION))
 
 
-def _rounded(sh: Float32) -> Float32:
+def _rounded(sh: Float32, step: float) -> Float32:
     """SH (N, K, 3) in steps, which compress to less."""
     rounded = sh.copy()
-    rounded[:, 1:] = np.round(sh[:, 1:] / STEP) * STEP
+    rounded[:, 1:] = np.round(sh[:, 1:] / step) * step
     return rounded
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from .axes import turn
 from .damage import damaged, reading
 from .moved import moved
 from .packages import package
+from .scratch import scratch
 
 TITLE = "OpenUSD"
 PRIM = "/Gaussians"
@@ -32,16 +32,16 @@ def _modules() -> tuple[Any, Any, Any, Any, Any]:
     return usd, geom, vol, vt, utils
 
 
-def write(path: Path, arrays: Arrays) -> None:
-    """Write Gaussians; the end of the name says whether as text, binary or packed.
+def write(path: Path, arrays: Arrays) -> int:
+    """Write Gaussians; returns how many. The name's end says whether as text, binary or packed.
 
     Raises:
         EngineError: usd-core is missing, or the file cannot be written.
     """
     usd, geom, vol, vt, utils = _modules()
     packed = path.suffix.lower() == ".usdz"
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / ("model.usdc" if packed else f"model{path.suffix.lower()}")
+    with scratch(TITLE) as folder:
+        made = folder / ("model.usdc" if packed else f"model{path.suffix.lower()}")
         stage = usd.Stage.CreateNew(os.fspath(made))
         geom.SetStageUpAxis(stage, geom.Tokens.y)
         geom.SetStageMetersPerUnit(stage, 1.0)
@@ -69,8 +69,10 @@ def write(path: Path, arrays: Arrays) -> None:
             whole = made.with_suffix(".usdz")
             utils.CreateNewUsdzPackage(os.fspath(made), os.fspath(whole))
             made = whole
-        with atomic_write(path) as file:
-            file.write(made.read_bytes())
+        data = made.read_bytes()
+    with atomic_write(path) as file:
+        file.write(data)
+    return len(means)
 
 
 def read(path: Path) -> Arrays:

@@ -248,6 +248,15 @@ def remove_leftovers(folder: Path) -> None:
                     _remove_abandoned(Path(parent, name))
 
 
+def remove_leftovers_of(path: Path) -> None:
+    """Delete the temporary files that killed processes have left when they wrote this file."""
+    with suppress(OSError):
+        for name in os.listdir(path.parent):
+            if name.startswith(f".{path.name}.") and LEFTOVER.fullmatch(name):
+                with suppress(OSError):
+                    _remove_abandoned(path.with_name(name))
+
+
 def _remove_abandoned(path: Path) -> None:
     """Delete a temporary file unless its owner lives, who holds its lock."""
     if sys.platform == "win32" or is_link(path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -112,3 +113,53 @@ def test_a_stop_leaves_no_file(ply: Path, tmp_path: Path) -> None:
     text, _ = process.communicate("stop\n", timeout=60)
     assert json.loads(text.splitlines()[-1])["stopped"] and process.returncode == 3
     assert not out.exists()
+
+
+SIDE = {"name": "side", "min": [-9, 0.1, -9], "max": [9, 9, 9]}
+"""A box around what has positive y in the scene."""
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".glb", ".usdc", ".splat"])
+def test_boxes_are_in_the_scene_whichever_way_is_up_in_the_file(
+    suffix: str, ply: Path, tmp_path: Path
+) -> None:
+    """Formats with y up were cropped to a box that stood upside down."""
+    for package in {".spz": ("gsply",), ".glb": ("pygltflib",), ".usdc": ("pxr",)}.get(suffix, ()):
+        pytest.importorskip(package)
+    made, out = tmp_path / f"made{suffix}", tmp_path / "out.ply"
+    (tmp_path / "rois.json").write_text(json.dumps({"rois": [SIDE]}))
+    boxes = ["--rois", str(tmp_path / "rois.json")]
+    assert main(["convert", str(ply), str(made)]) == 0
+    assert main(["convert", str(made), str(out), *boxes]) == 0
+    assert (read_ply(out)["means"][:, 1] > 0.09).all()
+    assert abs(len(read_ply(out)["means"]) - (cloud().means[:, 1] > 0.1).sum()) < 3
+    # A scene with z up, to a file with y up and back.
+    assert main(["convert", str(ply), str(made), "--from-up=z"]) == 0
+    back = [] if suffix in (".ply", ".splat") else ["--up=z"]
+    if back:
+        assert main(["convert", str(made), str(out), *back, *boxes]) == 0
+        assert (read_ply(out)["means"][:, 1] > 0.09).all()
+
+
+def test_buttons_of_a_page_are_where_the_boxes_are(ply: Path, tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    (tmp_path / "rois.json").write_text(json.dumps({"rois": [SIDE]}))
+    targets = []
+    assert main(["convert", str(ply), str(tmp_path / "vase.spz")]) == 0
+    for source in ("vase.ply", "vase.spz"):
+        page = tmp_path / f"{source}.html"
+        fly = ["--fly-to", str(tmp_path / "rois.json")]
+        assert main(["convert", str(tmp_path / source), str(page), *fly]) == 0
+        text = page.read_text(encoding="utf-8")
+        found = re.search(r'<script id="page" type="application/json">(.*?)</script>', text)
+        assert found is not None
+        targets.append(json.loads(found[1])["places"][1]["target"])
+    np.testing.assert_allclose(targets[1], targets[0], atol=1e-6)
+    assert targets[0][1] == pytest.approx(-4.55)  # y points up in a page
+
+
+def test_the_hint_names_the_argument(
+    ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["convert", str(ply), str(ply)]) == 2
+    assert "Choose another OUT." in capsys.readouterr().err

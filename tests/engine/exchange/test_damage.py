@@ -104,3 +104,11 @@ def test_the_brightest_look_of_blender(tmp_path: Path) -> None:
     placed = {"ply": str(tmp_path / "a.ply"), "matrix": np.eye(4).tolist(), "gains": [2.0**20] * 3}
     (tmp_path / "list.json").write_text(json.dumps({"models": [placed]}))
     assert main(["convert", str(tmp_path / "list.json"), str(tmp_path / "c.ply")]) == 0
+
+
+def test_openusd_says_what_is_wrong_and_not_where_in_its_source(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    whole = exchange.good(".usdc", 1)
+    refused(tmp_path / "a.usdc", whole[:2000], r"\(Sdf crate file corrupt, possibly truncated")
+    refused(tmp_path / "b.usdc", whole[:50], r"\(File too small to contain bootstrap structure\)")
+    refused(tmp_path / "c.usdz", exchange.good(".usdz", 1)[:200], r"\(Failed to open layer @")

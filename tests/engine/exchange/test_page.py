@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -329,6 +330,17 @@ def test_convert_gives_places_and_the_model_before(tmp_path: Path) -> None:
     assert "<h1>A vase</h1>" in out.read_text()
 
 
+def embedded_means(path: Path) -> np.ndarray:
+    """Positions of the page's model, along x in ascending order."""
+    text = path.read_text(encoding="utf-8")
+    packed = re.search('<script id="After" type="text/plain">(.*?)</script>', text)
+    assert packed is not None
+    model = path.with_suffix(".spz")
+    model.write_bytes(base64.b64decode(packed[1]))
+    means = formats.read(model)["means"].astype(np.float64)
+    return means[np.lexsort(np.round(means, 4).T[::-1])]
+
+
 def test_a_scene_says_what_is_up_and_where_photos_were_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -351,6 +363,12 @@ def test_a_scene_says_what_is_up_and_where_photos_were_taken(
     assert main(given[:-2]) == 0  # the run folder's own
     assert description(tmp_path / "a.html")["places"][0] == place
     assert main([*given, "--from-up", "z"]) == 2
+    # A file that was turned stands where the scene has it.
+    assert main(["convert", str(run / "result.ply"), str(run / "result.glb")]) == 0
+    given[1:3] = [str(run / "result.glb"), str(tmp_path / "b.html")]
+    assert main(given) == 0
+    models = [embedded_means(tmp_path / name) for name in ("a.html", "b.html")]
+    np.testing.assert_allclose(models[1], models[0], atol=1e-3)
 
 
 def test_options_of_pages_are_for_pages(tmp_path: Path, capsys: Any) -> None:
@@ -382,3 +400,10 @@ def test_a_missing_viewer_is_one_line(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(EngineError, match="A part of web pages is missing"):
         formats.write(tmp_path / "a.html", arrays())
     assert not (tmp_path / "a.html").exists()
+
+
+def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    path = tmp_path / os.fsdecode(b"a\xff.html")
+    formats.write(path, arrays())
+    assert "<title>a\\udcff</title>" in path.read_text(encoding="utf-8")

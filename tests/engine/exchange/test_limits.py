@@ -1,0 +1,152 @@
+"""Models at the ends of what formats hold: what is written can be read, or is refused."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from roigs_engine.cli import main
+from roigs_engine.errors import ConfigError
+from roigs_engine.exchange import formats
+from roigs_engine.formats.splat_ply import read_ply, write_ply
+from tests.engine.exchange.test_formats import READABLE, arrays, needed
+
+
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_the_number_that_is_said_is_that_in_the_file(
+    form: formats.FileFormat, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    needed(form)
+    values = arrays()
+    values["means"][0, 0], values["sh"][1, 0, 0], values["quats"][2] = np.nan, np.inf, 0
+    write_ply(tmp_path / "in.ply", values)
+    out = tmp_path / f"out{form.suffix}"
+    assert main(["convert", str(tmp_path / "in.ply"), str(out), "--up=z"]) == 0
+    assert capsys.readouterr().out.startswith("397 Gaussians (3 left out), ")
+    assert len(formats.read(out)["means"]) == 397
+
+
+def test_what_spz_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gsply")
+    values = arrays()
+    values["means"][0] = (1e6, 0, 0)
+    write_ply(tmp_path / "in.ply", values)
+    for name in ("a.spz", "a.html"):
+        assert main(["convert", str(tmp_path / "in.ply"), str(tmp_path / name)]) == 0
+        assert capsys.readouterr().out.startswith("399 Gaussians (1 left out), ")
+    assert "Loading 399 Gaussians" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_spz_without_gaussians_is_refused(tmp_path: Path) -> None:
+    """It was written, and no reader took it."""
+    pytest.importorskip("gsply")
+    values = arrays()
+    values["means"] = values["means"] * np.float32(4e6)
+    for some in (values, {name: rows[:1] for name, rows in values.items()}):
+        some = dict(some)
+        some["means"][0] = (9e6, 0, 0)
+        with pytest.raises(ConfigError, match="too large, or too far from the origin, for SPZ"):
+            formats.write(tmp_path / "a.spz", some)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e-6, 0.0), (1.0, 9e3)])
+def test_sog_refuses_what_its_readers_show_moved(
+    scale: float, offset: float, tmp_path: Path
+) -> None:
+    """Positions are logarithms, which readers take the exponential of in float32."""
+    needed(formats.format_of(tmp_path / "a.sog"))
+    values = arrays()
+    values["means"] = values["means"] * np.float32(scale) + np.float32(offset)
+    values["log_scales"] += np.float32(np.log(scale))
+    with pytest.raises(ConfigError, match="too small, or too far from the origin, for SOG"):
+        formats.write(tmp_path / "a.sog", values)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e-3, 0.0), (1e6, 0.0), (1.0, 300.0)])
+def test_sog_keeps_positions_in_other_units(scale: float, offset: float, tmp_path: Path) -> None:
+    needed(formats.format_of(tmp_path / "a.sog"))
+    values = arrays()
+    values["means"] = values["means"] * np.float32(scale) + np.float32(offset)
+    formats.write(tmp_path / "a.sog", values)
+    found = np.sort(formats.read(tmp_path / "a.sog")["means"][:, 0])
+    size = np.ptp(values["means"][:, 0])
+    assert np.abs(found - np.sort(values["means"][:, 0])).max() < 1e-3 * size
+
+
+def test_one_size_of_nothing_costs_the_others_nothing(tmp_path: Path) -> None:
+    """The codebook of SOG was spread over all sizes from that one to the largest."""
+    needed(formats.format_of(tmp_path / "a.sog"))
+    values = arrays(2000)
+    values["log_scales"][0] = -1e6
+    formats.write(tmp_path / "a.sog", values)
+    found = np.sort(formats.read(tmp_path / "a.sog")["log_scales"].reshape(-1))
+    wanted = np.sort(values["log_scales"].reshape(-1))
+    assert np.abs(found[3:] - wanted[3:]).max() < 0.05
+
+
+@pytest.mark.parametrize("count", [1, 2, 255, 256, 257])
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_few_gaussians(form: formats.FileFormat, count: int, tmp_path: Path) -> None:
+    needed(form)
+    values = arrays(count)
+    formats.write(tmp_path / f"a{form.suffix}", values)
+    found = formats.read(tmp_path / f"a{form.suffix}")
+    assert len(found["means"]) == count
+    order, other = (np.argsort(part["means"][:, 0]) for part in (values, found))
+    near = 0.01 if count > 1 else 0.05
+    assert np.abs(found["means"][other] - values["means"][order])[:, 0].max() < near
+
+
+def test_spz_is_what_its_header_says(tmp_path: Path) -> None:
+    """Read with nothing but its specification: positions, sizes and opacities."""
+    pytest.importorskip("gsply")
+    values = arrays(100)
+    formats.write(tmp_path / "a.spz", values)
+    raw = gzip.decompress((tmp_path / "a.spz").read_bytes())
+    magic, version, count, degree, bits = struct.unpack_from("<IIIBB", raw)
+    assert (magic, version, count, degree) == (0x5053474E, 3, 100, 3)
+    table = np.frombuffer(raw, np.uint8, 9 * count, 16).reshape(count, 3, 3).astype(np.int64)
+    steps = table @ np.array([1, 1 << 8, 1 << 16])
+    means = (steps - (steps >> 23 << 24)) / 2.0**bits
+    far, order = cKDTree(values["means"]).query(means)
+    assert far.max() < 2.0**-bits and len(set(order)) == count
+    alpha = np.frombuffer(raw, np.uint8, count, 16 + 9 * count) / 255
+    wanted = 1 / (1 + np.exp(-values["logit_opacities"]))
+    assert np.abs(alpha - wanted[order]).max() < 0.003
+    sizes = np.frombuffer(raw, np.uint8, 3 * count, 16 + 13 * count).reshape(count, 3) / 16 - 10
+    assert np.abs(sizes - values["log_scales"][order]).max() < 0.04
+
+
+def test_a_plain_ply_keeps_what_cannot_be_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = arrays()
+    values["means"][0, 0] = np.nan
+    write_ply(tmp_path / "in.ply", values)
+    assert main(["convert", str(tmp_path / "in.ply"), str(tmp_path / "out.ply")]) == 0
+    assert capsys.readouterr().out.startswith("400 Gaussians, ")
+    np.testing.assert_array_equal(read_ply(tmp_path / "out.ply")["means"], values["means"])
+
+
+def test_spz_is_as_fine_as_an_eighth_of_a_ply_allows(tmp_path: Path) -> None:
+    """A model with few view-dependent colours had the coarse steps of one with many."""
+    pytest.importorskip("gsply")
+    errors = []
+    for spread in (0.02, 0.3):
+        values = arrays(20_000)
+        values["sh"][:, 1:] *= np.float32(spread / 0.12)
+        formats.write(tmp_path / "a.spz", values)
+        write_ply(tmp_path / "a.ply", values)
+        found = formats.read(tmp_path / "a.spz")
+        _, order = cKDTree(values["means"]).query(found["means"])
+        errors.append(np.abs(found["sh"][:, 1:] - values["sh"][order, 1:]).mean())
+        if spread == 0.02:
+            assert (tmp_path / "a.ply").stat().st_size > 8 * (tmp_path / "a.spz").stat().st_size
+    assert errors[0] < 1.05 / 128 and errors[1] > 2 / 128

@@ -1,0 +1,87 @@
+"""A disk without room is one line, also where a library writes a file of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.errors import EngineError
+from roigs_engine.exchange import formats
+from roigs_engine.exchange.scratch import scratch
+from tests.engine.exchange.test_formats import arrays, needed
+from tests.engine.other_process import in_the_middle
+
+SMALL = """\
+import resource, sys
+from roigs_engine.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+sys.exit(main(["convert", *sys.argv[1:]]))
+"""
+SUFFIXES = (".glb", ".spz", ".usda", ".usdc", ".usdz", ".html")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as Unix does")
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_full_disk_is_one_line(suffix: str, tmp_path: Path) -> None:
+    needed(formats.format_of(tmp_path / f"a{suffix}"))
+    source, out = tmp_path / "in.ply", tmp_path / "out" / f"a{suffix}"
+    formats.write(source, arrays(4000))
+    out.parent.mkdir()
+    out.write_bytes(b"before")
+    command = [sys.executable, "-c", SMALL, str(source), str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "Free some space" in done.stderr
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+    assert out.read_bytes() == b"before"
+
+
+@pytest.mark.parametrize("suffix", [".spz", ".usdc", ".html"])
+def test_without_a_folder_for_temporary_files(
+    suffix: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    needed(formats.format_of(tmp_path / f"a{suffix}"))
+
+    def missing() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_get_default_tempdir", missing)
+    with pytest.raises(EngineError, match="set TMPDIR"):
+        formats.write(tmp_path / f"a{suffix}", arrays())
+    assert not list(tmp_path.iterdir())
+
+
+def test_full_memory_is_not_a_full_disk() -> None:
+    with pytest.raises(RuntimeError), scratch("SPZ"):
+        raise RuntimeError("std::bad_alloc")
+
+
+KILLED = """\
+import sys
+from pathlib import Path
+from roigs_engine.formats.files import atomic_write
+with atomic_write(Path(sys.argv[1])) as file:
+    file.write(b"half")
+    file.flush()
+    print("half", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
+def test_the_next_export_removes_what_a_killed_one_left(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"a{suffix}"
+    (tmp_path / f".b{suffix}.12-0123abcd.part").touch()  # of another file
+    with in_the_middle(KILLED, out, "half") as process:
+        process.kill()
+    with in_the_middle(KILLED, out, "half"):  # still writes
+        assert len(list(tmp_path.iterdir())) == 3
+        formats.write(out, arrays())
+        assert len(list(tmp_path.iterdir())) == 3
+        assert len(formats.read(out)["means"]) == 400
