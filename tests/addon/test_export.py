@@ -35,6 +35,12 @@ def export(bpy: ModuleType, path: Path, **options: object) -> dict[str, np.ndarr
     return read_ply(path)
 
 
+def colours(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """(N, 3), as sRGB values from all sides."""
+    found: np.ndarray = 0.5 + 0.28209479 * arrays["sh"][:, 0]
+    return found
+
+
 def objects(scene) -> dict[str, object]:
     return {item.name: item for item in scene.objects if item.roigs.kind == "SPLATS"}
 
@@ -121,6 +127,16 @@ def test_copies_are_exported_where_they_stand(blender: ModuleType, scene, tmp_pa
     before = len(export(blender, tmp_path / "two.ply")["means"])
     copy.hide_render = True
     assert before - len(export(blender, tmp_path / "one.ply")["means"]) == len(item.data.vertices)
+
+
+def test_a_look_that_a_script_has_just_set(blender: ModuleType, scene, tmp_path: Path) -> None:
+    item = objects(scene)["thing Gaussians"]
+    blender.ops.object.select_all(action="DESELECT")
+    item.select_set(True)
+    before = colours(export(blender, tmp_path / "before.ply", selected=True))
+    item.roigs.exposure, item.roigs.tint = -1.0, (1.0, 0.5, 0.25)
+    after = colours(export(blender, tmp_path / "after.ply", selected=True))
+    np.testing.assert_allclose(after, before * [0.5, 0.25, 0.125], atol=1e-4)
 
 
 def test_nothing_to_export_is_one_line(blender: ModuleType, scene, tmp_path: Path) -> None:
