@@ -198,6 +198,18 @@ def test_in_the_panel_by_name(blender: ModuleType, engine, ply: Path) -> None:
     assert any("My vase" in line for line in said(blender, ResultPanel))
 
 
+def test_it_is_selected_unless_something_is_edited(blender: ModuleType, engine, ply: Path) -> None:
+    blender.ops.mesh.primitive_monkey_add()
+    monkey = blender.context.object
+    item = bring(blender, ply)
+    assert blender.context.selected_objects == [item] and blender.context.object == item
+    blender.context.view_layer.objects.active = monkey
+    blender.ops.object.mode_set(mode="EDIT")
+    bring(blender, ply)
+    assert monkey.mode == "EDIT" and blender.context.object == monkey
+    blender.ops.object.mode_set(mode="OBJECT")
+
+
 def test_files_that_are_none(blender: ModuleType, engine, tmp_path: Path) -> None:
     def refused(path: object, match: str) -> None:
         with pytest.raises(RuntimeError, match=match) as caught:
