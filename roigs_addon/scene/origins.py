@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..blender import mesh_of
 from ..errors import AddonError
@@ -52,7 +53,7 @@ def _centre(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> Matrix:
     return _middle(points)
 
 
-def _middle(points: Matrix) -> Matrix:
+def _middle(points: NDArray[np.float32]) -> Matrix:
     """The middle of points without strays."""
     low, high = np.quantile(points, (0.02, 0.98), axis=0)
     return np.asarray((low + high) / 2, np.float64)
