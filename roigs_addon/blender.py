@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
@@ -128,6 +129,21 @@ def leave_edit_mode(items: Iterable[bpy.types.Object]) -> None:
         with bpy.context.temp_override(window=window):
             if bpy.context.mode != "OBJECT":
                 bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def select_only(context: bpy.types.Context, item: bpy.types.Object) -> None:
+    """Select an object and nothing else, unless its collection is excluded from the view layer.
+
+    Edit mode ends before: Blender would keep it for an object that is no longer the active one.
+    """
+    if context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    objects = view_layer_of(context).objects
+    for other in list(objects.selected):
+        other.select_set(False)
+    with suppress(RuntimeError):
+        item.select_set(True)
+        objects.active = item
 
 
 def persistent(handler: Handler) -> Handler:

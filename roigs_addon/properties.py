@@ -113,6 +113,13 @@ def _set_half_sides(props: RoigsObject, sides: Sequence[float]) -> None:
     item.scale = 1, 1, 1
 
 
+def _look_again(props: RoigsObject, _: bpy.types.Context) -> None:
+    """Exports read evaluated objects, and Blender does not see a script's change by itself."""
+    owner = props.id_data
+    assert owner is not None
+    owner.update_tag()
+
+
 class RoigsObject(bpy.types.PropertyGroup):
     """What an object is to the add-on. Only the fields of its kind are used."""
 
@@ -152,6 +159,7 @@ class RoigsObject(bpy.types.PropertyGroup):
         soft_min=-3.0,
         soft_max=3.0,
         precision=2,
+        update=_look_again,
         description="Gaussians: in stops; 1 doubles the colours' sRGB values, -1 halves them",
     )
     tint: FloatVectorProperty(
@@ -162,6 +170,7 @@ class RoigsObject(bpy.types.PropertyGroup):
         min=0.0,
         max=16.0,
         soft_max=1.0,
+        update=_look_again,
         description="Gaussians: multiplies their colours; white changes nothing",
     )
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import bpy
 
 from ..blender import leave_edit_mode
+from ..engine.own_files import ROIS
 from ..engine.writing import writing
 from ..errors import AddonError
-from ..scene import edits
+from ..scene import edits, fly_to
 from ..scene.frame_request import models_of, shown
 from ..shared import files
 from .spec import EXPORTING, PACKAGES, JobSpec
@@ -17,6 +18,7 @@ from .spec import EXPORTING, PACKAGES, JobSpec
 NAME = "roigs-export"
 """Of the list of models and of the log, in Blender's temporary folder."""
 
+PAGE = ".html"
 NOTHING = "There is nothing to export: {}."
 
 
@@ -41,7 +43,8 @@ def spec(
     if selected:
         items = [item for item in items if item in context.selected_objects]
     leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
-    models = models_of(items, context.evaluated_depsgraph_get())
+    depsgraph = context.evaluated_depsgraph_get()
+    models = models_of(items, depsgraph)
     if problem := edits.problem(items):
         raise AddonError(problem)
     if not models:
@@ -51,10 +54,18 @@ def spec(
         raise AddonError(f"{path.parent} is not a folder.")
     listed = Path(bpy.app.tempdir) / f"{NAME}.json"
     with writing(listed.parent, "temporary folder in Blender's preferences"):
-        files.write_json(listed, {"models": models}, durable=False)
+        page = path.suffix.lower() == PAGE
+        photos = fly_to.photos(scene, items) if page else []
+        files.write_json(listed, {"models": models, "photos": photos}, durable=False)
+        places = fly_to.boxes(items, depsgraph) if page else []
+        buttons = listed.with_name(f"{NAME}-{ROIS}")
+        if places:
+            files.write_json(buttons, {"rois": places}, durable=False)
     options = ["--from-up", "z", "--sh-degree", str(sh_degree)]
     if up:
         options.append(f"--up={up}")  # "-y" would be another option
+    if places:
+        options += ["--fly-to", str(buttons)]
     return JobSpec(
         title=EXPORTING,
         arguments=["convert", str(listed), str(path), *options],

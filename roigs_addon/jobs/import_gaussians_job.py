@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import scene_of
+from ..blender import scene_of, select_only
 from ..engine.own_files import IMPORTED, OWN
 from ..engine.writing import made_folder
 from ..errors import AddonError
@@ -52,8 +52,11 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
 
     def build() -> None:
         now = find()
-        if now is not None:
-            splats.show_imported(now, path, name, in_model=in_model and has_model(now))
+        if now is None:
+            return
+        item = splats.show_imported(now, path, name, in_model=in_model and has_model(now))
+        if bpy.context.scene == now and bpy.context.mode == "OBJECT":  # what is edited stays so
+            select_only(bpy.context, item)
 
     return JobSpec(
         title=IMPORTING_GAUSSIANS,

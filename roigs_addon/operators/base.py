@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from .. import settings
-from ..blender import scene_of, view_layer_of
+from ..blender import scene_of
 from ..engine.python import FOR_TRAINING
 from ..errors import AddonError
 from ..jobs import current
@@ -43,20 +42,6 @@ def available(cls: type[bpy.types.Operator], reason: str) -> bool:
     if reason:
         cls.poll_message_set(reason)
     return not reason
-
-
-def select_only(context: bpy.types.Context, item: bpy.types.Object) -> None:
-    """Select an object and nothing else, unless its collection is excluded from the view layer.
-
-    Edit mode ends before: Blender would keep it for an object that is no longer the active one.
-    """
-    if context.mode != "OBJECT":
-        bpy.ops.object.mode_set(mode="OBJECT")
-    for other in context.selected_objects:
-        other.select_set(False)
-    with suppress(RuntimeError):
-        item.select_set(True)
-        view_layer_of(context).objects.active = item
 
 
 def box_problem(context: bpy.types.Context) -> str:

@@ -9,12 +9,12 @@ import mathutils
 from bpy.props import BoolProperty, FloatVectorProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender import absolute, registration, scene_of
+from ..blender import absolute, registration, scene_of, select_only
 from ..errors import AddonError
 from ..properties import object_props, scene_props
 from ..scene import lookup, rois, selections, start_cube
 from . import folders
-from .base import FRESH, NO_BOX, available, box_problem, failed, select_only
+from .base import FRESH, NO_BOX, available, box_problem, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult

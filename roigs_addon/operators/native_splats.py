@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..blender import leave_edit_mode, registration, scene_of
+from ..blender import leave_edit_mode, registration, scene_of, select_only
 from ..engine.own_files import IMPORTED, OWN
 from ..engine.writing import made_folder, writing
 from ..errors import AddonError
@@ -15,7 +15,7 @@ from ..jobs import run_folders
 from ..jobs.import_gaussians_job import free_file
 from ..scene import lookup, native_splats, point_edits, splats
 from ..shared import names
-from .base import available, failed, select_only
+from .base import available, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender import leave_edit_mode, registration, scene_of, view_layer_of
+from ..blender import leave_edit_mode, registration, scene_of, select_only, view_layer_of
 from ..engine import earlier_results
 from ..errors import AddonError
 from ..facts import caches, run_facts
@@ -16,7 +16,7 @@ from ..jobs import current, run_folders
 from ..properties import object_props
 from ..scene import compared, compositor, detail, edits, lookup, splats
 from ..windows import redraw
-from .base import FRESH, available, failed, select_only
+from .base import FRESH, available, failed
 
 if TYPE_CHECKING:
     from ..blender import OperatorResult

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -60,18 +60,29 @@ def models_of(
         AddonError: one of them stands nowhere.
     """
     models = []
-    for item in items:
-        moved = item.evaluated_get(depsgraph)
-        if moved.hide_render:
-            continue
-        matrix = lookup.stands(item, depsgraph)
-        if np.linalg.matrix_rank(matrix[:3, :3]) < 3:  # scaled to 0
-            continue
+    for item, moved, matrix in standing(items, depsgraph):
         edits.look_again(item)
         if ply := edits.file_of(item):
             placed = matrix @ edits.frame_of(item)
             models.append({"ply": ply, "matrix": placed.tolist(), "gains": look.gains(moved)})
     return models
+
+
+def standing(
+    items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
+) -> Iterator[tuple[bpy.types.Object, bpy.types.Object, frames.Matrix]]:
+    """Those that are not hidden in renders: each, its evaluated one, and where it stands.
+
+    Raises:
+        AddonError: one of them stands nowhere.
+    """
+    for item in items:
+        moved = item.evaluated_get(depsgraph)
+        if moved.hide_render:
+            continue
+        matrix = lookup.stands(item, depsgraph)
+        if np.linalg.matrix_rank(matrix[:3, :3]) == 3:  # else scaled to 0
+            yield item, moved, matrix
 
 
 def picture(render: bpy.types.RenderSettings) -> tuple[int, int, int, int]:

@@ -1,4 +1,4 @@
-"""The origin of a new object of Gaussians: the centre of its box, to turn, scale and frame it.
+"""The origin of a new object of Gaussians: its centre, to turn, scale and frame it.
 
 Objects of results that were loaded before keep the origin that they have.
 """
@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..blender import mesh_of
 from ..errors import AddonError
@@ -23,7 +24,17 @@ def centre_on_box(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> N
     """Move the origin of a new object, whose points are in their file's frame, to its box."""
     if not roi or item.type != "MESH" or not len(mesh_of(item).vertices):
         return
-    centre = _centre(scene, item, roi).astype(np.float32)  # as Blender keeps a location
+    _move(item, _centre(scene, item, roi))
+
+
+def centre_on_points(item: bpy.types.Object) -> None:
+    """Move the origin of a new object, whose points are in their file's frame, to their middle."""
+    if item.type == "MESH" and len(mesh_of(item).vertices):
+        _move(item, _middle(clouds.positions(item)))
+
+
+def _move(item: bpy.types.Object, place: Matrix) -> None:
+    centre = place.astype(np.float32)  # as Blender keeps a location
     frame = np.eye(4)
     frame[:3, 3] = -centre
     edits.place(mesh_of(item), frame)
@@ -39,5 +50,10 @@ def _centre(scene: bpy.types.Scene, item: bpy.types.Object, roi: str) -> Matrix:
             box = lookup.box(found, scene)
             if box.contains(points).mean() > MOST:
                 return np.asarray(np.linalg.inv(box.world_to_box)[:3, 3], np.float64)
+    return _middle(points)
+
+
+def _middle(points: NDArray[np.float32]) -> Matrix:
+    """The middle of points without strays."""
     low, high = np.quantile(points, (0.02, 0.98), axis=0)
     return np.asarray((low + high) / 2, np.float64)

@@ -88,6 +88,7 @@ def show_imported(
     fresh = read_files({("IMPORTED", ""): path})["IMPORTED", ""]
     if scene_props(scene).root is None:
         start_cube.hide(scene)
+    origins.centre_on_points(fresh)
     item = _new_object(scene, name, fresh)
     if not in_model:
         item.parent = None

@@ -23,7 +23,7 @@ from .page_options import (
     page_turn,
     refuse_page_options,
 )
-from .placed_models import HINT, placed_models
+from .placed_models import HINT, photo_poses, placed_models
 from .values import PATH, integer
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         matrix = page_turn(poses, args.up or target.up) @ home
     from_home = matrix @ home.T
     if listed:
-        arrays = _placed(args, matrix)
+        arrays, poses = _placed(args, matrix)
         there = len(arrays["means"])
     else:
         refuse_inputs([args.out], [args.source], OTHER)
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     arrays = _shortened(arrays, args)
     console.context.check_cancelled()
     if target.suffix == PAGE:
-        known = None if poses is None else from_home
+        known = None if listed or poses is None else from_home
         extras = page_extras(args, _before(args, target.up, known), from_home, poses)
         written = formats.write(args.out, arrays, extras=extras)
     else:
@@ -183,8 +183,8 @@ def _drawable(arrays: Arrays) -> Arrays:
     return arrays
 
 
-def _placed(args: argparse.Namespace, matrix: Float64) -> Arrays:
-    """The models of a list, in their places, as one."""
+def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 | None]:
+    """The models of a list, in their places, as one; and the poses of its photos, if any."""
     from ..exchange import formats
     from ..exchange.arrays import usable
     from ..model.gaussians import Gaussians
@@ -193,7 +193,8 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> Arrays:
     if boxes(args, required=False):
         raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
     try:
-        wanted = placed_models(read_json(args.source, ConfigError, HINT))
+        record = read_json(args.source, ConfigError, HINT)
+        wanted, poses = placed_models(record), photo_poses(record)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
     refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)], OTHER)
@@ -208,7 +209,7 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> Arrays:
         gaussians, frame = read[item.file]
         place = matrix @ item.matrix
         models.append(PlacedModel(gaussians=gaussians, frame=frame, matrix=place, gains=item.gains))
-    return _merged(models)
+    return _merged(models), poses
 
 
 def _merged(models: list[PlacedModel]) -> Arrays:

@@ -43,6 +43,16 @@ def placed_models(record: Any) -> list[Placed]:
     return wanted
 
 
+def photo_poses(record: Any) -> Float64 | None:
+    """(N, 4, 4) world_to_camera of a record's `photos`, in the list's world; None without any.
+
+    Raises:
+        TypeError, ValueError, OverflowError: they are malformed.
+    """
+    wanted = record.get("photos", ())
+    return np.array([_affine(rows) for rows in wanted]) if wanted else None
+
+
 def _affine(rows: Any) -> Float64:
     """A matrix of a request; ValueError unless it can be inverted."""
     matrix = np.array(rows, dtype=float)

@@ -22,8 +22,9 @@ body { margin: 0 auto; padding: 1em; max-width: 1100px; font: 16px/1.5 system-ui
 h1, h2, figcaption { overflow-wrap: anywhere; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; }
-th, td { padding: .3em .7em; border-bottom: 1px solid #8886; text-align: right;
-  white-space: nowrap; }
+th, td { padding: .3em .7em; border-bottom: 1px solid #8886; text-align: right; }
+th { vertical-align: bottom; }
+td { white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 li { font-size: .9em; }
 .pictures { display: flex; flex-wrap: wrap; gap: 1.5em; margin: 1.5em 0; }

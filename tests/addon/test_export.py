@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -33,6 +34,19 @@ def scene(blender: ModuleType, run, engine):
 def export(bpy: ModuleType, path: Path, **options: object) -> dict[str, np.ndarray]:
     assert bpy.ops.roigs.export_gaussians(filepath=str(path), **options) == {"FINISHED"}
     return read_ply(path)
+
+
+def colours(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """(N, 3), as sRGB values from all sides."""
+    found: np.ndarray = 0.5 + 0.28209479 * arrays["sh"][:, 0]
+    return found
+
+
+def places(page: Path) -> dict[str, dict[str, object]]:
+    """Where a web page's buttons fly to."""
+    found = re.search('<script id="page"[^>]*>(.*?)</script>', page.read_text())
+    assert found
+    return {item["name"]: item for item in json.loads(found[1])["places"]}
 
 
 def objects(scene) -> dict[str, object]:
@@ -121,6 +135,38 @@ def test_copies_are_exported_where_they_stand(blender: ModuleType, scene, tmp_pa
     before = len(export(blender, tmp_path / "two.ply")["means"])
     copy.hide_render = True
     assert before - len(export(blender, tmp_path / "one.ply")["means"]) == len(item.data.vertices)
+
+
+def test_a_look_that_a_script_has_just_set(blender: ModuleType, scene, tmp_path: Path) -> None:
+    item = objects(scene)["thing Gaussians"]
+    blender.ops.object.select_all(action="DESELECT")
+    item.select_set(True)
+    before = colours(export(blender, tmp_path / "before.ply", selected=True))
+    item.roigs.exposure, item.roigs.tint = -1.0, (1.0, 0.5, 0.25)
+    after = colours(export(blender, tmp_path / "after.ply", selected=True))
+    np.testing.assert_allclose(after, before * [0.5, 0.25, 0.125], atol=1e-4)
+
+
+def test_a_page_has_a_button_for_each_object(blender: ModuleType, scene, tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    item = objects(scene)["thing Gaussians"]
+    copy = item.copy()
+    scene.collection.objects.link(copy)
+    copy.name, copy.location = "second", (5, 0, 0)
+    path = tmp_path / "all.html"
+    assert blender.ops.roigs.export_gaussians(filepath=str(path)) == {"FINISHED"}
+    found = places(path)
+    assert {"Whole scene", "thing", "second"} == set(found)
+    middle = found["second"]["target"][0] - found["thing"]["target"][0]
+    assert middle == pytest.approx(copy.location.x - item.location.x, abs=0.01)
+    listed = Path(blender.app.tempdir) / "roigs-export.json"
+    cameras = [o for o in scene.objects if o.roigs.kind == "CAMERA"]
+    assert len(json.loads(listed.read_text())["photos"]) == len(cameras) > 0
+    blender.ops.object.select_all(action="DESELECT")
+    item.select_set(True)
+    blender.ops.roigs.export_gaussians(filepath=str(path), selected=True)
+    assert set(places(path)) == {"Whole scene"}
+    assert json.loads(listed.read_text())["photos"] == []
 
 
 def test_nothing_to_export_is_one_line(blender: ModuleType, scene, tmp_path: Path) -> None:

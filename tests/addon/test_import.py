@@ -82,7 +82,9 @@ def test_every_readable_format_can_be_chosen(addon: ModuleType) -> None:
 
 def test_out_and_in_again_is_the_same(blender: ModuleType, engine, ply: Path, tmp_path) -> None:
     item = bring(blender, ply, up="Z")
-    np.testing.assert_array_equal(points(item), read_ply(ply)["means"])
+    np.testing.assert_allclose(points(item), read_ply(ply)["means"], atol=1e-6)
+    blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "same.ply"), up="Z")
+    np.testing.assert_array_equal(read_ply(tmp_path / "same.ply")["means"], read_ply(ply)["means"])
     item.location, item.rotation_euler, item.scale = (1, 2, 3), (0.3, 0.2, 0.1), (2, 2, 2)
     blender.context.view_layer.update()
     before = points(item)
@@ -196,6 +198,30 @@ def test_in_the_panel_by_name(blender: ModuleType, engine, ply: Path) -> None:
 
     bring(blender, ply)
     assert any("My vase" in line for line in said(blender, ResultPanel))
+
+
+def test_it_is_selected_unless_something_is_edited(blender: ModuleType, engine, ply: Path) -> None:
+    blender.ops.mesh.primitive_monkey_add()
+    monkey = blender.context.object
+    item = bring(blender, ply)
+    assert blender.context.selected_objects == [item] and blender.context.object == item
+    blender.context.view_layer.objects.active = monkey
+    blender.ops.object.mode_set(mode="EDIT")
+    bring(blender, ply)
+    assert monkey.mode == "EDIT" and blender.context.object == monkey
+    blender.ops.object.mode_set(mode="OBJECT")
+
+
+def test_its_origin_is_its_middle(blender: ModuleType, engine, tmp_path: Path) -> None:
+    """To turn it, and to find it with numpad `.`: objects lie anywhere in the frame of a scene."""
+    arrays = random_arrays(200, seed=4)
+    arrays["means"] += [5, 6, 7]
+    write_ply(tmp_path / "far.ply", arrays)
+    item = bring(blender, tmp_path / "far.ply", up="Z")
+    blender.context.view_layer.update()
+    np.testing.assert_allclose(points(item), arrays["means"], atol=1e-5)
+    low, high = np.quantile(arrays["means"], (0.02, 0.98), axis=0)
+    np.testing.assert_allclose(item.location, (low + high) / 2, atol=1e-4)
 
 
 def test_files_that_are_none(blender: ModuleType, engine, tmp_path: Path) -> None:

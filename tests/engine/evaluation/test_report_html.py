@@ -124,6 +124,15 @@ def test_pictures_of_an_evaluation(tmp_path: Path) -> None:
 
 
 @browser
+def test_a_table_fits_into_a_window(tmp_path: Path) -> None:
+    path = write_page(named("Full Scene, tuned"), [], tmp_path)
+    with chromium.Page(path, width=1280, height=900) as shown:
+        time.sleep(1)
+        wide = "[...document.querySelectorAll('.wide')].map(e => e.scrollWidth - e.clientWidth)"
+        assert max(shown.run(wide)) <= 0
+
+
+@browser
 def test_the_slider_shows_both_sides(tmp_path: Path) -> None:
     path = write_page(named(NASTY), [comparison(NASTY)], tmp_path)
     with chromium.Page(path, width=900, height=900) as shown:

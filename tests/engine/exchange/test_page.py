@@ -371,6 +371,29 @@ def test_a_scene_says_what_is_up_and_where_photos_were_taken(
     np.testing.assert_allclose(models[1], models[0], atol=1e-3)
 
 
+def test_a_list_of_models_says_where_photos_were_taken(tmp_path: Path, capsys: Any) -> None:
+    values = arrays()
+    values["means"] = np.random.default_rng(0).normal(0, 0.1, (300, 3)).astype(np.float32)
+    write_ply(tmp_path / "a.ply", values)
+    model = {"ply": str(tmp_path / "a.ply"), "matrix": np.eye(4).tolist()}
+    # Two cameras on the x axis, 3 from the origin and looking there; z is up.
+    poses = [[[0, s, 0, 0], [0, 0, -1, 0], [-s, 0, 0, 3], [0, 0, 0, 1]] for s in (1, -1)]
+
+    def written(photos: object) -> int:
+        (tmp_path / "a.json").write_text(json.dumps({"models": [model], "photos": photos}))
+        out = str(tmp_path / "a.html")
+        return main(["convert", str(tmp_path / "a.json"), out, "--from-up", "z"])
+
+    assert written(poses) == 0
+    place = description(tmp_path / "a.html")["places"][0]
+    assert np.abs(place["position"]) == pytest.approx([3, 0, 0], abs=0.1)
+    assert written([]) == 0
+    assert description(tmp_path / "a.html")["places"][0] != place
+    for damaged in ([[1]], 5, [[[float("nan")] * 4] * 4]):
+        assert written(damaged) == 2
+        assert "malformed" in capsys.readouterr().err
+
+
 def test_options_of_pages_are_for_pages(tmp_path: Path, capsys: Any) -> None:
     write_ply(tmp_path / "a.ply", arrays())
     command = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz"), "--title", "A"]
