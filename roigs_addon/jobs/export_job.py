@@ -12,7 +12,7 @@ from ..engine.writing import writing
 from ..errors import AddonError
 from ..scene import edits, fly_to
 from ..scene.frame_request import models_of, shown
-from ..shared import files
+from ..shared import files, text
 from .spec import EXPORTING, PACKAGES, JobSpec
 
 NAME = "roigs-export"
@@ -66,10 +66,16 @@ def spec(
         options.append(f"--up={up}")  # "-y" would be another option
     if places:
         options += ["--fly-to", str(buttons)]
+
+    def said() -> str:
+        size = path.stat().st_size / 1e6
+        return f"Exported {path.name}: {text.counted(len(models), 'object')}, {size:.1f} MB"
+
     return JobSpec(
         title=EXPORTING,
         arguments=["convert", str(listed), str(path), *options],
         log=listed.with_suffix(".log"),
+        on_done=said,
         done_text=f"Exported {path.name}",
         words=PACKAGES,
     )

@@ -93,9 +93,9 @@ def _check_names(names: list[str]) -> None:
     bpy.data.batch_remove(items)
     for name, other in zip(names, given, strict=True):
         if name != other:
-            raise AddonError(
-                f"The name '{name}' is taken (Blender would make it {other}). Rename one of them."
-            )
+            if name in bpy.data.objects:
+                raise AddonError(f"The name '{name}' is taken by another object. Rename it first.")
+            raise AddonError(f"The name '{name}' is taken: Blender would make it {other}.")
 
 
 def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:

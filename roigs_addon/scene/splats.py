@@ -131,7 +131,7 @@ def take_names(scene: bpy.types.Scene, files: Mapping[Part, Path]) -> None:
 
 
 def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
-    """Show the model that is being trained; earlier results are hidden meanwhile."""
+    """Show the model that is being trained; results, not imports, are hidden meanwhile."""
     item = next(iter(_of(scene, "PREVIEW", "")), None)
     if item is None:
         item = _new_object(
@@ -139,7 +139,7 @@ def show_preview(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
         )
         object_props(item).level = "PREVIEW"
         for other in lookup.splats(scene):
-            if other != item:
+            if other != item and object_props(other).level != "IMPORTED":
                 visibility.wait(other)
         _hide_sparse(scene)
     object_props(item).ply = str(path)

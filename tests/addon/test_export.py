@@ -69,6 +69,7 @@ def test_the_file_is_what_a_render_shows(
     blender: ModuleType, scene, engine, tmp_path: Path
 ) -> None:
     """A turned and scaled background, an object with deleted points, a moved root, one picture."""
+    from roigs_addon.jobs import current
     from roigs_addon.scene.frame_request import frame_request
 
     blender.ops.roigs.look_through(photo="photo 3.png")
@@ -82,6 +83,8 @@ def test_the_file_is_what_a_render_shows(
     render.dither_intensity, render.filepath = 0.0, str(tmp_path / "f12.png")
     blender.ops.render.render(write_still=True)
     found = export(blender, tmp_path / "all.ply", up="Z")
+    megabytes = f"{(tmp_path / 'all.ply').stat().st_size / 1e6:.1f} MB"
+    assert current.state().outcome == f"Exported all.ply: 2 objects, {megabytes}"
     assert len(found["means"]) == len(items["Background"].data.vertices) + len(
         items["thing Gaussians"].data.vertices
     )

@@ -187,6 +187,7 @@ def test_results_come_and_go_beside_it(blender: ModuleType, run, engine, ply: Pa
     blender.ops.roigs.load_results()
     compared.switch(scene, folder)
     splats.show_preview(scene, folder / "result.ply")
+    assert item.visible_get() and not item.hide_render  # also if the training is stopped now
     splats.remove_preview(scene)
     assert item.name in scene.objects and not item.hide_render and not item.hide_get()
     assert not item.roigs.parked
