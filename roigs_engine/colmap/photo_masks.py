@@ -20,7 +20,7 @@ from ..formats.files import own_folder
 from ..formats.run_files import MASKS
 from ..formats.text import counted
 from ..model.roi import AREA_SIDE
-from ..model.scene import Camera, PhotoMask, PosedImage
+from ..model.scene import PhotoMask, PosedImage
 from ..photos.headers import content_digest, photo_size
 from ..photos.mask_files import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
@@ -37,48 +37,60 @@ NAMED = 3  # unknown masks that a warning names
 
 
 @dataclass(frozen=True, kw_only=True)
+class MaskSource:
+    """Where the mask of a photo comes from.
+
+    Attributes:
+        file: None: the photo's alpha channel.
+        inverted: see `MaskOptions`.
+    """
+
+    file: Path | None
+    inverted: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class MaskPlan:
     """How the mask of one photo is made.
 
     Attributes:
         photo: its file.
         size: (width, height) of that file.
-        file: of the mask; None: the photo's alpha channel.
-        inverted: see `MaskOptions`.
+        source: of the mask.
         content: hash of the file that has the mask.
         undistortion: of the photo; None: it has no distortion.
-        target: its camera.
+        target: (width, height) of the mask.
     """
 
     photo: Path
     size: tuple[int, int]
-    file: Path | None
-    inverted: bool
+    source: MaskSource
     content: str
     undistortion: UndistortionPlan | None
-    target: Camera
+    target: tuple[int, int]
 
     def digest(self) -> str:
         """Hash of all that decides the mask."""
-        source = self.undistortion and self.undistortion.source
-        kind = "alpha" if self.file is None else "inverted" if self.inverted else "file"
-        text = repr((VERSION, kind, self.content, source, self.target.width, self.target.height))
+        lens = self.undistortion and self.undistortion.source
+        kind = "inverted" if self.source.inverted else "file"
+        kind = "alpha" if self.source.file is None else kind
+        text = repr((VERSION, kind, self.content, lens, self.target))
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def make(self) -> Mask:
         """The mask for the photo's camera; raises as `read_mask` and `alpha_mask`."""
         from ..photos.masks import alpha_mask, read_mask, resized
 
-        if self.file is None:
+        if self.source.file is None:
             mask = alpha_mask(self.photo)
         else:
-            mask = read_mask(self.file, self.size, inverted=self.inverted)
+            mask = read_mask(self.source.file, self.size, inverted=self.source.inverted)
         if self.undistortion is not None:
-            source = self.undistortion.source
-            grey = np.where(resized(mask, (source.width, source.height)), 255, 0)
+            lens = self.undistortion.source
+            grey = np.where(resized(mask, (lens.width, lens.height)), 255, 0)
             bitmap = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
-            mask = undistorted_pixels(bitmap, source)[..., 0] == 255
-        return resized(mask, (self.target.width, self.target.height))
+            mask = undistorted_pixels(bitmap, lens)[..., 0] == 255
+        return resized(mask, self.target)
 
     def kept(self, path: Path, *, write: bool) -> Mask:
         """The mask: from the file at `path`, or made now, and written there if `write`."""
@@ -86,12 +98,28 @@ class MaskPlan:
 
         with suppress(OSError, MaskError):
             mask = stored_mask(path)
-            if mask.shape == (self.target.height, self.target.width):
+            if mask.shape == self.target[::-1]:
                 return mask
         mask = self.make()
         if write:
             write_mask(path, mask)
         return mask
+
+
+def find_mask(name: str, photo: Path, files: MaskFiles, options: MaskOptions) -> MaskSource | None:
+    """Where the mask of a photo comes from: a file, or its alpha channel; None: it has none.
+
+    Args:
+        name: of the photo.
+        photo: its file.
+        files, options: where masks are, and which are wanted.
+    """
+    from ..photos.masks import has_alpha
+
+    file = files.find(name)
+    if file is not None:
+        return MaskSource(file=file, inverted=options.inverted and not files.is_made(file))
+    return MaskSource(file=None) if has_alpha(photo) else None
 
 
 def plan_masks(
@@ -110,21 +138,18 @@ def plan_masks(
     Raises:
         MaskError: a mask file cannot be read.
     """
-    from ..photos.masks import has_alpha
-
     plans = {}
     for key, image in images.items():
-        file = files.find(image.name)
-        if file is None and not has_alpha(image.path):
+        source = find_mask(image.name, image.path, files, options)
+        if source is None:
             continue
         plans[key] = MaskPlan(
             photo=image.path,
             size=photo_size(image.path) or (image.camera.width, image.camera.height),
-            file=file,
-            inverted=options.inverted,
-            content=image.file_digest if file is None else _digest(file),
+            source=source,
+            content=image.file_digest if source.file is None else mask_digest(source.file),
             undistortion=undistortions.get(key),
-            target=image.camera,
+            target=(image.camera.width, image.camera.height),
         )
     return plans
 
@@ -157,7 +182,7 @@ def make_masks(
     def look(key: int) -> tuple[bool, NDArray[np.uint8]]:
         """Whether no pixel is ignored, and the mask at a small size."""
         mask = plans[key].kept(paths[key], write=write)
-        return bool(mask.all()), _small(mask, plans[key].target) if mask.any() else NOTHING
+        return bool(mask.all()), _small(mask) if mask.any() else NOTHING
 
     started = time.monotonic()
     with closing(in_parallel(look, [*plans], threads, context)) as work:
@@ -175,13 +200,14 @@ def _photo_mask(plan: MaskPlan, path: Path, small: NDArray[np.uint8]) -> PhotoMa
     return PhotoMask(digest=plan.digest(), path=path, remake=remake, small=small)
 
 
-def _small(mask: Mask, camera: Camera) -> NDArray[np.uint8]:
-    """The mask at the size at which areas are measured (`PhotoMask.small`)."""
+def _small(mask: Mask) -> NDArray[np.uint8]:
+    """The mask at about the size at which areas are measured (`PhotoMask.small`)."""
     from PIL import Image
 
-    small = camera.thumbnail(AREA_SIDE)
+    scale = min(1.0, AREA_SIDE / max(mask.shape))
+    height, width = (max(1, round(side * scale)) for side in mask.shape)
     grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
-    return np.asarray(grey.resize((small.width, small.height), Image.Resampling.BOX))
+    return np.asarray(grey.resize((width, height), Image.Resampling.BOX))
 
 
 def mention_masks(
@@ -208,7 +234,8 @@ def mention_masks(
         )
 
 
-def _digest(file: Path) -> str:
+def mask_digest(file: Path) -> str:
+    """Hash of a mask's file; MaskError if it cannot be read."""
     from ..photos.masks import HINT, MaskError
 
     try:

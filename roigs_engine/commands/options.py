@@ -74,7 +74,7 @@ def add_size_options(group: argparse._ArgumentGroup) -> None:
     add_threads_option(group)
 
 
-def add_mask_options(group: argparse._ArgumentGroup) -> None:
+def add_mask_options(group: argparse._ActionsContainer) -> None:
     """Which parts of the photos are ignored."""
     either = group.add_mutually_exclusive_group()
     either.add_argument(

@@ -6,7 +6,8 @@ The mask of `sub/012.jpg` is the first of these files that exists, as COLMAP and
     masks/sub/012.png           images/sub/012.jpg.mask.png    images/sub/012.mask.png
 
 `masks` is the folder beside the photos' folder, or the one that the user names. A photo without
-such a file has its alpha channel, if there is one, as its mask.
+such a file has its alpha channel, if there is one, as its mask. Before that comes, unless the user
+names a folder, the mask that `reconstruct` has used, which lies in its own folder.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from functools import cached_property
 from pathlib import Path
 
 from ..errors import ConfigError
+from ..formats.projects import RECONSTRUCTION
 from .files import MASK_ENDS, PhotoFolder, is_mask, same_name
 
 MASKS = "masks"
@@ -57,8 +59,15 @@ class MaskFiles:
 
     def __init__(self, photos: Path, folder: Path | None = None) -> None:
         """Args: `photos`: the photos' folder; `folder`: of the masks; None: `masks` beside it."""
+        project = Path(os.path.abspath(photos)).parent
         self._photos = photos
-        self.folder = folder or Path(os.path.abspath(photos)).parent / MASKS
+        self.folder = folder or project / MASKS
+        self._made = PhotoFolder(project / RECONSTRUCTION / MASKS)
+        self._given = folder is not None
+
+    def is_made(self, mask: Path) -> bool:
+        """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
+        return mask.is_relative_to(self._made.folder)
 
     def find(self, name: str) -> Path | None:
         """The mask file of the photo with that name; None: it has none."""
@@ -67,7 +76,8 @@ class MaskFiles:
             found = self._masks.find(candidate)
             if found is not None:
                 return found
-        return next(filter(None, map(self._beside.find, marked)), None)
+        beside = next(filter(None, map(self._beside.find, marked)), None)
+        return beside or (None if self._given else self._made.find(plain[0]))
 
     def unknown(self, photos: Iterable[str]) -> list[str]:
         """Names of the files that are the mask of none of these photos, nor of a box in one."""
