@@ -116,10 +116,10 @@ def find_mask(name: str, photo: Path, files: MaskFiles, options: MaskOptions) ->
     """
     from ..photos.masks import has_alpha
 
-    file = files.find(name)
+    file = files.find(name, others=options.others)
     if file is not None:
         return MaskSource(file=file, inverted=options.inverted and not files.is_made(file))
-    return MaskSource(file=None) if has_alpha(photo) else None
+    return MaskSource(file=None) if options.others and has_alpha(photo) else None
 
 
 def plan_masks(

@@ -35,11 +35,13 @@ class MaskOptions:
         folder: of the masks; None: the folder `masks` beside the photos' folder, if it exists.
         inverted: in mask files, black marks what is used; alpha channels are never inverted.
         used: False: there are no masks.
+        others: whether masks outside the folder count: files beside photos, and alpha channels.
     """
 
     folder: Path | None = None
     inverted: bool = False
     used: bool = True
+    others: bool = True
 
     def check(self) -> None:
         """Raise ConfigError if the folder is none."""
@@ -69,13 +71,18 @@ class MaskFiles:
         """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
         return mask.is_relative_to(self._made.folder)
 
-    def find(self, name: str) -> Path | None:
-        """The mask file of the photo with that name; None: it has none."""
+    def find(self, name: str, *, others: bool = True) -> Path | None:
+        """The mask file of the photo with that name; None: it has none.
+
+        `others`: see `MaskOptions`.
+        """
         marked, plain = mask_names(name)
         for candidate in (plain[0], *marked, *(() if self._among_photos else plain[1:])):
             found = self._masks.find(candidate)
             if found is not None:
                 return found
+        if not others:
+            return None
         beside = next(filter(None, map(self._beside.find, marked)), None)
         return beside or (None if self._given else self._made.find(plain[0]))
 
