@@ -18,6 +18,7 @@ from .commands import (
     clean,
     compose,
     convert,
+    cut,
     evaluate,
     export,
     floaters,
@@ -48,6 +49,7 @@ COMMANDS: dict[str, ModuleType] = {
     "train": train,
     "compose": compose,
     "convert": convert,
+    "cut": cut,
     "floaters": floaters,
     "evaluate": evaluate,
     "render": render,
@@ -63,6 +65,7 @@ WITH_TORCH = (
     "render-frames",
     "compose",
     "convert",
+    "cut",
     "floaters",
 )
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.

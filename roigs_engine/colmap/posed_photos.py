@@ -19,6 +19,8 @@ from ..photos.contents import FILE as CONTENTS
 from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
+from ..photos.mask_files import USUAL_MASKS, MaskFiles, MaskOptions
+from .photo_masks import HIDDEN, make_masks, mention_masks, plan_masks
 from .records import NO_IDS, Model, ModelCamera, ModelImage
 from .undistort import (
     UndistortionPlan,
@@ -82,11 +84,15 @@ class PhotoLoader:
         shrink: Shrink,
         *,
         pixels: bool = True,
+        masks: MaskOptions = USUAL_MASKS,
         context: Context = QUIET,
     ) -> None:
-        """Args: `pixels`: False if only cameras are needed, see `load_colmap`."""
+        """Args: `pixels`: False if only cameras are needed; `masks`: see `load_colmap`."""
         self.approximate = False
         self._pixels = pixels
+        self._masks = masks
+        self._mask_files = MaskFiles(photos.folder, masks.folder)
+        self._names = [photo_name(image) for image in model.images]
         self.skipped: defaultdict[str, list[str]] = defaultdict(list)
         self.posed: dict[int, PosedImage] = {}
         self._plans: dict[int, UndistortionPlan] = {}
@@ -162,10 +168,12 @@ class PhotoLoader:
             context: gets the progress; checked for cancellation.
 
         Raises:
-            As `undistort_all`.
+            As `undistort_all` and `make_masks`.
         """
         if self._pixels or cache is not None:
             self._identify(cache, context)
+            if self._masks.used:
+                self._mask(cache, context)
         if self._pixels:
             self._undistort(cache, context)
 
@@ -186,6 +194,20 @@ class PhotoLoader:
                 self._plans[key] = replace(self._plans[key], digest=digest)
                 digest = self._plans[key].key()
             self.posed[key] = replace(image, file_digest=content.digest, digest=digest)
+
+    def _mask(self, cache: Path | None, context: Context) -> None:
+        """Give the photos their masks; skip those that are hidden whole. Raises as `make_masks`."""
+        plans = plan_masks(self.posed, self._plans, self._mask_files, self._masks)
+        made = make_masks(plans, cache, context, write=self._pixels)
+        for key, mask in made.items():
+            if mask is None:
+                self.skipped[HIDDEN].append(self.posed[key].name)
+                del self.posed[key]
+                self._plans.pop(key, None)
+            else:
+                self.posed[key] = replace(self.posed[key], mask=mask)
+        if self._pixels:
+            mention_masks(made, self._mask_files, self._names, context)
 
     def _undistort(self, cache: Path | None, context: Context) -> None:
         """Undistort distorted photos, or take them from the cache, see `undistort_all`."""

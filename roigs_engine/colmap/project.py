@@ -18,7 +18,9 @@ from ..formats.text import counted
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
+from ..photos.mask_files import USUAL_MASKS, MaskOptions
 from .model_files import HINT_DAMAGED, count_images, read_model
+from .photo_masks import HIDDEN
 from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
@@ -34,6 +36,7 @@ def load_colmap(
     cache: Path | None = None,
     downscale: float | None = None,
     max_side: int | None = None,
+    masks: MaskOptions = USUAL_MASKS,
     pixels: bool = True,
     check: Callable[[SfmScene], None] | None = None,
     context: Context = QUIET,
@@ -48,24 +51,27 @@ def load_colmap(
             default: a temporary folder.
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
+        masks: which masks of photos to use; default: those in the folder `masks` beside the
+            photos' folder, files `NAME.mask.png` beside photos, and alpha channels.
         pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
-            Photos have digests only with a `cache`, which is not written. Needs numpy alone;
-            without pycolmap, lens distortion is ignored, with a warning.
+            Photos have digests and masks only with a `cache`, which is not written. Needs numpy
+            alone; without pycolmap, lens distortion is ignored, with a warning.
         check: called with the cameras before any photo is decoded; raises what is wrong with them.
         context: receives messages; checked for cancellation between files and photos.
 
     Raises:
-        SceneError: no usable model, points or photos.
-        ConfigError: `downscale` or `max_side` out of range.
+        SceneError: no usable model, points or photos, or a mask that cannot be used.
+        ConfigError: `downscale` or `max_side` out of range, or no folder of masks.
         RunFolderError: `cache` cannot be written.
     """
+    masks.check()
     shrink = smaller(downscale, max_side)
     folder = find_model(Path(path), context)
     model = read_model(folder, context)
     ids, points, colors = _points(model, folder, context)
     photos = find_photos(folder, images, [image.name for image in model.images])
-    loader = PhotoLoader(model, photos, shrink, pixels=pixels, context=context)
+    loader = PhotoLoader(model, photos, shrink, pixels=pixels, masks=masks, context=context)
     if loader.approximate:
         text = "pycolmap is not installed: lens distortion is ignored, so cameras differ slightly."
         context.warn(text)
@@ -233,6 +239,9 @@ def _no_photos(model: Model, photos: PhotoFolder, skipped: dict[str, list[str]])
     reason = max(skipped, key=lambda reason: len(skipped[reason]))
     if reason.endswith(CANNOT_UNDISTORT):
         return SceneError(f"The model's photos cannot be used ({counts}).", HINT_RESAMPLE)
+    if reason == HIDDEN:
+        hint = "Use --invert-masks if black marks what is used, or --no-masks."
+        return SceneError(f"The model's photos cannot be used ({counts}).", hint)
     first = ", ".join(f"'{photo_name(image):.60}'" for image in model.images[:3])
     return SceneError(
         f"The model's photos cannot be used ({counts}).",

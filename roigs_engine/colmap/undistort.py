@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write
@@ -175,16 +176,21 @@ def _write(plan: UndistortionPlan, path: Path) -> None:
 
     pixels = decode(plan.photo, (plan.source.width, plan.source.height))
     check_unchanged(plan.photo, plan.digest)  # the file is named after the digest
-    colmap = _pycolmap()
-    bitmap, _ = colmap.undistort_image(
-        _options(), colmap.Bitmap.from_array(pixels), _colmap_camera(plan.source)
-    )
-    result = Image.fromarray(np.asarray(bitmap.to_array()))
+    result = Image.fromarray(undistorted_pixels(pixels, plan.source))
     size = (plan.target.width, plan.target.height)
     if result.size != size:
         result = result.resize(size, Image.Resampling.LANCZOS)
     with atomic_write(path) as file:
         result.save(file, format="PNG", compress_level=1)
+
+
+def undistorted_pixels(pixels: NDArray[np.uint8], camera: ModelCamera) -> NDArray[np.uint8]:
+    """A picture (H, W, 3) of the camera's size as the camera's pinhole sees it."""
+    colmap = _pycolmap()
+    bitmap, _ = colmap.undistort_image(
+        _options(), colmap.Bitmap.from_array(pixels), _colmap_camera(camera)
+    )
+    return np.asarray(bitmap.to_array())
 
 
 @lru_cache(maxsize=1024)

@@ -16,7 +16,7 @@ from ..model.roi import OrientedBox, load_rois
 from ..model.scene import SfmScene
 from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
 from .console import Console
-from .options import AUTO, boxes, only
+from .options import AUTO, boxes, mask_options, only
 
 
 def is_auto(args: argparse.Namespace) -> bool:
@@ -117,7 +117,9 @@ def reconstructed(args: argparse.Namespace, console: Console) -> None:
 
     out = project_of(args)
     console.context.info(f"{args.scene} has no COLMAP model; {out} gets one.")
-    reconstruct(args.scene, out, Settings(), args.threads, console.context)
+    masks = mask_options(args)
+    masks.check()
+    reconstruct(args.scene, out, Settings(), args.threads, console.context, masks=masks)
     args.scene = out
 
 

@@ -16,6 +16,7 @@ from ..formats.text import counted
 from ..machine import return_large_blocks
 from ..model.roi import OrientedBox, load_rois, parse_roi
 from ..model.scene import SfmScene
+from ..photos.mask_files import MaskOptions
 from ..run.config import INITS, MAX_FACTOR, ORDERS, PHOTOS, STRATEGIES, RunConfig
 from ..run.presets import PRESETS, in_strategy, preset
 from ..selection import METHODS
@@ -44,7 +45,9 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
         metavar="PHOTO",
         help="leave a photo out, by its name in the model; repeatable",
     )
-    add_size_options(parser.add_argument_group("scene"))
+    group = parser.add_argument_group("scene")
+    add_size_options(group)
+    add_mask_options(group)
 
 
 def add_size_options(group: argparse._ArgumentGroup) -> None:
@@ -69,6 +72,40 @@ def add_size_options(group: argparse._ArgumentGroup) -> None:
         help="limit the photos' longest side to PX pixels",
     )
     add_threads_option(group)
+
+
+def add_mask_options(group: argparse._ActionsContainer) -> None:
+    """Which parts of the photos are ignored."""
+    either = group.add_mutually_exclusive_group()
+    either.add_argument(
+        "--masks",
+        type=PATH,
+        metavar="DIR",
+        help="folder of masks, 012.jpg.png for the photo 012.jpg: what is black is ignored"
+        " (default: the folder masks beside that of the photos, if there is one)",
+    )
+    # None, not False: what is not given is not in an options file
+    either.add_argument(
+        "--no-masks",
+        action="store_true",
+        default=None,
+        help="use whole photos: no masks, and no alpha channels",
+    )
+    group.add_argument(
+        "--invert-masks",
+        action="store_true",
+        default=None,
+        help="in the masks' files, black marks what is used",
+    )
+
+
+def mask_options(args: argparse.Namespace) -> MaskOptions:
+    """The options of `add_mask_options`, of a command that has them."""
+    return MaskOptions(
+        folder=getattr(args, "masks", None),
+        inverted=bool(getattr(args, "invert_masks", False)),
+        used=not getattr(args, "no_masks", False),
+    )
 
 
 def add_threads_option(parser: argparse._ActionsContainer) -> None:
@@ -218,6 +255,7 @@ def load_scene(
         cache=cache,
         downscale=args.downscale,
         max_side=args.max_side,
+        masks=mask_options(args),
         pixels=pixels and cache is not None,
         check=check,
         context=console.context,

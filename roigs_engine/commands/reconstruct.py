@@ -15,7 +15,7 @@ from ..reconstruction.settings import (
     Settings,
 )
 from .console import Console
-from .options import add_threads_option
+from .options import add_mask_options, add_threads_option, mask_options
 from .values import PATH, integer
 
 HELP = "make a COLMAP project from a folder of photos, or a video"
@@ -38,12 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the project: gets images, sparse/0, database.db and reconstruction.md;"
         " the same command resumes",
     )
-    parser.add_argument(
-        "--masks",
-        type=PATH,
-        metavar="DIR",
-        help="masks, NAME.png for the photo NAME; black parts of a photo are not used",
-    )
+    add_mask_options(parser)
     parser.add_argument(
         "--frames",
         type=integer(2, MOST_FRAMES),
@@ -116,11 +111,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         neighbours=args.neighbours,
         cameras=args.cameras,
         camera_model=args.camera_model,
-        masks=str(args.masks.absolute()) if args.masks else "",
         seed=args.seed,
     )
-    if args.masks and not args.masks.is_dir():
-        raise ConfigError(f"{args.masks} is not a folder.", "Give --masks the folder of the masks.")
+    masks = mask_options(args)
+    masks.check()
     if args.frames and not is_video(args.photos):
         raise ConfigError(f"{args.photos} is no video.", "Leave out --frames.")
     console.log_later()
@@ -132,6 +126,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         console.context,
         console.log_to,
         frames=args.frames or 0,
+        masks=masks,
     )
     outputs = {"scene": str(args.out), "report": str(args.out / "reconstruction.md")}
     console.print_places(outputs | {"model": str(model)})

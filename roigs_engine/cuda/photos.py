@@ -23,7 +23,7 @@ class Photos(Protocol):
 
 
 class PhotoTensors(Protocol):
-    """Photos for the trainer, (H, W, 3) uint8 on its device."""
+    """Photos for the trainer on its device, uint8: (H, W, 3), or with a mask (H, W, 4)."""
 
     def __getitem__(self, index: int) -> Tensor: ...
 

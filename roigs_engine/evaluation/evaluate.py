@@ -83,7 +83,10 @@ def evaluate(
         raise SceneError(f"No {photos} photo can be read.", "Restore the photos' files.")
     plans = [plan.only(names) for plan in plans]
     tables = [_table(p, s, image_views, baseline) for p, s in zip(plans, samples, strict=True)]
-    return Evaluation(test_views=names, baseline=baseline, rois=tuple(tables), photos=photos)
+    masked = sum(image.name in names and image.mask is not None for image in images)
+    return Evaluation(
+        test_views=names, baseline=baseline, rois=tuple(tables), photos=photos, masked=masked
+    )
 
 
 def _measure(

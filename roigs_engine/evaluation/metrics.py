@@ -38,19 +38,23 @@ def ssim(
     image: Tensor,
     photo: Tensor,  # (H, W, 3) uint8
     mask: Tensor | None = None,
+    counted: Tensor | None = None,  # (H, W) bool
 ) -> float:
     """Structural similarity (Wang et al. 2004): 11 x 11 Gaussian window, sigma 1.5.
 
     The SSIM map is that of the full images, averaged over the channels; the result is its mean over
     the mask. Only the mask's bounding rectangle, widened by the window's radius, is computed. NaN
-    for an empty mask.
+    for an empty mask. `counted` are the pixels that the photo's own mask does not ignore; the
+    others are as in `photo_loss`, and must not be in `mask`.
     """
+    mask = counted if mask is None else mask
     if mask is None:
         return float(photo_loss(image, photo).ssim)
     box = bounding_box(mask, margin=SSIM_RADIUS)
     if box is None:
         return math.nan
-    return float(photo_loss(image[box], photo[box], weights=mask[box].to(image)).ssim)
+    weights, counted = mask[box].to(image), None if counted is None else counted[box]
+    return float(photo_loss(image[box], photo[box], weights=weights, counted=counted).ssim)
 
 
 def bounding_box(mask: Tensor, margin: int = 0) -> tuple[slice, slice] | None:

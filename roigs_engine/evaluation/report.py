@@ -129,6 +129,11 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
         + (f" Skipped photos, with fewer than {MIN_SILHOUETTE} pixels: {len(scores.left_out)}."
            if scores.left_out else "")
     ]  # fmt: skip
+    if evaluation.masked:
+        notes.append(
+            f"{counted(evaluation.masked, 'photo')} with a mask: pixels that it ignores are not"
+            " measured, in no column."
+        )
     large = [view.object_pixels for view in views if view.object_pixels >= MIN_OBJECT]
     mask = f"silhouette pixels whose expected depth in '{scores.object_mask_from}' is in the box"
     few = len(views) - len(large)

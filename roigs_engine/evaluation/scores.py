@@ -122,12 +122,14 @@ class Evaluation:
         baseline: name of the model that gains are relative to.
         rois: the table of each box.
         photos: what the measured photos are: `test` or `validation` photos.
+        masked: how many of them have a mask; pixels that it ignores are not measured.
     """
 
     test_views: tuple[str, ...]
     baseline: str
     rois: tuple[RoiScores, ...]
     photos: str = "test"
+    masked: int = 0
 
     def roi(self, name: str) -> RoiScores:
         """The table of that box; KeyError if there is none."""
@@ -139,6 +141,8 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Plain lists, dicts, numbers and strings, ready for JSON."""
         record: dict[str, Any] = _plain(dataclasses.asdict(self))
+        if not self.masked:
+            del record["masked"]
         return record
 
     @classmethod

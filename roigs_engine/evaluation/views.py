@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..context import Context
@@ -18,6 +19,7 @@ from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.decode import load_photo
+from ..photos.masks import load_mask
 from ..rasterize.view import render_view
 from . import metrics
 from .flip import flip
@@ -120,6 +122,12 @@ def points_in_box(
     return torch.from_numpy(inside).to(mask.device)
 
 
+def measured_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
+    """(H, W) the pixels of the box's silhouette, without those that the photo's mask ignores."""
+    silhouette, mask = roi.silhouette(image.camera, image.world_to_camera), load_mask(image)
+    return silhouette if mask is None else silhouette & mask
+
+
 def plan_views(
     roi: OrientedBox,
     images: Sequence[PosedImage],
@@ -136,7 +144,7 @@ def plan_views(
     sizes = {}
     for image in images:
         context.check_cancelled()
-        sizes[image.name] = int(roi.silhouette(image.camera, image.world_to_camera).sum())
+        sizes[image.name] = int(measured_pixels(roi, image).sum())
     inside = {i.name: roi.camera_inside(i.world_to_camera) for i in images}
     largest = max(sizes.values())
     least = MIN_SILHOUETTE if largest >= MIN_SILHOUETTE else max(1, math.ceil(largest / 2))
@@ -192,6 +200,8 @@ def measure_view(
     device = models[0].gaussians.means.device
     photo = torch.as_tensor(load_photo(image), device=device)
     target = photo.float() / 255
+    mask = load_mask(image)
+    counted = None if mask is None else torch.as_tensor(mask, device=device)
     boxes = {
         index: _Box(plan, image, device)
         for index, plan in enumerate(plans)
@@ -206,11 +216,13 @@ def measure_view(
         )
         picture = view.image.to(device)
         error = metrics.squared_error(picture, target)
-        whole[model] = metrics.psnr_from_mse(metrics.mean_in(error))
+        whole[model] = metrics.psnr_from_mse(metrics.mean_in(error, counted))
+        if counted is not None:  # FLIP looks at the neighbours of a pixel
+            picture = torch.where(counted[..., None], picture, target)
         for box in wanted:
             assert view.depth is not None
             box.errors.append(error[box.mask])
-            box.ssim.append(metrics.ssim(picture, photo, box.mask))
+            box.ssim.append(metrics.ssim(picture, photo, box.mask, counted))
             box.flip.append(flip(picture, target, box.mask))
             box.objects.append(box.inside(view.depth.to(device)))
     return whole, [boxes[index].sample() if index in boxes else None for index in range(len(plans))]
@@ -220,15 +232,14 @@ class _Box:
     """What is measured of one box on one photo, model by model.
 
     Attributes:
-        plan, mask: of the box; (H, W) bool, its silhouette of P pixels.
+        plan, mask: of the box; (H, W) bool, its P `measured_pixels`.
         errors, objects: of each model: (P,) squared errors; (P,) bool, the object's mask.
         ssim, flip: of each model.
     """
 
     def __init__(self, plan: BoxPlan, image: PosedImage, device: torch.device) -> None:
-        silhouette = plan.roi.silhouette(image.camera, image.world_to_camera)
         self.plan, self.image = plan, image
-        self.mask = torch.from_numpy(silhouette).to(device)
+        self.mask = torch.from_numpy(measured_pixels(plan.roi, image)).to(device)
         self.errors: list[Tensor] = []
         self.objects: list[Tensor] = []
         self.ssim: list[float] = []

@@ -19,13 +19,14 @@ def is_run_folder(folder: Path) -> bool:
 
 
 def removable(run: Path) -> list[Path]:
-    """What can be removed: undistorted photos, archived stages, a preview that is outdated.
+    """What can be removed: undistorted photos, masks made for them, archived stages, old previews.
 
     The preview of a training that was stopped stays: it is all there is to look at.
     """
     if not is_run_folder(run):
         return []
-    found = [run / run_files.CACHE / run_files.UNDISTORTED]
+    cache = run / run_files.CACHE
+    found = [cache / run_files.UNDISTORTED, cache / run_files.MASKS]
     if os.path.isfile(run / run_files.RESULT):
         found.append(run / run_files.PREVIEW)
     for home in (run, *matching(run, f"{run_files.COMPARED}*")):

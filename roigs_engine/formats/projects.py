@@ -10,6 +10,8 @@ PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
 VIDEOS = {".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v"}
 """Suffixes of videos that become photos."""
 SPARSE = "sparse"
+RECONSTRUCTION = "reconstruction"
+"""What `reconstruct` keeps for itself."""
 SUFFIXES = (".bin", ".txt")
 
 

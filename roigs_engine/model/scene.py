@@ -61,6 +61,23 @@ class Camera:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class PhotoMask:
+    """Which pixels of a photo count; the others are ignored in training and evaluation.
+
+    Attributes:
+        digest: hash of all that decides the mask.
+        path: the mask for the photo at `PosedImage.path`, made by the engine.
+        remake: makes that file again.
+        small: (h, w) uint8, the mask at a small size: 255 where all pixels count, 0 where none.
+    """
+
+    digest: str
+    path: Path
+    remake: Callable[[], object]
+    small: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PosedImage:
     """One photo with its pose.
 
@@ -73,6 +90,7 @@ class PosedImage:
         digest: hash of all that decides the pixels of the photo at `path`; empty: not known.
         file_digest: hash of the photo's own file; empty: not known.
         remake: makes the file at `path` again, if the engine made it from the photo.
+        mask: which pixels count; None: all.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
     """
@@ -85,6 +103,7 @@ class PosedImage:
     digest: str = ""
     file_digest: str = ""
     remake: Callable[[], None] | None = None
+    mask: PhotoMask | None = None
     distorted: bool = False
 
     @property
@@ -92,6 +111,12 @@ class PosedImage:
         """(3,) camera centre in the world."""
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return -rotation.T @ translation
+
+    @property
+    def decoded_bytes(self) -> int:
+        """Bytes of the decoded photo, with its mask."""
+        channels = 3 if self.mask is None else 4
+        return channels * self.camera.width * self.camera.height
 
     def scaled(self, factor: float) -> PosedImage:
         """The same photo with its size multiplied by `factor`; the photo itself for 1."""

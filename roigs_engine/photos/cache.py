@@ -9,7 +9,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from ..machine import machine_memory
 from ..model.scene import PosedImage
-from .decode import Pixels, load_photo
+from .decode import Pixels
+from .masks import load_masked
 
 THREADS = 2  # that decode ahead
 
@@ -17,7 +18,8 @@ THREADS = 2  # that decode ahead
 class PhotoCache:
     """Decoded photos of a scene; above a limit in bytes, drops the least recently used ones.
 
-    `cache[index]` returns the (H, W, 3) uint8 photo of `images[index]`; callers must not modify it.
+    `cache[index]` returns the photo of `images[index]`, (H, W, 3) uint8, or with its mask (H, W, 4)
+    (`load_masked`); callers must not modify it.
     `prefetch` decodes ahead on background threads. Thread-safe.
     """
 
@@ -67,8 +69,7 @@ class PhotoCache:
         planned = 0
         for given in indices:
             index = range(len(self._images))[given]
-            camera = self._images[index].camera
-            planned += 3 * camera.width * camera.height
+            planned += self._images[index].decoded_bytes
             if planned > self._limit // 2:
                 return
             with self._lock:
@@ -105,7 +106,7 @@ class PhotoCache:
     def _decode(self, index: int, future: Future[Pixels]) -> None:
         """Decode the photo, set the result of the running `future`, and cache the photo."""
         try:
-            pixels = load_photo(self._images[index])
+            pixels = load_masked(self._images[index])
         except BaseException as error:  # raised where the future is read
             with self._lock:
                 self._forget(index, future)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import unicodedata
-from collections.abc import Iterable, Set
+from collections.abc import Callable, Iterable, Set
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -21,6 +21,18 @@ UNREAD = {
     *(".avif", ".exr", ".gif", ".hdr", ".jfif", ".jxl", ".psd", ".tga"),
 }
 """Formats of cameras and of other pictures, which are not read."""
+MASK_ENDS = (".mask.png",)
+"""How the names of masks end that lie among the photos (`mask_files`)."""
+
+
+def is_mask(name: str) -> bool:
+    """Whether a file among the photos is a mask, by its name."""
+    return name.lower().endswith(MASK_ENDS)
+
+
+def is_photo(name: str) -> bool:
+    """Whether a file among the photos is a photo, and no mask."""
+    return not is_mask(name)
 
 
 class PhotoFolder:
@@ -29,11 +41,18 @@ class PhotoFolder:
     Attributes:
         folder: need not exist.
         extensions: of the files that are photos.
+        keep: tells from a file's name whether it counts.
     """
 
-    def __init__(self, folder: Path, extensions: Set[str] = EXTENSIONS) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        extensions: Set[str] = EXTENSIONS,
+        keep: Callable[[str], bool] = is_photo,
+    ) -> None:
         self.folder = folder
         self.extensions = extensions
+        self.keep = keep
 
     @cached_property
     def _files(self) -> dict[str, Path]:
@@ -43,7 +62,8 @@ class PhotoFolder:
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             for name in sorted(names):
                 path = Path(parent, name)
-                if path.suffix.lower() not in self.extensions or name.startswith("."):
+                known = path.suffix.lower() in self.extensions and self.keep(name)
+                if not known or name.startswith("."):
                     continue
                 if path.is_file():  # not a pipe or a device, whose reading could block forever
                     files[path.relative_to(self.folder).as_posix()] = path
@@ -53,7 +73,7 @@ class PhotoFolder:
     def _by_key(self) -> dict[str, Path]:
         files: dict[str, Path] = {}
         for name, path in self._files.items():
-            files.setdefault(_key(name), path)
+            files.setdefault(same_name(name), path)
         return files
 
     def find(self, name: str) -> Path | None:
@@ -72,7 +92,7 @@ class PhotoFolder:
             with contextlib.suppress(OSError):  # a name too long for the file system
                 if path.is_file():
                     return path
-        return self._by_key.get(_key(name))
+        return self._by_key.get(same_name(name))
 
     def others(self, names: Iterable[str]) -> list[str]:
         """Names of the photos on disk that a model's `names` do not include."""
@@ -80,7 +100,8 @@ class PhotoFolder:
         return [name for name, path in self._files.items() if path not in found]
 
 
-def _key(name: str) -> str:
+def same_name(name: str) -> str:
+    """What two names share that differ in case, slashes or the form of accents alone."""
     return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
 
 

@@ -66,8 +66,8 @@ def rasterize(
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
     with_depth: Depth = False,  # also return the mean depth, or with "median" the median (not cuda)
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
-    with_weight_sum: bool = False,  # also return the sum of its weights: no caller today (*)
-    pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1 (*)
+    with_weight_sum: bool = False,  # also return the sum of its weights
+    pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
     mask: tuple[int, int, int, int] | Tensor | None = None,
     backward_step: BackwardStep | None = None,  # the optimizer step that `backward` takes
     backend: str = "auto",  # auto: for float32 the device's compiled backend, else the reference
@@ -77,7 +77,7 @@ def rasterize(
     `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
     touches are active, forward and backward; other pixels get the background. With `backward_step`
     (one camera, cpu), `backward` updates the visible Gaussians and returns no gradients; it can be
-    called once. (*) Levels of detail and masks will use the sums of weights.
+    called once.
 
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.

@@ -17,18 +17,15 @@ from typing import Any
 from ..errors import RunFolderError, SceneError
 from ..formats.files import cannot_write, own_folder, read_json, write_json
 from ..formats.lock import locked
-from ..formats.projects import PHOTO_FOLDERS, SPARSE, model_suffix
+from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
+from ..photos.mask_files import MASKS
 from .checks import unread_in_words
 from .look import Photo, digests_of
 from .settings import Settings
 
-IMAGES, DATABASE, WORK, REPORT = (
-    PHOTO_FOLDERS[0],
-    "database.db",
-    "reconstruction",
-    "reconstruction.md",
-)
+IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"
+WORK = RECONSTRUCTION
 VERSION = 1  # of the record; increase it if features or matches of older engines are of no use
 
 
@@ -65,6 +62,11 @@ class Folder:
     def work(self, *names: str) -> Path:
         """A place of the engine's own."""
         return own_folder(self.root, WORK).joinpath(*names)
+
+    @property
+    def masks(self) -> Path:
+        """The photos' masks, as pycolmap reads them."""
+        return self.work(MASKS)
 
     @property
     def log(self) -> Path:

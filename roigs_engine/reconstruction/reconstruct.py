@@ -17,6 +17,7 @@ from ..formats.events import Message, StageStarted
 from ..formats.files import write_text
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
+from ..photos.mask_files import USUAL_MASKS, MaskOptions
 from . import pairs
 from .checks import unread_in_words, warnings_of, warnings_of_matches
 from .child import run_task
@@ -36,6 +37,7 @@ from .folder import Folder
 from .frames import take_frames
 from .look import Found, Photo, camera_groups, digests_of, look_at
 from .mapping import map_models, map_rest
+from .photo_masks import digest_of, masks_of, write_masks
 from .settings import Settings
 from .similarity import LARGEST, similarities
 from .video import is_video
@@ -74,7 +76,7 @@ def find_features(
         "max_side": settings.max_side,
         "features": settings.most_features(len(photos)),
         "camera_model": settings.camera_model,
-        "masks": settings.masks,
+        "masks": str(folder.masks) if settings.masks else "",
     }
     _run(task, folder, FEATURES, "descriptors", len(photos), context)
 
@@ -203,6 +205,7 @@ def reconstruct(
     ready: Callable[[Path], None] = lambda folder: None,
     *,
     frames: int = 0,
+    masks: MaskOptions = USUAL_MASKS,
 ) -> Path:
     """Reconstruct the photos below the folder `source` as the COLMAP project `out`.
 
@@ -214,15 +217,15 @@ def reconstruct(
         context: gets progress and messages; checked for cancellation.
         ready: called with the folder for a log, once this process may write there.
         frames: about how many frames of a video to use; 0: as many as its motion asks for.
+        masks: which masks of the photos to use.
 
     Returns:
         The folder of the model.
 
     Raises:
-        SceneError: the photos cannot be used, or `out` has something else.
+        SceneError: the photos or a mask cannot be used, or `out` has something else.
         RunFolderError: `out` cannot be written, or another engine is at work there.
-        EngineError: pycolmap is missing or too old, or PyAV or
-            pillow-heif is missing and needed.
+        EngineError: pycolmap is missing or too old, or PyAV or pillow-heif is missing and needed.
         Stopped: on request; the next call resumes.
     """
     folder, video = Folder(out), is_video(source)
@@ -234,13 +237,15 @@ def reconstruct(
         if video:
             files = take_frames(source, folder, frames, context)
         found = _taken(files, {} if video else folder.unread_of(source), folder, context)
+        hidden = masks_of(found.photos, folder.images if video else source, masks, context)
+        settings = replace(settings, masks=digest_of(hidden))
         key = json_digest({"settings": asdict(settings), "photos": digests_of(found.photos)})
         if folder.is_done(key):
             context.info(f"{folder.model} is up to date.")
             return folder.model
-        restart = folder.begin(list(found.photos), settings)
-        if restart:
+        if restart := folder.begin(list(found.photos), settings):
             context.info(restart)
+        write_masks(hidden, folder, context)
         result = solve(folder, found, settings, threads or usable_cores(), context)
         write_text(folder.report, as_markdown(result))
         if not result.models:

@@ -25,8 +25,8 @@ class Settings:
         cameras: which photos share a camera, one of `CAMERAS`. auto: those of one size, device,
             lens and focal length.
         camera_model: COLMAP's name of the lens model.
-        masks: folder of masks, `NAME.png` for the photo NAME; features are found only where a mask
-            is not black, and everywhere in photos without one. Empty: none.
+        masks: hash of the photos' masks, which `reconstruct` sets: features are found only where a
+            mask is not black. Empty: no photo has one.
         seed: of all random numbers.
     """
 

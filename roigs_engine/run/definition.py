@@ -84,13 +84,15 @@ class Run:
 def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any]:
     """A scene and its boxes, both in the world's frame, in a manifest."""
     images = scene.images
-    return {
+    masks = {image.name: image.mask.digest for image in images if image.mask is not None}
+    record = {
         "rois": [roi.to_dict() for roi in rois],
         "photos": len(images),
         "sizes": sorted({f"{i.camera.width}x{i.camera.height}" for i in images}),
         "model": scene.digest()[:16],
         "contents": {image.name: image.file_digest or image.digest for image in images},
     }
+    return record | ({"masks": masks} if masks else {})
 
 
 def define_run(

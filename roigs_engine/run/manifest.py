@@ -18,7 +18,7 @@ from .definition import MANIFEST_VERSION
 from .renaming import rename_results, rename_stages, renamed_boxes, with_names
 
 FORMER_NAME = "request.json"  # until 0.1.0
-CONTENTS = "contents"  # the key of the photos' digests
+CONTENTS, MASKS = "contents", "masks"  # the keys of the digests of photos and of their masks
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them
 OTHER_SCENE = "its photos are those of another scene"
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
@@ -154,6 +154,8 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
     """
     if path == CONTENTS and isinstance(before, dict) and isinstance(now, dict):
         return _photos_changed(before, now)
+    if path == MASKS:
+        return _masks_changed(before or {}, now or {})
     if isinstance(before, dict) and isinstance(now, dict):
         if not path and _other_scene(before, now):
             return OTHER_SCENE
@@ -197,3 +199,13 @@ def _photos_changed(before: dict[str, Any], now: dict[str, Any]) -> str:
         return f"the photo {first} {'is missing' if lost else 'is new' if new else 'changed'}"
     how = "are missing" if len(lost) == len(names) else "are new" if len(new) == len(names) else ""
     return f"{len(names)} photos {how or 'changed'}, the first is {first}"
+
+
+def _masks_changed(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """How many photos have another mask, in words; empty if none."""
+    names = [n for n in sorted(before.keys() | now.keys()) if before.get(n) != now.get(n)]
+    if not names:
+        return ""
+    if len(names) == 1:
+        return f"the mask of {names[0]} changed"
+    return f"the masks of {len(names)} photos changed, the first is {names[0]}"

@@ -100,12 +100,12 @@ def plan_memory(
     """
     machine = machine_memory()
     largest = max(i.camera.width * i.camera.height for i in images)
-    photos = sum(3 * i.camera.width * i.camera.height for i in images)
+    photos = sum(image.decoded_bytes for image in images)
     count = points + PER_DENSIFICATION * (
         _densifications(config.scene) + _densifications(config.roi)
     )
     start = PER_GAUSSIAN * points
-    least = 3 * AHEAD * largest
+    least = AHEAD * max(image.decoded_bytes for image in images)
     left = machine - ENGINE - start
     if least + PER_PIXEL * largest > left:
         raise SceneError(

@@ -83,6 +83,7 @@ class Stage:
             "config": asdict(self.config),
             "images": [
                 (i.name, i.digest, asdict(i.camera), i.world_to_camera.tolist())
+                + (() if i.mask is None else (i.mask.digest,))
                 for i in self.images
             ],
             "rois": [roi.to_dict() | {"name": ""} for roi in self.rois],

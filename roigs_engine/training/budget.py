@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..context import QUIET, Context
+from ..model.counted_pixels import counted_pixels
 from ..model.gaussians import Gaussians
 from ..model.ownership import count_owned
 from ..model.roi import OrientedBox
@@ -47,7 +48,8 @@ def box_budgets(
     """Each box's budget at the end, `box_budget` x pixels^0.5; None when there is no limit.
 
     Args:
-        images: the stage's photos; each pixel in a box's silhouette counts.
+        images: the stage's photos; each pixel in a box's silhouette counts, unless the photo's
+            mask ignores it.
         rois: the boxes.
         config: has `box_budget`.
         context: checked for cancellation between photos.
@@ -68,9 +70,9 @@ def budgets_from(
 
 
 def _pixels(roi: OrientedBox, images: Sequence[PosedImage], context: Context) -> float:
-    """Number of pixels in the box's silhouette, over all photos."""
+    """Number of pixels in the box's silhouette that count, over all photos."""
     pixels = 0.0
     for image in images:
         context.check_cancelled()
-        pixels += roi.projected_pixels(image.camera, image.world_to_camera)
+        pixels += counted_pixels(roi, image)
     return pixels

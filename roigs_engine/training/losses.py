@@ -4,6 +4,11 @@
 
 Images are (H, W, 3) sRGB values in [0, 1], photos (H, W, 3) uint8. SSIM (Wang et al. 2004) has an
 11 x 11 Gaussian window of sigma 1.5, zeros around the image, C1 = 0.01^2 and C2 = 0.03^2.
+
+A pixel that a mask ignores is as one beyond the image: zero in both pictures, and without weight.
+So neither term depends on what render or photo show there, also through the windows of pixels
+nearby, and its gradient is exactly zero. To fill the hole with the render instead would let the
+render's own values there decide how much SSIM sees of a difference nearby.
 """
 
 from __future__ import annotations
@@ -41,6 +46,7 @@ def photo_loss(
     *,
     ssim_weight: float = 0.2,
     weights: Tensor | None = None,  # (H, W)
+    counted: Tensor | None = None,  # (H, W) bool
     backend: str = "auto",
 ) -> LossOutput:
     """The training loss of a render against its photo; differentiable in `image`.
@@ -53,6 +59,7 @@ def photo_loss(
         weights: weight of each pixel in both terms, not negative; None: all equal. They are
             divided by their sum. The SSIM of a pixel still depends on all pixels around it. If all
             weights are zero, so is the loss.
+        counted: the pixels that no mask ignores; None: all.
         backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (the package fused-ssim:
             float32 on an NVIDIA GPU, no weights), "reference" (plain torch, any dtype and device),
             or "auto": the first one that supports the arguments.
@@ -62,7 +69,9 @@ def photo_loss(
     """
     # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
     planes = image.squeeze(0) if image.dim() == 4 else image
-    _check(planes, target, weights)
+    _check(planes, target, weights, counted)
+    if counted is not None:
+        planes, target, weights = _without_ignored(planes, target, weights, counted)
     native = planes.dtype == torch.float32 and planes.device.type == "cpu"
     if backend == "auto":
         backend = "cpu" if native else _without_kernel(planes, weights)
@@ -76,6 +85,16 @@ def photo_loss(
         raise EngineError("photo_loss: the cpu backend takes float32 tensors on the CPU only.")
     terms = _KernelLoss.apply(planes, target, ssim_weight, weights)  # type: ignore[no-untyped-call]
     return LossOutput(*terms)
+
+
+def _without_ignored(
+    image: Tensor, target: Tensor, weights: Tensor | None, counted: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Image, photo and weights with zeros at ignored pixels; NaN in the image does not get out."""
+    shown = counted[..., None]
+    zero = image.new_zeros(())
+    weights = counted.to(torch.float32) if weights is None else weights * counted
+    return torch.where(shown, image, zero), target * shown, weights
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
@@ -165,7 +184,7 @@ class _KernelLoss(torch.autograd.Function):
         return gradient.permute(1, 2, 0), None, None, None
 
 
-def _check(image: Tensor, target: Tensor, weights: Tensor | None) -> None:
+def _check(image: Tensor, target: Tensor, weights: Tensor | None, counted: Tensor | None) -> None:
     shape = tuple(image.shape)
     if image.dim() != 3 or shape[2] != 3 or 0 in shape or not image.is_floating_point():
         raise EngineError(f"photo_loss: image is {shape} {image.dtype}, not (H, W, 3) floats.")
@@ -175,6 +194,10 @@ def _check(image: Tensor, target: Tensor, weights: Tensor | None) -> None:
         )
     if weights is not None and tuple(weights.shape) != shape[:2]:
         raise EngineError(f"photo_loss: weights are {tuple(weights.shape)}, not {shape[:2]}.")
+    if counted is not None and (tuple(counted.shape) != shape[:2] or counted.dtype != torch.bool):
+        raise EngineError(
+            f"photo_loss: counted is {tuple(counted.shape)} {counted.dtype}, not {shape[:2]} bool."
+        )
 
 
 def _unit_values(image: Tensor, dtype: torch.dtype) -> Tensor:

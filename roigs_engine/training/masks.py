@@ -1,5 +1,7 @@
 """Masks: the pixels of a photo that the box stage trains on, the boxes' silhouettes and a rim.
 
+Photos may have masks of their own (`photos.masks`): what these ignore is trained on by no stage.
+
 The Scene-GS has already trained the background. Most steps of the box stage skip it: they are
 faster, and their gradients go into the boxes (ours, docs/method.md; in the paper, the loss is on
 the entire image, sec. II-B). Masks consist of whole 16x16 tiles, the rasterizer's unit of work.
@@ -133,3 +135,22 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
         for x in range(3):
             grown |= padded[y : y + rows, x : x + columns]
     return grown
+
+
+def split_mask(photo: Tensor) -> tuple[Tensor, Tensor | None]:
+    """A photo as `photos.masks.load_masked` returns it -> its colours, and which pixels count."""
+    if photo.shape[-1] == 3:
+        return photo, None
+    return photo[..., :3], photo[..., 3] > 0
+
+
+def counted_weights(weights: Tensor | None, counted: Tensor) -> tuple[Tensor, Tensor]:
+    """The weights of the pixels that count, and their share of all weights, a scalar.
+
+    The loss times that share weighs a pixel as in a photo without a mask.
+    """
+    if weights is None:
+        kept = counted.to(torch.float32)
+        return kept, kept.mean()
+    kept = weights * counted
+    return kept, kept.sum() / weights.sum()

@@ -32,7 +32,7 @@ from .densification.edits import unchanged
 from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
-from .masks import RoiMask, RoiMasks
+from .masks import RoiMask, RoiMasks, counted_weights, split_mask
 from .optimizer import VisibleAdam
 from .photo_order import PhotoAt, is_whole
 from .z_order import morton_order
@@ -150,18 +150,24 @@ class Trainer:
         config, data = self.config, self.data
         index = data.photo_at(self.step)
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
-        target = self._photos[index]
+        target, counted = split_mask(self._photos[index])
         self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         mask = self._mask(index)
-        output = self._render(index, mask)
+        output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
         if mask is not None:
             image, target = mask.crop(image), mask.crop(target)
+            counted = None if counted is None else mask.crop(counted)
             weights = mask.weights
-        loss = photo_loss(image, target, ssim_weight=config.ssim_weight, weights=weights)
+        loss = photo_loss(
+            image, target, ssim_weight=config.ssim_weight, weights=weights, counted=counted
+        )
         # A pixel weighs about as much as in a whole photo: gradient thresholds keep their meaning.
         loss_weight = None if mask is None else loss.loss.new_tensor(mask.loss_weight)
+        if counted is not None:
+            weights, share = counted_weights(weights, counted)
+            loss_weight = share if loss_weight is None else loss_weight * share
         loss.loss.backward(loss_weight)  # type: ignore[no-untyped-call]
         visible = output.visible[0]
         if self._optimizer.backward_step is None:
@@ -188,8 +194,11 @@ class Trainer:
             return None
         return masks[index]
 
-    def _render(self, index: int, mask: RoiMask | None) -> RenderOutput:
+    def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
         p, camera = self._parameters, self.data.images[index].camera
+        active = None if mask is None else mask.pixels
+        if counted is not None:
+            active = counted if active is None else active.to(counted.device) & counted
         return rasterize(
             p.means,
             p.quats,
@@ -203,7 +212,7 @@ class Trainer:
             sh_degree=self.config.degree(self.step),
             raw=True,
             with_max_weight=self._density.needs_max_weight,
-            mask=None if mask is None else mask.pixels,
+            mask=active,
             backward_step=self._optimizer.backward_step,
         )
 
@@ -216,7 +225,10 @@ class Trainer:
         )
         if self.step % PSNR_EVERY == 0:
             error = (rendered.detach() - target / 255.0).square().mean(dim=-1)
-            mean = error.mean() if weights is None else (error * weights).sum() / weights.sum()
+            if weights is None:
+                mean = error.mean()
+            else:
+                mean = (error * weights).sum() / weights.sum().clamp(min=1)
             psnr = float(-10 * torch.log10(mean.clamp(min=1e-10)))
             self._psnr = psnr if self._psnr != self._psnr else 0.7 * self._psnr + 0.3 * psnr
 

@@ -464,9 +464,9 @@ FAMILIES: dict[str, tuple[Family, int]] = {
 
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
-    from tests.fuzz import exchange, run_folders, texts, user_input
+    from tests.fuzz import exchange, masks, run_folders, texts, user_input
 
-    others = (run_folders, user_input, texts, exchange)
+    others = (run_folders, user_input, texts, exchange, masks)
     return functools.reduce(operator.or_, (room.FAMILIES for room in others), FAMILIES)
 
 

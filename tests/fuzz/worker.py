@@ -74,7 +74,8 @@ class Decode:
             for index in range(len(cache)):
                 with contextlib.suppress(EngineError):
                     camera, pixels = scene.images[index].camera, cache[index]
-                    assert pixels.shape == (camera.height, camera.width, 3)
+                    assert pixels.shape[:2] == (camera.height, camera.width)
+                    assert pixels.shape[2] in (3, 4)  # with a mask
         return {}
 
 

@@ -85,7 +85,7 @@ def test_what_does_not_go_with_auto_is_one_line(
 def photos(project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Photos whose reconstruction is the project, at once."""
 
-    def reconstruct(source: Path, out: Path, *rest: object) -> Path:
+    def reconstruct(source: Path, out: Path, *rest: object, **named: object) -> Path:
         shutil.copytree(project.folder, out, dirs_exist_ok=True)
         return out / "sparse/0"
 

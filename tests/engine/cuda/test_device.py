@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from roigs_engine.cli import main
 from roigs_engine.context import QUIET, Context
@@ -103,6 +105,36 @@ def test_steps_without_kernels_are_those_with_them(
         ours, truth = getattr(plain.gaussians, name), getattr(kernels.gaussians, name)
         # Quaternions of round Gaussians: Adam steps by the sign of a gradient that is zero.
         assert (ours - truth).abs().max() < (1e-2 if name == "quats" else 1e-3), name
+
+
+def test_masked_steps_without_kernels_are_those_with_them(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A card gets photo and mask as one picture."""
+    mask = np.zeros((48, 64, 1), np.uint8)
+    mask[5:40, 20:] = 255
+
+    class Masked(PhotoCache):
+        def __getitem__(self, index: int) -> NDArray[np.uint8]:
+            return np.dstack([super().__getitem__(index), mask])
+
+    sent: list[tuple[int, ...]] = []
+
+    def upload(pixels: NDArray[np.uint8]) -> Callable[[], torch.Tensor]:
+        sent.append(pixels.shape)
+        return lambda: torch.from_numpy(pixels)
+
+    monkeypatch.setitem(globals(), "PhotoCache", Masked)
+    config = replace(CONFIG, densify_from=100)
+    kernels = trained(scene, config)
+    without_kernels(monkeypatch)
+    monkeypatch.setattr(
+        trainer, "photos_on", lambda _, photos: DevicePhotos(photos, upload, limit=1 << 20)
+    )
+    plain = trained(scene, config)
+    assert sent and set(sent) == {(48, 64, 4)}
+    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=1e-4)
+    assert torch.allclose(plain.gaussians.means, kernels.gaussians.means, atol=1e-3)
 
 
 def test_densifying_without_kernels_gives_as_good_a_model(

@@ -135,7 +135,7 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(image.name)
         return load_photo(image)
 
-    monkeypatch.setattr(cache_module, "load_photo", spy)
+    monkeypatch.setattr(cache_module, "load_masked", spy)
     return names
 
 

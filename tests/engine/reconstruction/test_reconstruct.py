@@ -19,11 +19,13 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError, SceneError, Stopped
 from roigs_engine.formats.events import Event, StageStarted
+from roigs_engine.photos.mask_files import MaskOptions
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.look import Photo, look_at
+from roigs_engine.reconstruction.photo_masks import digest_of, masks_of, write_masks
 from roigs_engine.reconstruction.reconstruct import (
     choose_pairs,
     find_features,
@@ -152,9 +154,12 @@ def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
     mask[:, 320:] = 255
     (tmp_path / "masks").mkdir()
     Image.fromarray(mask).save(tmp_path / "masks/b.jpg.png")
-    settings = replace(QUICK, masks=str(tmp_path / "masks"))
     folder.work().mkdir()
     found = look_at(folder.photos_of(folder.images), folder.work("photos.json"), QUIET)
+    options = MaskOptions(folder=tmp_path / "masks")
+    masks = masks_of(found.photos, folder.images, options, QUIET)
+    write_masks(masks, folder, QUIET)
+    settings = replace(QUICK, masks=digest_of(masks))
     find_features(folder, found.photos, settings, 1, QUIET)
     with closing(sqlite3.connect(folder.database)) as file:
         query = "SELECT name, cols, data, camera_id FROM images JOIN keypoints USING (image_id)"

@@ -58,7 +58,7 @@ def test_2000_photos_of_24_megapixels_stay_in_the_limit(monkeypatch: pytest.Monk
         weakref.finalize(pixels, count, -pixels.nbytes)
         return pixels
 
-    monkeypatch.setattr(photo_cache, "load_photo", load)
+    monkeypatch.setattr(photo_cache, "load_masked", load)
     photo_at = shuffled(range(2000), 0)
     with PhotoCache(posed(2000), limit_bytes=GB) as cache:
         for step in range(4000):

@@ -1,0 +1,120 @@
+"""Where the mask of a photo is: the one rule, for training and for `reconstruct`.
+
+The mask of `sub/012.jpg` is the first of these files that exists, as COLMAP and Brush name them:
+
+    masks/sub/012.jpg.png       masks/sub/012.jpg.mask.png     masks/sub/012.mask.png
+    masks/sub/012.png           images/sub/012.jpg.mask.png    images/sub/012.mask.png
+
+`masks` is the folder beside the photos' folder, or the one that the user names. A photo without
+such a file has its alpha channel, if there is one, as its mask. Before that comes, unless the user
+names a folder, the mask that `reconstruct` has used, which lies in its own folder.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from ..errors import ConfigError
+from ..formats.projects import RECONSTRUCTION
+from .files import MASK_ENDS, PhotoFolder, is_mask, same_name
+
+MASKS = "masks"
+"""The folder's name."""
+ANYTHING = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskOptions:
+    """Which masks the user wants.
+
+    Attributes:
+        folder: of the masks; None: the folder `masks` beside the photos' folder, if it exists.
+        inverted: in mask files, black marks what is used; alpha channels are never inverted.
+        used: False: there are no masks.
+        others: whether masks outside the folder count: files beside photos, and alpha channels.
+    """
+
+    folder: Path | None = None
+    inverted: bool = False
+    used: bool = True
+    others: bool = True
+
+    def check(self) -> None:
+        """Raise ConfigError if the folder is none."""
+        if self.folder is not None and not self.folder.is_dir():
+            raise ConfigError(f"{self.folder} is not a folder.", "Give --masks the masks' folder.")
+
+
+USUAL_MASKS = MaskOptions()
+
+
+class MaskFiles:
+    """The mask files of the photos in one folder.
+
+    Attributes:
+        folder: of the masks; need not exist.
+    """
+
+    def __init__(self, photos: Path, folder: Path | None = None) -> None:
+        """Args: `photos`: the photos' folder; `folder`: of the masks; None: `masks` beside it."""
+        project = Path(os.path.abspath(photos)).parent
+        self._photos = photos
+        self.folder = folder or project / MASKS
+        self._made = PhotoFolder(project / RECONSTRUCTION / MASKS)
+        self._given = folder is not None
+
+    def is_made(self, mask: Path) -> bool:
+        """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
+        return mask.is_relative_to(self._made.folder)
+
+    def find(self, name: str, *, others: bool = True) -> Path | None:
+        """The mask file of the photo with that name; None: it has none.
+
+        `others`: see `MaskOptions`.
+        """
+        marked, plain = mask_names(name)
+        for candidate in (plain[0], *marked, *(() if self._among_photos else plain[1:])):
+            found = self._masks.find(candidate)
+            if found is not None:
+                return found
+        if not others:
+            return None
+        beside = next(filter(None, map(self._beside.find, marked)), None)
+        return beside or (None if self._given else self._made.find(plain[0]))
+
+    def unknown(self, photos: Iterable[str]) -> list[str]:
+        """Names of the files that are the mask of none of these photos, nor of a box in one."""
+        names = (mask_names(name) for name in photos)
+        known = {same_name(name) for marked, plain in names for name in (*marked, *plain)}
+        folders = (self._beside,) if self._among_photos else (self._masks, self._beside)
+        found = (name for folder in folders for name in folder.others([]))
+        return [
+            name
+            for name in found
+            if not known & {same_name(name), same_name(name.partition("/")[2])}
+        ]
+
+    @cached_property
+    def _among_photos(self) -> bool:
+        """Whether the folder is that of the photos, in which `012.png` is no mask of `012.jpg`."""
+        return os.path.realpath(self.folder) == os.path.realpath(self._photos)
+
+    @cached_property
+    def _masks(self) -> PhotoFolder:
+        return PhotoFolder(self.folder, ANYTHING, keep=lambda name: True)
+
+    @cached_property
+    def _beside(self) -> PhotoFolder:
+        return PhotoFolder(self._photos, {".png"}, keep=is_mask)
+
+
+def mask_names(photo: str) -> tuple[list[str], list[str]]:
+    """The names that the mask of a photo can have: those that say so, and plain ones."""
+    photo = photo.replace("\\", "/")
+    folder, slash, name = photo.rpartition("/")
+    stems = dict.fromkeys((photo, folder + slash + os.path.splitext(name)[0]))
+    return [stem + end for stem in stems for end in MASK_ENDS], [f"{stem}.png" for stem in stems]

@@ -1,0 +1,168 @@
+"""Reads the masks of photos: which pixels count, and which are ignored.
+
+A mask is (H, W) bool, True where a pixel counts. In a file, black is ignored and all else counts,
+as in COLMAP; so is what the file itself leaves transparent. Of an alpha channel, what is more than
+half transparent is ignored. A pixel of a resampled mask is ignored if it covers any that is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from ..errors import SceneError
+from ..formats.files import atomic_write
+from ..model.scene import PosedImage
+from .decode import Pixels, load_photo
+from .headers import MAX_PIXELS, open_photo, unreadable
+
+Mask = NDArray[np.bool_]
+
+OPAQUE = 128  # least alpha of a pixel that counts
+HINT = "Save it again as a PNG, remove it, or use no masks (--no-masks)."
+
+
+class MaskError(SceneError):
+    """A mask cannot be used."""
+
+
+def read_mask(path: Path, photo: tuple[int, int], *, inverted: bool = False) -> Mask:
+    """The mask in a file, at the file's own size.
+
+    Args:
+        path: a PNG of any depth.
+        photo: (width, height) of its photo, whose shape the mask must have.
+        inverted: whether black counts and all else is ignored.
+
+    Raises:
+        MaskError: the file cannot be read, is an animation, or has another shape; names it.
+    """
+    try:
+        with Image.open(path, formats=("PNG",)) as image:
+            _check(path, image, photo)
+            bright = _bright(image)
+    except (MemoryError, MaskError):
+        raise
+    except Exception as error:  # Pillow's readers raise nearly anything on damaged files
+        raise MaskError(f"Cannot read the mask {path} ({_reason(path, error)}).", HINT) from error
+    return ~bright if inverted else bright
+
+
+def has_alpha(path: Path) -> bool:
+    """Whether a photo's file has an alpha channel, by its header; False without Pillow."""
+    try:
+        with open_photo(path) as photo:
+            return photo.has_transparency_data and not photo.mode.startswith("I")
+    except Exception:  # the photo is reported where it is decoded
+        return False
+
+
+def alpha_mask(path: Path) -> Mask:
+    """The mask in a photo's alpha channel, at the photo's own size.
+
+    Raises:
+        PhotoError: the photo cannot be decoded.
+    """
+    try:
+        with open_photo(path) as photo:
+            alpha = np.asarray(photo.convert("RGBA").getchannel("A"))
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise unreadable(path, error) from error
+    opaque: Mask = alpha >= OPAQUE
+    return opaque
+
+
+def resized(mask: Mask, size: tuple[int, int]) -> Mask:
+    """The mask at `size` = (width, height); a pixel that covers an ignored one is ignored."""
+    if (mask.shape[1], mask.shape[0]) == size:
+        return mask
+    grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
+    smaller = np.array(grey.resize(size, Image.Resampling.BOX))
+    full: Mask = smaller == 255
+    return full
+
+
+def write_mask(path: Path, mask: Mask) -> None:
+    """Write a mask as a PNG of one bit; RunFolderError if it cannot be written."""
+    with atomic_write(path, durable=False) as file:
+        Image.fromarray(mask).save(file, format="PNG")
+
+
+def load_mask(image: PosedImage) -> Mask | None:
+    """The mask of a posed photo at its camera's size; None: all pixels count.
+
+    A file that the engine made, and that is lost or damaged, is made again.
+
+    Raises:
+        MaskError, PhotoError: the mask or photo is missing or was changed; names it.
+        RunFolderError: a file of the engine cannot be made again.
+    """
+    if image.mask is None:
+        return None
+    size = (image.camera.width, image.camera.height)
+    try:
+        return resized(stored_mask(image.mask.path), size)
+    except (OSError, MaskError):
+        image.mask.remake()
+    return resized(stored_mask(image.mask.path), size)
+
+
+def stored_mask(path: Path) -> Mask:
+    """A mask that `write_mask` has written; MaskError if it is damaged."""
+    try:
+        with Image.open(path, formats=("PNG",)) as image:
+            return np.array(image.convert("1"))
+    except (MemoryError, FileNotFoundError):
+        raise
+    except Exception as error:
+        raise MaskError(f"Cannot read the mask {path} ({error}).", HINT) from error
+
+
+def load_masked(image: PosedImage) -> Pixels:
+    """A posed photo with its mask: as `load_photo`, (H, W, 3), or (H, W, 4) if it has one.
+
+    The last channel is 255 where a pixel counts, else 0. Raises as `load_photo` and `load_mask`.
+    """
+    pixels, mask = load_photo(image), load_mask(image)
+    if mask is None:
+        return pixels
+    return np.dstack([pixels, np.where(mask, np.uint8(255), np.uint8(0))])
+
+
+def _check(path: Path, image: Image.Image, photo: tuple[int, int]) -> None:
+    """Raise MaskError if the opened file cannot be the mask of a photo of that size."""
+    (width, height), (across, down) = image.size, photo
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"its header says {width} x {height} pixels")
+    if getattr(image, "n_frames", 1) > 1:
+        raise MaskError(f"The mask {path} is an animation.", "Save it as one picture.")
+    if abs(width / across - height / down) > 1 / across + 1 / down:
+        raise MaskError(
+            f"The mask {path} has {width} x {height} pixels, its photo {across} x {down}:"
+            " another shape.",
+            "Make it from the photo as it is on the disk, not turned or cropped, or remove it.",
+        )
+
+
+def _bright(image: Image.Image) -> Mask:
+    """(H, W) the pixels of an opened file that are neither black nor transparent."""
+    if image.mode.startswith("I"):  # 16 bits, which do not become RGBA
+        deep: Mask = np.asarray(image) > 0
+        return deep
+    rgba = np.asarray(image.convert("RGBA"))
+    shown: Mask = (rgba[..., :3] > 0).any(axis=2) & (rgba[..., 3] >= OPAQUE)
+    return shown
+
+
+def _reason(path: Path, error: Exception) -> str:
+    """Why a mask cannot be read, in words."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if path.is_file() and not path.stat().st_size:
+        return "the file is empty"
+    return "it is no PNG" if isinstance(error, UnidentifiedImageError) else str(error)

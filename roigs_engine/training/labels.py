@@ -1,0 +1,79 @@
+"""Which Gaussians belong to an object, by the votes of its masks on some photos.
+
+Each pixel of a masked photo votes with the weight alpha x T that it blends a Gaussian with: for the
+object where the mask shows it, else against. A Gaussian belongs to the object if the votes for it
+are more: this is the optimum in closed form of fitting binary labels to the masks (FlashSplat, Shen
+et al. 2024). A Gaussian that no masked photo shows goes with those around it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from ..context import QUIET, Context
+from ..cuda.device import CPU
+from ..cuda.library import has_blending_weights
+from ..model.gaussians import Gaussians
+from ..model.scene import Camera, Float64
+from ..rasterize.view import rasterize_view
+
+MaskedView = tuple[Camera, Float64, Tensor]
+"""A camera, its world_to_camera, and the object's mask there, (H, W) bool."""
+
+LEAST = 1 / 255  # sum of votes below which no photo shows a Gaussian
+AROUND = 5  # neighbours that decide for it
+
+
+@torch.no_grad()
+def mask_votes(
+    gaussians: Gaussians, views: Iterable[MaskedView], context: Context = QUIET
+) -> tuple[Tensor, Tensor]:
+    """(N,) twice: the votes of all views for and against each Gaussian being of the object.
+
+    Args:
+        gaussians: the model, N rows; other Gaussians hide those behind them.
+        views: the masked photos.
+        context: checked for cancellation between views.
+    """
+    device = gaussians.means.device
+    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
+    inside, everywhere = (torch.zeros(len(model), device=model.means.device) for _ in range(2))
+    for camera, pose, mask in views:
+        weights = mask.to(model.means)[None]
+        for total, pixels in ((inside, weights), (everywhere, None)):
+            context.check_cancelled()
+            # colours do not matter
+            output = rasterize_view(
+                model, camera, pose, sh_degree=0, with_weight_sum=True, pixel_weights=pixels
+            )
+            assert output.weight_sum is not None
+            total += output.weight_sum
+    return inside.to(device), (everywhere - inside).clamp(min=0).to(device)
+
+
+def object_rows(gaussians: Gaussians, votes: tuple[Tensor, Tensor], candidates: Tensor) -> Tensor:
+    """(N,) bool: the Gaussians of the object.
+
+    Args:
+        gaussians: the model.
+        votes: of `mask_votes`.
+        candidates: (N,) bool: those that may be of the object, as its box owns them.
+    """
+    yes, no = votes
+    rows, seen = (yes > no) & candidates, (yes + no >= LEAST) & candidates
+    unseen = candidates & ~seen
+    if not bool(seen.any()) or not bool(unseen.any()):
+        return rows & seen
+    places = gaussians.means.detach().cpu().numpy()
+    known, asked = seen.cpu().numpy(), unseen.cpu().numpy()
+    count = min(AROUND, int(known.sum()))
+    _, near = cKDTree(places[known]).query(places[asked], k=list(range(1, count + 1)))
+    share = rows.cpu().numpy()[known][near].mean(axis=1)
+    found = (rows & seen).cpu().numpy()
+    found[asked] = share > 0.5
+    return torch.from_numpy(np.ascontiguousarray(found)).to(rows.device)

@@ -1,0 +1,86 @@
+"""Masks of photos to reconstruct: found by training's rule, kept in one folder for pycolmap."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from roigs_engine.context import QUIET, Context
+from roigs_engine.formats.events import Event, Message
+from roigs_engine.photos.mask_files import MaskFiles, MaskOptions
+from roigs_engine.photos.masks import stored_mask
+from roigs_engine.reconstruction.folder import Folder
+from roigs_engine.reconstruction.look import look_at
+from roigs_engine.reconstruction.photo_masks import digest_of, masks_of, write_masks
+from roigs_engine.reconstruction.settings import Settings
+
+NAMES = ("a.png", "sub/b.png", "c.png", "d.png")
+
+
+def scene(folder: Path) -> Folder:
+    """Four photos: with a mask file, one beside it, an alpha channel, and an opaque one."""
+    made = Folder(folder / "scene")
+    left = np.zeros((30, 40), bool)
+    left[:, :20] = True
+    for k, name in enumerate(NAMES):
+        photo = Image.effect_noise((40, 30), 20 + k).convert("RGB")
+        if name in ("c.png", "d.png"):
+            photo.putalpha(Image.fromarray(left | (name == "d.png")).convert("L"))
+        path = made.images / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        photo.save(path)
+    (folder / "scene/masks").mkdir()
+    Image.fromarray(left.astype(np.uint16) * 9).save(folder / "scene/masks/a.png.png")
+    Image.fromarray(left).save(folder / "scene/images/sub/b.mask.png")
+    return made
+
+
+def test_masks_of_all_kinds_are_written_for_pycolmap(tmp_path: Path) -> None:
+    folder, events = scene(tmp_path), list[Event]()
+    files = folder.photos_of(folder.images)
+    assert set(files) == set(NAMES)  # the mask beside b is no photo
+    photos = look_at(files, tmp_path / "photos.json", QUIET).photos
+    masks = masks_of(photos, folder.images, MaskOptions(), QUIET)
+    assert set(masks) == {"a.png", "sub/b.png", "c.png"}
+    write_masks(masks, folder, Context(emit=events.append))
+    for name in masks:
+        mask = stored_mask(folder.masks / f"{name}.png")
+        assert mask[:, :20].all() and not mask[:, 20:].any()
+    (said,) = [e.text for e in events if isinstance(e, Message)]
+    assert said.startswith("3 photos with a mask")
+    # Training finds them, and does not invert them again.
+    (folder.images / "sub/b.mask.png").unlink()
+    found = MaskFiles(folder.images)
+    made = found.find("sub/b.png")
+    assert made is not None and found.is_made(made)
+    assert MaskFiles(folder.images, tmp_path).find("sub/b.png") is None
+
+
+def test_other_masks_are_other_features(tmp_path: Path) -> None:
+    folder = scene(tmp_path)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    plain = masks_of(photos, folder.images, MaskOptions(used=False), QUIET)
+    assert (plain, digest_of(plain), Settings().masks) == ({}, "", "")
+    first = masks_of(photos, folder.images, MaskOptions(), QUIET)
+    write_masks(first, folder, QUIET)
+    options = MaskOptions(inverted=True)
+    second = masks_of(photos, folder.images, options, QUIET)
+    assert len({digest_of(masks) for masks in (plain, first, second)}) == 3
+    write_masks(second, folder, QUIET)
+    assert not stored_mask(folder.masks / "a.png.png")[:, :20].any()
+    assert stored_mask(folder.masks / "c.png.png")[:, :20].all()  # an alpha channel stays
+    features = [replace(Settings(), masks=digest_of(m)).of_features() for m in (first, second)]
+    assert features[0] != features[1]
+
+
+def test_hidden_photos_are_named(tmp_path: Path) -> None:
+    folder, events = scene(tmp_path), list[Event]()
+    Image.new("1", (40, 30)).save(tmp_path / "scene/masks/a.png.png")
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    masks = masks_of(photos, folder.images, MaskOptions(), QUIET)
+    write_masks(masks, folder, Context(emit=events.append))
+    warned = [e.text for e in events if isinstance(e, Message) and e.level == "warning"]
+    assert warned == ["1 photo hidden by its mask: a.png."]
