@@ -133,6 +133,7 @@ def add_roi_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--only",
+        "--box",
         type=NAME,
         action="append",
         default=[],

@@ -120,7 +120,7 @@ def test_only_what_is_in_a_box(tmp_path: Path) -> None:
     rois = [{"name": "half", "min": [0, -9, -9], "max": [9, 9, 9]}]
     (tmp_path / "rois.json").write_text(json.dumps({"rois": rois}))
     out = tmp_path / "out.ply"
-    boxes = ["--rois", str(tmp_path / "rois.json"), "--only", "half"]
+    boxes = ["--rois", str(tmp_path / "rois.json"), "--box", "half"]
     assert main(["convert", str(tmp_path / "in.ply"), str(out), *boxes]) == 0
     assert (read_ply(out)["means"][:, 0] >= 0).all()
 
