@@ -101,7 +101,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         rest &= ~rows
         model.rows(rows).save_ply(files[roi.name], frame)
     model.rows(rest).save_ply(args.out / BACKGROUND, frame)
-    outputs = {"rois": str(args.out / FINE), "background": str(args.out / BACKGROUND)}
+    outputs = {"objects": str(args.out / FINE), "rest": str(args.out / BACKGROUND)}
     console.print_places(outputs)
     return outputs
 
