@@ -10,6 +10,13 @@ class Orbit {
   constructor(field) {
     this.field = field; // degrees, of the window's height
     this.size = [1, 1];
+    this.limits = [0, Infinity];
+  }
+
+  /** Zooming ends within the nearest of places by a factor, and outside the farthest. */
+  limit(places, factor) {
+    const away = places.map(({ position, target }) => Math.hypot(...add(position, target, -1)));
+    this.limits = [Math.min(...away) / factor, Math.max(...away) * factor];
   }
 
   /** Look at `target` from `position`; y is up. */
@@ -27,7 +34,8 @@ class Orbit {
   }
 
   zoom(factor) {
-    this.distance *= factor;
+    const [least, most] = this.limits;
+    this.distance = Math.max(least, Math.min(most, this.distance * factor));
   }
 
   /** Moves what is looked at with the hand, by pixels of the window. */

@@ -2,6 +2,7 @@
 // The page: loads the models, and connects buttons, hands and window with the renderer.
 (() => {
   const FLIGHT = 900; // milliseconds
+  const ZOOM = 6; // times nearer than the nearest place, and farther than the farthest
   const MOST_DENSITY = 2; // canvas pixels for a pixel of the page, at most
   const element = (id) => document.getElementById(id);
   const page = JSON.parse(element("page").textContent);
@@ -73,6 +74,7 @@
     renderer = new Renderer(canvas, page.rules);
     const first = page.places[Math.min(1, page.places.length - 1)]; // a box, if there is one
     orbit.look(position(first), first.target);
+    orbit.limit(page.places, ZOOM);
     resize();
     addEventListener("resize", resize);
     canvas.addEventListener("webglcontextlost", () => {

@@ -235,6 +235,22 @@ def test_fingers_and_wheel_zoom_and_move(tmp_path: Path) -> None:
 
 
 @browser
+def test_zooming_ends_while_the_model_is_in_sight(tmp_path: Path) -> None:
+    formats.write(tmp_path / "a.html", arrays())
+    with opened(tmp_path / "a.html") as shown:
+        start, middle = view(shown)
+        far = []
+        for turn in (300, -300):
+            wheel = {"type": "mouseWheel", "x": 100, "y": 100, "deltaX": 0, "deltaY": turn}
+            for _ in range(30):
+                shown.call("Input.dispatchMouseEvent", **wheel)
+            shown.run("new Promise(requestAnimationFrame)")
+            far.append(np.linalg.norm(view(shown)[0] - middle))
+        begin = np.linalg.norm(start - middle)
+        assert far[0] <= 6.001 * begin and far[1] >= 0.999 * begin / 6
+
+
+@browser
 def test_keys_turn_move_and_zoom(tmp_path: Path) -> None:
     formats.write(tmp_path / "a.html", arrays())
     with opened(tmp_path / "a.html") as shown:
