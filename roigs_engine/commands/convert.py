@@ -24,6 +24,7 @@ from .page_options import (
     refuse_page_options,
 )
 from .placed_models import HINT, photo_poses, placed_models
+from .run_scene import up_in_run
 from .values import PATH, integer
 
 if TYPE_CHECKING:
@@ -92,6 +93,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     poses = None if listed or target.suffix != PAGE else page_poses(args, console.context)
     if poses is not None:
         matrix = page_turn(poses, args.up or target.up) @ home
+    elif not listed and args.from_up is None:
+        _warn_of_axes(args.source, before, console)
     from_home = matrix @ home.T
     if listed:
         arrays, poses = _placed(args, matrix)
@@ -114,6 +117,16 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     left = f" ({there - written:,} left out)" if written < there else ""
     console.print(f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
+
+
+def _warn_of_axes(source: Path, before: str, console: Console) -> None:
+    """Say so if a run's model would lie on its side: some COLMAP models have another axis up."""
+    up = up_in_run(source)
+    if up not in (None, before):
+        console.context.warn(
+            f"In this model, {up} points up, and not {before}, so it lies on its side now."
+            f" Choose {up} as its axis that points up (--from-up={up})."
+        )
 
 
 def _home(args: argparse.Namespace, path: Path) -> Float64:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import ConfigError, EngineError
+from ..errors import ConfigError
 from ..exchange.axes import turn
-from ..formats.files import read_json
-from ..formats.run_files import PROJECT, SETTINGS
 from ..formats.upright import levelled
 from ..model.roi import load_rois
+from .run_scene import poses_of, scene_of_run
 from .values import NAME, PATH
 
 if TYPE_CHECKING:
     from ..context import Context
     from ..exchange.arrays import Arrays
     from ..exchange.page import Extras
-    from ..model.scene import Float64, SfmScene
+    from ..model.scene import Float64
 
 SUFFIX = ".html"
 
@@ -76,23 +73,8 @@ def page_poses(args: argparse.Namespace, context: Context) -> Float64 | None:
     if args.page_scene is not None:
         scene = load_colmap(args.page_scene, pixels=False, context=context)
     elif args.from_up is None:
-        scene = _scene_of_run(args.source.absolute().parent)
-    if scene is None:
-        return None
-    return np.array([image.world_to_camera for image in scene.images])
-
-
-def _scene_of_run(folder: Path) -> SfmScene | None:
-    """The scene that a run folder was made for, if it is still there."""
-    from ..colmap.project import load_colmap
-
-    places = [folder / PROJECT]
-    with suppress(ConfigError, KeyError, TypeError):
-        places.insert(0, Path(read_json(folder / SETTINGS, ConfigError)["scene"]))
-    for place in places:
-        with suppress(EngineError):
-            return load_colmap(place, pixels=False)
-    return None
+        scene = scene_of_run(args.source.absolute().parent)
+    return None if scene is None else poses_of(scene)
 
 
 def page_turn(poses: Float64, up: str) -> Float64:

@@ -21,8 +21,10 @@ from scipy.spatial.transform import Rotation
 from roigs_engine.cli import main
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, page
+from roigs_engine.exchange.axes import UP
 from roigs_engine.exchange.page_views import FIELD, Ball, overview, viewpoint
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.formats.upright import levelled
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize.view import render_view
@@ -385,6 +387,29 @@ def test_a_scene_says_what_is_up_and_where_photos_were_taken(
     assert main(given) == 0
     models = [embedded_means(tmp_path / name) for name in ("a.html", "b.html")]
     np.testing.assert_allclose(models[1], models[0], atol=1e-3)
+
+
+@pytest.mark.parametrize("up", UP)
+def test_a_model_that_would_lie_on_its_side_is_named(
+    up: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the photos of the run that made it: the projects of `reconstruct` have z up."""
+    run = tmp_path / "run"
+    before = levelled(ring(8, np.pi))[2]
+    wanted = np.array(UP[up])[:, 2]
+    turned = np.eye(4)
+    turned[:3, :3] = Rotation.align_vectors([before], [wanted])[0].as_matrix()
+    monkeypatch.setattr(synthetic_colmap, "ring", lambda *given: ring(*given) @ turned)
+    write_project(run / "colmap", names=[f"{k}.png" for k in range(8)], arc=np.pi)
+    (run / "rois").mkdir()
+    for name in ("result.ply", "rois/vase.ply", "mine.ply"):
+        write_ply(run / name, arrays())
+        assert main(["convert", str(run / name), str(tmp_path / "a.glb")]) == 0
+        said = capsys.readouterr().err
+        warned = up != "-y" and name != "mine.ply"
+        assert (f"Choose {up} as its axis that points up (--from-up={up})" in said) == warned
+        assert main(["convert", str(run / name), str(tmp_path / "a.glb"), f"--from-up={up}"]) == 0
+        assert "lies on its side" not in capsys.readouterr().err
 
 
 def test_a_list_of_models_says_where_photos_were_taken(tmp_path: Path, capsys: Any) -> None:
