@@ -12,6 +12,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from .driver import REPOSITORY, Blender, WindowError
@@ -89,11 +90,14 @@ def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
     left = blender.ask(COUNT)
     check(f"deleted: {left:,} are left", left == whole - chosen)
     blender.click(blender.find("roigs.erase_brush", x=DELETE))
-    blender.pause(0.5)
+    blender.until(
+        "'ROIGS_OT_erase_brush' in [o.bl_idname for o in view()['window'].modal_operators]"
+    )
     brush(blender, "mousedown")
     picture("8-brush", (340, 520))
     blender.screen.do("mouseup", "1")
-    blender.pause(3.0)
+    with suppress(WindowError):  # said below
+        blender.until(f"{COUNT} < {left}", 60)
     erased = left - blender.ask(COUNT)
     check(f"the brush erased {erased:,}", erased > 0)
     blender.press("Escape")
