@@ -107,10 +107,15 @@ def _half_sides(props: RoigsObject) -> list[float]:
 
 
 def _set_half_sides(props: RoigsObject, sides: Sequence[float]) -> None:
-    """Into `delta_scale`: Blender 5.2 warns of an object whose `scale` is uneven."""
+    """The largest into `scale`, the proportions into `delta_scale`.
+
+    Blender 5.2 warns of an object whose `scale` is uneven, and View Selected frames an empty by its
+    `scale` alone.
+    """
     item: Any = props.id_data
-    item.delta_scale = [side / item.empty_display_size for side in sides]
-    item.scale = 1, 1, 1
+    largest = max(sides) or 1.0
+    item.delta_scale = [side / largest for side in sides]
+    item.scale = [largest / item.empty_display_size] * 3
 
 
 def _look_again(props: RoigsObject, _: bpy.types.Context) -> None:

@@ -59,7 +59,7 @@ def new_roi(
         matrix = _along(root.matrix_world, centre, half_sides)
         item.matrix_local = root.matrix_world.inverted_safe() @ matrix
     if not for_script:
-        _scale_to_one(item)
+        _scale_evenly(item)
     return item
 
 
@@ -76,7 +76,7 @@ def add_boxes(scene: bpy.types.Scene, boxes: dict[str, Box]) -> None:
         placed[:3, :3] *= box.half_extents
         item = _new_empty(scene, name)
         item.matrix_local = Matrix(placed.tolist())
-        _scale_to_one(item)
+        _scale_evenly(item)
     blender.view_layer_of(bpy.context).update()  # until then, `matrix_world` is the identity
 
 
@@ -115,7 +115,7 @@ def _new_empty(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     return item
 
 
-def _scale_to_one(item: bpy.types.Object) -> None:
+def _scale_evenly(item: bpy.types.Object) -> None:
     """Move a box's sides to where its properties keep them."""
     props = object_props(item)
     props.half_sides = props.half_sides

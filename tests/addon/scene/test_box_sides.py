@@ -16,7 +16,9 @@ CORNERS = {"low": (-0.5, -1, 0), "high": (0.5, 1, 0.5)}
 
 def no_notice(roi) -> None:
     """Blender's own condition, in its status bar."""
-    assert list(roi.scale) == [1, 1, 1]
+    assert roi.scale[0] == roi.scale[1] == roi.scale[2]
+    # View Selected frames an empty by its scale.
+    assert roi.scale[0] * roi.empty_display_size == pytest.approx(max(roi.roigs.half_sides))
 
 
 def half_sides(bpy: ModuleType, roi) -> np.ndarray:
