@@ -389,18 +389,24 @@ def test_a_scene_says_what_is_up_and_where_photos_were_taken(
     np.testing.assert_allclose(models[1], models[0], atol=1e-3)
 
 
-@pytest.mark.parametrize("up", UP)
-def test_a_model_that_would_lie_on_its_side_is_named(
-    up: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """By the photos of the run that made it: the projects of `reconstruct` have z up."""
-    run = tmp_path / "run"
+def run_of(up: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run folder with its project, in which an axis points up."""
     before = levelled(ring(8, np.pi))[2]
     wanted = np.array(UP[up])[:, 2]
     turned = np.eye(4)
     turned[:3, :3] = Rotation.align_vectors([before], [wanted])[0].as_matrix()
     monkeypatch.setattr(synthetic_colmap, "ring", lambda *given: ring(*given) @ turned)
+    run = folder / "run"
     write_project(run / "colmap", names=[f"{k}.png" for k in range(8)], arc=np.pi)
+    return run
+
+
+@pytest.mark.parametrize("up", UP)
+def test_a_model_that_would_lie_on_its_side_is_named(
+    up: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the photos of the run that made it: the projects of `reconstruct` have z up."""
+    run = run_of(up, tmp_path, monkeypatch)
     (run / "rois").mkdir()
     for name in ("result.ply", "rois/vase.ply", "mine.ply"):
         write_ply(run / name, arrays())
@@ -410,6 +416,24 @@ def test_a_model_that_would_lie_on_its_side_is_named(
         assert (f"Choose {up} as its axis that points up (--from-up={up})" in said) == warned
         assert main(["convert", str(run / name), str(tmp_path / "a.glb"), f"--from-up={up}"]) == 0
         assert "lies on its side" not in capsys.readouterr().err
+
+
+def test_which_way_is_up_needs_the_poses_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not the photos, nor the points, which take long to read."""
+    run = run_of("z", tmp_path, monkeypatch)
+    write_ply(run / "result.ply", arrays())
+    shutil.rmtree(run / "colmap" / "images")
+    (points,) = run.rglob("points3D.*")
+    points.write_bytes(b"?")
+    command = ["convert", str(run / "result.ply"), str(tmp_path / "a.glb")]
+    assert main(command) == 0
+    assert "--from-up=z" in capsys.readouterr().err
+    (images,) = run.rglob("images.*")
+    images.write_bytes(b"?")
+    assert main(command) == 0
+    assert "--from-up=" not in capsys.readouterr().err
 
 
 def test_a_list_of_models_says_where_photos_were_taken(tmp_path: Path, capsys: Any) -> None:
