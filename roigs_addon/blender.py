@@ -106,6 +106,11 @@ def absolute(path: str) -> Path:
     """
     if path.startswith("//") and not bpy.data.filepath:
         raise AddonError(f"{path} is beside this .blend. Save the .blend first.")
+    return full_path(path)
+
+
+def full_path(path: str) -> Path:
+    """The same without the check, for what may not fail."""
     return Path(os.path.abspath(bpy.path.abspath(path)))
 
 

@@ -19,7 +19,7 @@ from ..errors import AddonError
 from ..windows import Timer, redraw, redraw_sidebars
 from . import terminal, undo
 from .job import Job
-from .spec import JobSpec, nothing
+from .spec import TRAINING, JobSpec, nothing
 from .state import JobState
 
 POLL_SECONDS = 0.15
@@ -28,6 +28,9 @@ STOP_SECONDS = 10.0
 
 job: Job | None = None
 """The job that runs, or else the last one."""
+
+_training: Job | None = None
+"""The last training, whose warnings are of use until the next one: to selecting photos, say."""
 
 on_end: list[Callable[[], None]] = []
 """Called when a job has ended and its results are in."""
@@ -45,6 +48,12 @@ def state() -> JobState:
     return _no_job if job is None else job.state
 
 
+def warnings(title: str) -> list[str]:
+    """What the job of this title has warned of; a training's stay until the next one starts."""
+    found = (one.state for one in (job, _training) if one is not None)
+    return next((state.warnings for state in found if state.title == title), [])
+
+
 def outcome() -> str:
     """What came of the last job; empty if an undo has taken it back."""
     return job.state.outcome if job is not None and job.spec.is_so() else ""
@@ -56,10 +65,12 @@ def start(engine: Engine, spec: JobSpec) -> Job:
     Raises:
         AddonError: a job is running already, or this one could not be started.
     """
-    global job
+    global job, _training
     if busy():
         raise AddonError("The engine is busy. Wait for it, or stop it first.")
     job = Job(engine, spec, on_end=_ended)
+    if spec.title == TRAINING:
+        _training = job
     if not bpy.app.background:
         timer.start()
     return job
@@ -127,11 +138,13 @@ timer = Timer(_poll, POLL_SECONDS, persistent=True)
 @persistent
 def _after_load(*_: object) -> None:
     """A loaded file has ended the operator that listened to Esc, and ended jobs are of another."""
-    global job
+    global job, _training
     if job is not None:
         job.hears_esc = False
         if job.finished:
             job = None
+    if _training is not job:
+        _training = None
 
 
 def register() -> None:
@@ -141,7 +154,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Remove the handler and end a running job; its checkpoint stays."""
-    global job
+    global job, _training
     if _after_load in bpy.app.handlers.load_post:
         bpy.app.handlers.load_post.remove(_after_load)
     timer.stop()
@@ -149,4 +162,4 @@ def unregister() -> None:
         job.process.stop()
         if not job.process.wait(STOP_SECONDS):
             job.process.kill()
-    job = None
+    job = _training = None

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import absolute
+from ..blender import absolute, full_path
 from ..engine import reconstruction
 from ..errors import AddonError
 from ..properties import scene_props
@@ -102,15 +102,15 @@ def is_video(path: Path) -> bool:
 def project_folder(scene: bpy.types.Scene) -> Path:
     """The folder of the scene's reconstruction, or the one that it would get."""
     props = scene_props(scene)
-    return _absolute(props.project) if props.project else proposed(_absolute(props.photos))
+    return full_path(props.project) if props.project else proposed(full_path(props.photos))
 
 
 def masks_folder(scene: bpy.types.Scene) -> Path | None:
     """The folder of the photos' masks: the scene's, or the one beside the photos, if any."""
     props = scene_props(scene)
     if props.masks:
-        return _absolute(props.masks)
-    beside = _absolute(props.photos).parent / MASKS
+        return full_path(props.masks)
+    beside = full_path(props.photos).parent / MASKS
     return beside if os.path.isdir(beside) else None
 
 
@@ -125,7 +125,3 @@ def proposed(photos: Path) -> Path:
     names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
     folders = (photos.parent / name for name in itertools.islice(names, MOST_TRIED))
     return next((f for f in folders if reconstruction.is_free(f)), photos.parent / name)
-
-
-def _absolute(path: str) -> Path:
-    return Path(os.path.abspath(bpy.path.abspath(path)))

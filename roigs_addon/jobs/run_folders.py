@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 
 from .. import settings
-from ..blender import following, persistent
+from ..blender import following, full_path, persistent
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..properties import scene_props
@@ -32,7 +32,7 @@ _saving: dict[int, tuple[Path, bool]] = {}
 def run_folder(scene: bpy.types.Scene) -> Path:
     """The scene's run folder, or the one that it would get."""
     chosen: str = scene_props(scene).run_dir
-    return Path(os.path.normpath(bpy.path.abspath(chosen))) if chosen else _proposed(scene)
+    return full_path(chosen) if chosen else _proposed(scene)
 
 
 def settle(scene: bpy.types.Scene) -> Path:

@@ -42,8 +42,7 @@ look now; the add-on's are hidden"""
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """One object for each; none if one fails."""
         leave_edit_mode(lookup.splats(scene_of(context)))
-        items = [i for i in point_edits.visible(context) if i.select_get()]
-        items = items or point_edits.visible(context)
+        items = point_edits.chosen_or_visible(context)
         made: list[bpy.types.Object] = []
         try:
             for item in items:

@@ -26,9 +26,13 @@ def targets(context: bpy.types.Context) -> list[bpy.types.Object]:
 
     Of objects that share their points, one.
     """
+    return distinct(chosen_or_visible(context))
+
+
+def chosen_or_visible(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The visible Gaussian objects that are selected; if none is, all of them."""
     seen = visible(context)
-    chosen = [i for i in seen if i.select_get(view_layer=context.view_layer)] or seen
-    return distinct(chosen)
+    return [i for i in seen if i.select_get(view_layer=context.view_layer)] or seen
 
 
 def distinct(items: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:

@@ -82,12 +82,13 @@ def engine_problem(layout: bpy.types.UILayout, problem: str) -> None:
 def job(layout: bpy.types.UILayout, title: str) -> bool:
     """What is to be said of the job of this title; whether it runs or has failed."""
     state = current.state()
-    if state.title != title:
-        return False
-    if current.busy():
+    ours = state.title == title
+    if ours and current.busy():
         progress(layout, state)
-    for text in state.warnings:
+    for text in current.warnings(title):
         wrong(layout, warning_in_words(text))
+    if not ours:
+        return False
     if current.busy():
         return True
     if state.error:

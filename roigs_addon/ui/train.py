@@ -43,7 +43,7 @@ class TrainPanel(SidebarPanel):
         row.operator(ShowLog.bl_idname, text="", icon="TEXT")
         if problem := engine_ability.problem():
             show.engine_problem(layout, problem)
-        if not show.job(layout, ESTIMATING) and not show.job(layout, TRAINING):
+        if not show.job(layout, TRAINING) and not show.job(layout, ESTIMATING):
             _draw_status(layout, scene, status)
 
 

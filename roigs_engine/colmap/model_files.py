@@ -11,6 +11,7 @@ import struct
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
 
 from ..context import QUIET, Context
@@ -18,7 +19,7 @@ from ..errors import SceneError
 from ..formats.files import UNREADABLE
 from ..formats.projects import model_suffix
 from . import binary_files, text_files
-from .records import Model
+from .records import Model, ModelImage
 
 T = TypeVar("T")
 
@@ -33,22 +34,16 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     Raises:
         SceneError: a file is missing, unreadable or damaged.
     """
-    suffix = model_suffix(folder)
-    if suffix is None:
-        raise SceneError(
-            f"{folder} has no COLMAP model.",
-            "It needs cameras, images and points3D, all .bin or all .txt.",
-        )
-    paths = [folder / (stem + suffix) for stem in ("cameras", "images", "points3D")]
-    if not paths[2].is_file():
-        raise SceneError(f"{folder} has no {paths[2].name}.", "Export the 3D points as well.")
-    files = binary_files if suffix == ".bin" else text_files
-    cameras = _read(paths[0], files.read_cameras)
-    images = _read(paths[1], partial(files.read_images, context=context))
+    suffix, files = _format(folder)
+    points3d = folder / f"points3D{suffix}"
+    if not points3d.is_file():
+        raise SceneError(f"{folder} has no {points3d.name}.", "Export the 3D points as well.")
+    cameras = _read(folder / f"cameras{suffix}", files.read_cameras)
+    images = read_images(folder, context)
     # Normally the photos list what they observe; else the points' tracks are read.
     tracks = not any((image.point_ids >= 0).any() for image in images)
     parse = partial(files.read_points, tracks=tracks, context=context)
-    ids, points, colors, rows, viewers = _read(paths[2], parse)
+    ids, points, colors, rows, viewers = _read(points3d, parse)
     return Model(
         cameras=cameras,
         images=images,
@@ -58,6 +53,23 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
         track_rows=rows,
         track_images=viewers,
     )
+
+
+def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
+    """The photos of the model in `folder`, from their own file alone. Raises as `read_model`."""
+    suffix, files = _format(folder)
+    return _read(folder / f"images{suffix}", partial(files.read_images, context=context))
+
+
+def _format(folder: Path) -> tuple[str, ModuleType]:
+    """The end of the names of a model's files, and the module that reads them."""
+    suffix = model_suffix(folder)
+    if suffix is None:
+        raise SceneError(
+            f"{folder} has no COLMAP model.",
+            "It needs cameras, images and points3D, all .bin or all .txt.",
+        )
+    return suffix, binary_files if suffix == ".bin" else text_files
 
 
 def count_images(folder: Path) -> int:

@@ -47,7 +47,7 @@ def photo_name(image: ModelImage) -> str:
     return image.name.replace("\\", "/")
 
 
-def _pose(image: ModelImage) -> Float64 | None:
+def pose_of(image: ModelImage) -> Float64 | None:
     """(4, 4) world to camera; None if the stored numbers are not a pose."""
     numbers = np.concatenate([image.quaternion, image.translation])
     if not (np.abs(numbers) < FAR).all():
@@ -109,7 +109,7 @@ class PhotoLoader:
         self, image: ModelImage, camera: ModelCamera | None, photos: PhotoFolder, shrink: Shrink
     ) -> str:
         """Add the photo; returns the reason if it must be skipped, else an empty string."""
-        pose, path = _pose(image), photos.find(image.name)
+        pose, path = pose_of(image), photos.find(image.name)
         if pose is None:
             return UNPOSED
         if camera is None:

@@ -19,9 +19,9 @@ from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
 from ..photos.mask_files import USUAL_MASKS, MaskOptions
-from .model_files import HINT_DAMAGED, count_images, read_model
+from .model_files import HINT_DAMAGED, count_images, read_images, read_model
 from .photo_masks import HIDDEN
-from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name
+from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name, pose_of
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
 
@@ -161,6 +161,16 @@ def find_model(path: Path, context: Context = QUIET) -> Path:
             f" {counted(counts[best], 'photo')} (others: {', '.join(others)})."
         )
     return best
+
+
+def load_poses(path: Path) -> Float64:
+    """(N, 4, 4) world_to_camera of all photos of a project's model; reads nothing else of it.
+
+    Raises:
+        SceneError: no model, or its file of photos is damaged.
+    """
+    poses = [pose_of(image) for image in read_images(find_model(path))]
+    return np.array([pose for pose in poses if pose is not None]).reshape(-1, 4, 4)
 
 
 def smaller(downscale: float | None, max_side: int | None) -> Shrink:

@@ -22,10 +22,7 @@ def scene_of_run(folder: Path) -> SfmScene | None:
     """The scene of a run folder, if it is still there."""
     from ..colmap.project import load_colmap
 
-    places = [folder / PROJECT]
-    with suppress(ConfigError, KeyError, TypeError):
-        places.insert(0, Path(read_json(folder / SETTINGS, ConfigError)["scene"]))
-    for place in places:
+    for place in _places(folder):
         with suppress(EngineError):
             return load_colmap(place, pixels=False)
     return None
@@ -46,8 +43,25 @@ def up_in_run(path: Path) -> str | None:
         folder = folder.parent
     elif path.name not in (RESULT, BACKGROUND):
         return None
-    scene = scene_of_run(folder)
-    if scene is None:
+    from ..colmap.project import load_poses
+
+    for place in _places(folder):
+        with suppress(EngineError):
+            return _up(load_poses(place))
+    return None
+
+
+def _places(folder: Path) -> list[Path]:
+    """Where the scene of a run folder may be, the likelier place first."""
+    places = [folder / PROJECT]
+    with suppress(ConfigError, KeyError, TypeError):
+        places.insert(0, Path(read_json(folder / SETTINGS, ConfigError)["scene"]))
+    return places
+
+
+def _up(poses: Float64) -> str | None:
+    """The axis that points up, about, for photos."""
+    if not len(poses):
         return None
-    up = levelled(poses_of(scene))[2]
+    up = levelled(poses)[2]
     return max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))

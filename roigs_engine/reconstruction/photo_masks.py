@@ -17,7 +17,7 @@ from ..errors import RunFolderError
 from ..formats.files import read_json, write_json
 from ..formats.text import counted, json_digest
 from ..photos.mask_files import MaskFiles, MaskOptions
-from ..photos.masks import alpha_mask, write_mask
+from ..photos.masks import write_mask
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
 from .checks import named
 from .folder import Folder
@@ -26,22 +26,67 @@ from .look import Photo
 RECORD = "masks.json"
 
 
-def masks_of(
-    photos: Sequence[Photo], source: Path, options: MaskOptions, context: Context
+def make_masks(
+    photos: Sequence[Photo], source: Path, options: MaskOptions, folder: Folder, context: Context
 ) -> dict[str, MaskPlan]:
-    """How to make the masks of the photos that have one, by name.
+    """Write the masks that the folder does not have yet, and say how many there are.
 
     Args:
         photos: those to reconstruct.
         source: their folder.
         options: which masks are wanted.
-        context: checked for cancellation between photos.
+        folder: of the reconstruction.
+        context: gets the messages; checked for cancellation between photos.
+
+    Returns:
+        How each mask is made, by the photo's name; a photo with an opaque alpha channel has none.
 
     Raises:
-        MaskError: a mask file cannot be read.
-        PhotoError: a photo with an alpha channel cannot be read.
+        MaskError, PhotoError: a mask cannot be used.
+        RunFolderError: the folder cannot be written.
         Stopped: on request.
     """
+    plans = _plans(photos, source, options, context)
+    if not plans:
+        return {}
+    known, digests = _record(folder), {name: plan.digest() for name, plan in plans.items()}
+    missing = [
+        name
+        for name in plans
+        if known.get(name) != digests[name] or not _place(folder, name).is_file()
+    ]
+    largest = max(decoding_bytes(plan.photo, plan.size) for plan in plans.values())
+
+    def make(name: str) -> bool | None:
+        """Write a mask; whether anything of the photo is used. None: an opaque alpha channel."""
+        mask = plans[name].make()
+        if plans[name].source.file is None and mask.all():
+            return None
+        write_mask(_place(folder, name), mask)
+        return bool(mask.any())
+
+    with closing(in_parallel(make, missing, threads_for(largest), context)) as work:
+        used = {name: job.result() for name, job in work}
+    masks = {name: plan for name, plan in plans.items() if used.get(name, True) is not None}
+    if masks:
+        write_json(folder.work(RECORD), {name: digests[name] for name in masks})
+        text = f"{counted(len(masks), 'photo')} with a mask: no features where it is black."
+        context.info(text)
+    hidden = [name for name in used if used[name] is False]
+    if hidden:
+        context.warn(f"{counted(len(hidden), 'photo')} {HIDDEN}: {named(hidden)}.")
+    return masks
+
+
+def digest_of(masks: Mapping[str, MaskPlan]) -> str:
+    """Hash of all masks; empty: there are none."""
+    return json_digest({name: plan.digest() for name, plan in masks.items()}) if masks else ""
+
+
+def _plans(
+    photos: Sequence[Photo], source: Path, options: MaskOptions, context: Context
+) -> dict[str, MaskPlan]:
+    """As `make_masks`, before anything is decoded, so of opaque alpha channels as well."""
     if not options.used:
         return {}
     files = MaskFiles(source, options.folder)
@@ -49,7 +94,7 @@ def masks_of(
     for photo in photos:
         context.check_cancelled()
         place = find_mask(photo.name, photo.path, files, options)
-        if place is None or (place.file is None and alpha_mask(photo.path).all()):
+        if place is None:
             continue
         found[photo.name] = MaskPlan(
             photo=photo.path,
@@ -60,43 +105,6 @@ def masks_of(
             target=photo.size,
         )
     return found
-
-
-def digest_of(masks: Mapping[str, MaskPlan]) -> str:
-    """Hash of all masks; empty: there are none."""
-    return json_digest({name: plan.digest() for name, plan in masks.items()}) if masks else ""
-
-
-def write_masks(masks: Mapping[str, MaskPlan], folder: Folder, context: Context) -> None:
-    """Write the masks that the folder does not have yet, and say how many there are.
-
-    Raises:
-        MaskError, PhotoError: a mask cannot be used.
-        RunFolderError: the folder cannot be written.
-        Stopped: on request.
-    """
-    if not masks:
-        return
-    known, made = _record(folder), {name: plan.digest() for name, plan in masks.items()}
-    missing = [
-        name
-        for name in masks
-        if known.get(name) != made[name] or not _place(folder, name).is_file()
-    ]
-    largest = max(decoding_bytes(plan.photo, plan.size) for plan in masks.values())
-
-    def write(name: str) -> bool:
-        """Write a mask; whether anything of the photo is used."""
-        mask = masks[name].make()
-        write_mask(_place(folder, name), mask)
-        return bool(mask.any())
-
-    with closing(in_parallel(write, missing, threads_for(largest), context)) as work:
-        hidden = [name for name, job in work if not job.result()]
-    write_json(folder.work(RECORD), made)
-    context.info(f"{counted(len(masks), 'photo')} with a mask: no features where it is black.")
-    if hidden:
-        context.warn(f"{counted(len(hidden), 'photo')} {HIDDEN}: {named(hidden)}.")
 
 
 def _place(folder: Folder, name: str) -> Path:

@@ -37,7 +37,7 @@ from .folder import Folder
 from .frames import take_frames
 from .look import Found, Photo, camera_groups, digests_of, look_at
 from .mapping import map_models, map_rest
-from .photo_masks import digest_of, masks_of, write_masks
+from .photo_masks import digest_of, make_masks
 from .settings import Settings
 from .similarity import LARGEST, similarities
 from .video import is_video
@@ -237,7 +237,8 @@ def reconstruct(
         if video:
             files = take_frames(source, folder, frames, context)
         found = _taken(files, {} if video else folder.unread_of(source), folder, context)
-        hidden = masks_of(found.photos, folder.images if video else source, masks, context)
+        place = folder.images if video else source
+        hidden = make_masks(found.photos, place, masks, folder, context)
         settings = replace(settings, masks=digest_of(hidden))
         key = json_digest({"settings": asdict(settings), "photos": digests_of(found.photos)})
         if folder.is_done(key):
@@ -245,7 +246,6 @@ def reconstruct(
             return folder.model
         if restart := folder.begin(list(found.photos), settings):
             context.info(restart)
-        write_masks(hidden, folder, context)
         result = solve(folder, found, settings, threads or usable_cores(), context)
         write_text(folder.report, as_markdown(result))
         if not result.models:

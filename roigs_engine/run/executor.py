@@ -88,6 +88,7 @@ class Executor:
         self.run, self.context = run, context
         self._update, self._preview_seconds = update, preview_seconds
         self._photo_memory = run_memory(run, context).cache
+        self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
         self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
@@ -171,6 +172,7 @@ class Executor:
             update=self._update,
             preview=preview,
             preview_seconds=self._preview_seconds,
+            named=self._named,
         )
 
     def _refuse_links(self, plan: Plan) -> None:

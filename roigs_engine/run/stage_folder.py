@@ -95,6 +95,7 @@ class StageFolder:
         update: archive a stage with another fingerprint instead of raising an error.
         preview: file for the preview of the current Gaussians; None: no preview.
         preview_seconds: seconds of training between two previews.
+        named: photos that no warning names any more, as one has; gets those of this stage.
     """
 
     name: str
@@ -104,6 +105,7 @@ class StageFolder:
     update: bool = False
     preview: Path | None = None
     preview_seconds: float = 0.0
+    named: set[str] = field(default_factory=set)
 
     @property
     def _checkpoint(self) -> Path:
@@ -221,7 +223,7 @@ class StageFolder:
             again = "last checkpoint" if checkpoint_exists(self._checkpoint) else "start"
             context.warn(f"{self.name}: {error.message} Trying again from the {again}.")
             trainer = self._trained(start, data, config, context)
-        if text := trainer.health.outliers():
+        if text := trainer.health.outliers(self.named):
             context.warn(f"{self.name}: {text}")
         return self._finish(trainer)
 

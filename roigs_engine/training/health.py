@@ -84,8 +84,11 @@ class Health:
                 )
             self._recent.setdefault(photo, deque(maxlen=VISITS)).append(loss)
 
-    def outliers(self) -> str:
-        """A warning about photos whose loss stays far above the others'; empty if none does."""
+    def outliers(self, named: set[str] | None = None) -> str:
+        """A warning about photos whose loss stays far above the others'; empty if none does.
+
+        Args: `named`: photos that are left out; gets those that are too far above.
+        """
         self._read_losses()
         # The smallest of its last losses: a photo must be bad on every visit.
         least = {k: min(v) for k, v in self._recent.items() if len(v) == VISITS}
@@ -95,9 +98,12 @@ class Health:
         middle = float(np.median(values))
         spread = 1.4826 * float(np.median(np.abs(values - middle)))
         limit = max(middle + DEVIATIONS * spread, TIMES * middle)
+        named = set() if named is None else named
         worst = sorted((k for k in least if least[k] > limit), key=lambda k: -least[k])
+        worst = [k for k in worst if self._photos[k] not in named]
         if not worst:
             return ""
+        named.update(self._photos[k] for k in worst)
         names = ", ".join(f"'{self._photos[k]}'" for k in worst[:NAMED])
         more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
         return (

@@ -17,6 +17,7 @@ import pytest
 
 from roigs_engine.formats.run_files import BACKGROUND
 from tests.addon.colmap_project import write_project
+from tests.addon.photo_cases import SIDE
 from tests.addon.scenes import ready
 
 # Before bpy is imported: the user's own settings are neither read nor written.
@@ -90,3 +91,19 @@ def run(
         path.parent.mkdir(parents=True, exist_ok=True)
         random_ply(path, 40 + number, seed=number)
     return ready(blender, project, folder), folder
+
+
+@pytest.fixture
+def reconstructing(addon: ModuleType, blender: ModuleType):
+    """The scene, with small photos; skips where no engine can reconstruct."""
+    from roigs_addon import settings
+    from roigs_addon.engine.python import FOR_RECONSTRUCTING
+    from roigs_addon.errors import AddonError
+
+    try:
+        settings.engine(FOR_RECONSTRUCTING)
+    except AddonError as error:
+        pytest.skip(str(error))
+    scene = blender.context.scene
+    scene.roigs.feature_side = SIDE
+    return scene

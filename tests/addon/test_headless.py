@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from roigs_addon.engine.python import VARIABLE
-from tests.addon.jobs.test_reconstructing import photos_in
+from tests.addon.photo_cases import photos_in
 from tests.addon.scenes import ROOT
 
 pytestmark = pytest.mark.blender

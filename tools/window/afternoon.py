@@ -15,7 +15,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -82,13 +81,9 @@ class Afternoon:
             self.blender.pause(0.4)
 
     def save(self) -> None:
-        """Save; press again if the key was lost, as a user does who sees the asterisk."""
-        for _ in range(3):
-            self.keys("ctrl+s")
-            with suppress(WindowError):
-                self.blender.until("not bpy.data.is_dirty", 15)
-                return
-        raise WindowError("The file was not saved.")
+        """Save the file."""
+        self.keys("ctrl+s")
+        self.blender.until("not bpy.data.is_dirty")
 
     def close_render(self) -> None:
         """Close the window of the render with Escape, and go back to the 3D view."""

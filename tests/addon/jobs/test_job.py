@@ -70,6 +70,31 @@ def test_warnings_stay_in_the_panel(blender: ModuleType, spec, tmp_path: Path) -
     assert any("Only 3 photos see it" in text for text in said(blender, TrainPanel))
 
 
+def test_warnings_of_training_outlast_other_jobs(blender: ModuleType, spec, tmp_path: Path) -> None:
+    """Until the next training, or another file."""
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.spec import SELECTING, TRAINING
+    from roigs_addon.ui.train import TrainPanel
+    from tests.addon.ui.test_panels import said
+
+    def shown(*warnings: str, title: str) -> list[str]:
+        """The last words of the panel's texts, after a job with these warnings."""
+        code = [f"say(event='message', text='It saw {w}', level='warning')" for w in warnings]
+        code.append("say(event='done', outputs={}, stopped=False)")
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        current.wait(current.start(fake(folder, "; ".join(code)), spec(title=title)))
+        texts = said(blender, TrainPanel)
+        return [text.rpartition(" ")[2] for text in texts if "It saw" in text]
+
+    assert shown("a", "b", title=TRAINING) == ["a", "b"]
+    assert shown("c", title=SELECTING) == ["a", "b"]
+    assert shown("d", title=TRAINING) == ["d"]
+    assert shown(title=TRAINING) == []
+    assert shown("e", title=TRAINING) == ["e"] == shown(title=SELECTING)
+    blender.ops.wm.read_homefile(use_empty=True)
+    assert shown(title=SELECTING) == []
+
+
 def test_a_job_is_seen_and_stopped_after_a_file_was_loaded(
     blender: ModuleType, spec, tmp_path: Path
 ) -> None:

@@ -142,6 +142,19 @@ def test_a_relative_folder_of_the_users_own_stays_relative(
     assert blender.context.scene.roigs.run_dir == absolute
 
 
+def test_a_run_folder_is_always_absolute(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that depends on where Blender was started, and one beside an unsaved .blend."""
+    from roigs_addon.jobs import run_folders
+
+    monkeypatch.chdir(tmp_path)
+    scene = blender.context.scene
+    for path in ("runs/g", "runs/../runs/g", "//runs/g"):
+        scene.roigs.run_dir = path
+        assert run_folders.run_folder(scene) == tmp_path / "runs" / "g", path
+
+
 def test_an_undo_keeps_the_folder(blender: ModuleType, addon: ModuleType, project: Path) -> None:
     from roigs_addon.jobs import run_folders
 

@@ -6,15 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
+from roigs_engine.photos import masks
 from roigs_engine.photos.mask_files import MaskFiles, MaskOptions
 from roigs_engine.photos.masks import stored_mask
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.look import look_at
-from roigs_engine.reconstruction.photo_masks import digest_of, masks_of, write_masks
+from roigs_engine.reconstruction.photo_masks import digest_of, make_masks
 from roigs_engine.reconstruction.settings import Settings
 
 NAMES = ("a.png", "sub/b.png", "c.png", "d.png")
@@ -43,9 +45,9 @@ def test_masks_of_all_kinds_are_written_for_pycolmap(tmp_path: Path) -> None:
     files = folder.photos_of(folder.images)
     assert set(files) == set(NAMES)  # the mask beside b is no photo
     photos = look_at(files, tmp_path / "photos.json", QUIET).photos
-    masks = masks_of(photos, folder.images, MaskOptions(), QUIET)
+    context = Context(emit=events.append)
+    masks = make_masks(photos, folder.images, MaskOptions(), folder, context)
     assert set(masks) == {"a.png", "sub/b.png", "c.png"}
-    write_masks(masks, folder, Context(emit=events.append))
     for name in masks:
         mask = stored_mask(folder.masks / f"{name}.png")
         assert mask[:, :20].all() and not mask[:, 20:].any()
@@ -62,14 +64,12 @@ def test_masks_of_all_kinds_are_written_for_pycolmap(tmp_path: Path) -> None:
 def test_other_masks_are_other_features(tmp_path: Path) -> None:
     folder = scene(tmp_path)
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    plain = masks_of(photos, folder.images, MaskOptions(used=False), QUIET)
+    plain = make_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
     assert (plain, digest_of(plain), Settings().masks) == ({}, "", "")
-    first = masks_of(photos, folder.images, MaskOptions(), QUIET)
-    write_masks(first, folder, QUIET)
+    first = make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
     options = MaskOptions(inverted=True)
-    second = masks_of(photos, folder.images, options, QUIET)
+    second = make_masks(photos, folder.images, options, folder, QUIET)
     assert len({digest_of(masks) for masks in (plain, first, second)}) == 3
-    write_masks(second, folder, QUIET)
     assert not stored_mask(folder.masks / "a.png.png")[:, :20].any()
     assert stored_mask(folder.masks / "c.png.png")[:, :20].all()  # an alpha channel stays
     features = [replace(Settings(), masks=digest_of(m)).of_features() for m in (first, second)]
@@ -80,7 +80,19 @@ def test_hidden_photos_are_named(tmp_path: Path) -> None:
     folder, events = scene(tmp_path), list[Event]()
     Image.new("1", (40, 30)).save(tmp_path / "scene/masks/a.png.png")
     photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
-    masks = masks_of(photos, folder.images, MaskOptions(), QUIET)
-    write_masks(masks, folder, Context(emit=events.append))
+    make_masks(photos, folder.images, MaskOptions(), folder, Context(emit=events.append))
     warned = [e.text for e in events if isinstance(e, Message) and e.level == "warning"]
     assert warned == ["1 photo hidden by its mask: a.png."]
+
+
+def test_an_alpha_channel_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of c and d; when it is done again, of the opaque one alone, which has no file."""
+    folder, decoded = Folder(tmp_path / "out"), list[Path]()
+    source = scene(tmp_path).images
+    alpha_mask = masks.alpha_mask
+    monkeypatch.setattr(masks, "alpha_mask", lambda p: decoded.append(p) or alpha_mask(p))
+    photos = look_at(folder.photos_of(source), tmp_path / "photos.json", QUIET).photos
+    first = make_masks(photos, source, MaskOptions(), folder, QUIET)
+    assert sorted(path.name for path in decoded) == ["c.png", "d.png"]
+    assert make_masks(photos, source, MaskOptions(), folder, QUIET) == first
+    assert [path.name for path in decoded[2:]] == ["d.png"]

@@ -25,7 +25,7 @@ from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.look import Photo, look_at
-from roigs_engine.reconstruction.photo_masks import digest_of, masks_of, write_masks
+from roigs_engine.reconstruction.photo_masks import digest_of, make_masks
 from roigs_engine.reconstruction.reconstruct import (
     choose_pairs,
     find_features,
@@ -157,8 +157,7 @@ def test_features_are_not_found_where_a_mask_is_black(tmp_path: Path) -> None:
     folder.work().mkdir()
     found = look_at(folder.photos_of(folder.images), folder.work("photos.json"), QUIET)
     options = MaskOptions(folder=tmp_path / "masks")
-    masks = masks_of(found.photos, folder.images, options, QUIET)
-    write_masks(masks, folder, QUIET)
+    masks = make_masks(found.photos, folder.images, options, folder, QUIET)
     settings = replace(QUICK, masks=digest_of(masks))
     find_features(folder, found.photos, settings, 1, QUIET)
     with closing(sqlite3.connect(folder.database)) as file:

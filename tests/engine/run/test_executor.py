@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from roigs_engine.run.folder import train_run
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.stage_folder import StageFolder, StageResult
 from roigs_engine.run.strategies import matched, plan_run, scene_stage, strategy
+from roigs_engine.training import health
 from roigs_engine.training.trainer import StageData
 from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -66,6 +68,19 @@ def test_the_scene_learns_from_smaller_photos_and_the_boxes_from_whole_ones(
     train(tmp_path, scene, [BOX], tiny("joint", scene_scale=0.5))
     (width,) = sizes["joint"]
     assert sizes["scene"] == {round(width / 2)}
+
+
+def test_a_photo_that_does_not_fit_is_named_by_one_stage(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in {"VISITS": 1, "DEVIATIONS": -9.0, "TIMES": 1.0, "NAMED": 99}.items():
+        monkeypatch.setattr(health, name, value)  # half of the photos stand out
+    events: list[Event] = []
+    train(tmp_path, scene, [BOX], tiny("joint"), context=Context(emit=events.append))
+    said = [e.text for e in events if isinstance(e, Message) and "matched worse" in e.text]
+    photos = [re.findall("'(.+?)'", text) for text in said]
+    assert [text.partition(":")[0] for text in said] == ["scene", "joint"]
+    assert all(photos) and not set(photos[0]) & set(photos[1])
 
 
 def test_the_other_strategy_stands_in_the_same_table(scene: SfmScene, tmp_path: Path) -> None:

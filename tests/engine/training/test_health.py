@@ -157,6 +157,17 @@ def test_a_photo_whose_loss_stays_high_is_named() -> None:
     assert not visits(Health(names), {0: 0.1, 1: 0.1, 2: 0.9}).outliers()  # too few to compare
 
 
+def test_a_photo_is_named_once() -> None:
+    names = [f"{k}.jpg" for k in range(20)]
+    normal, named = {k: 0.05 + 0.002 * k for k in range(20)}, set[str]()
+    bad = normal | {k: 0.4 + k / 5 for k in range(6)}
+    assert visits(Health(names), bad).outliers(named).startswith("6 photos matched")
+    assert named == set(names[:6])
+    assert not visits(Health(names), bad).outliers(named)
+    text = visits(Health(names), bad | {7: 0.4}).outliers(named)
+    assert text.startswith("1 photo matched") and "'7.jpg' (loss up to 0.4" in text
+
+
 def test_a_photo_of_something_else_is_named(scene: SfmScene) -> None:
     class OneNoisy:
         def __init__(self, photos: object) -> None:

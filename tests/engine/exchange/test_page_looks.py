@@ -1,0 +1,113 @@
+"""Web pages: what a browser shows of them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.exchange import formats, page
+from tests import chromium
+from tests.chromium import browser
+from tests.engine.page_cases import (
+    BOX,
+    arrays,
+    bare,
+    opened,
+    ours,
+    psnr,
+)
+
+pytest.importorskip("gsply")
+
+
+@browser
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_a_browser_shows_what_we_render(degree: int, tmp_path: Path) -> None:
+    values = arrays()
+    values["sh"] = values["sh"][:, : (degree + 1) ** 2]
+    formats.write(tmp_path / "a.html", values)
+    with opened(tmp_path / "a.html") as shown:
+        picture = bare(shown)
+        expected = ours(values, shown)
+        assert expected.std() > 0.05
+        assert psnr(picture, expected) > 36
+        assert not shown.problems
+
+
+@browser
+def test_many_gaussians_show_soon_and_right(tmp_path: Path) -> None:
+    """A viewer with an instance for each of so many showed nothing within minutes."""
+    values = arrays(150_000)
+    values["log_scales"] -= 2.0
+    formats.write(tmp_path / "a.html", values)
+    start = time.monotonic()
+    with opened(tmp_path / "a.html", width=640, height=480) as shown:
+        assert time.monotonic() - start < 60
+        assert psnr(bare(shown), ours(values, shown)) > 30
+
+
+@browser
+def test_a_moving_view_is_drawn_with_less_and_then_whole(tmp_path: Path) -> None:
+    values = arrays(60_000)
+    formats.write(tmp_path / "a.html", values)
+    turn = """ready.then(({ orbit, renderer }) => new Promise((done) => {
+      let left = 30;
+      const step = () => {
+        orbit.turn(0.02, 0);
+        renderer.move();
+        if (left-- > 0) requestAnimationFrame(step);
+        else done([renderer.frames.length, renderer.model.drawn, renderer.size[0]]);
+      };
+      renderer.share = 1 / 16;
+      step();
+    }))"""
+    with opened(tmp_path / "a.html") as shown:
+        frames, drawn, width = shown.run(turn)
+        assert frames > 1
+        assert drawn < 30_000 and width < 320
+        assert psnr(bare(shown), ours(values, shown)) > 30
+
+
+@browser
+def test_large_gaussians_reach_in_from_beside_the_picture(tmp_path: Path) -> None:
+    values = arrays(300)
+    angles = np.arange(16) * np.pi / 8
+    ring = 2.6 * np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
+    values["means"][:16] = ring
+    values["log_scales"][:16] = np.log(0.5)
+    values["logit_opacities"][:16] = 1.0
+    formats.write(tmp_path / "a.html", values)
+    with opened(tmp_path / "a.html") as shown:
+        picture = bare(shown)
+        assert psnr(picture, ours(values, shown)) > 33
+
+
+@browser
+def test_texts_and_buttons_do_not_overlap_on_a_phone(tmp_path: Path) -> None:
+    extras = page.Extras(title="A long title " * 8, places=BOX.places, before=arrays(seed=1))
+    formats.write(tmp_path / "a.html", arrays(), extras=extras)
+    with opened(tmp_path / "a.html", width=360, height=640) as shown:
+        boxes = shown.run(
+            "['h1', 'header p', '#models', '#places'].map((name) => {"
+            " const box = document.querySelector(name).getBoundingClientRect();"
+            " return [box.top, box.bottom]; })"
+        )
+        edges = [edge for box in boxes for edge in box]
+        assert edges == sorted(edges)
+
+
+@browser
+def test_without_webgl_the_page_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.html"
+    formats.write(path, arrays())
+    cut = "<script>HTMLCanvasElement.prototype.getContext = () => null;</script><body>"
+    path.write_text(path.read_text().replace("<body>", cut))
+    with chromium.Page(path) as shown:
+        end = time.monotonic() + 30
+        message = "document.getElementById('message')?.textContent"
+        while "WebGL 2" not in str(shown.run(message)) and time.monotonic() < end:
+            time.sleep(0.1)
+        assert "Open the page in another browser." in shown.run(message)

@@ -1,0 +1,86 @@
+"""Web pages for tests: what is shown, and a browser that shows it."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roigs_engine.exchange import page
+from roigs_engine.exchange.page_views import FIELD, Ball
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.scene import Camera
+from roigs_engine.rasterize.view import render_view
+from tests import chromium
+from tests.engine.rasterize.test_placed import cloud
+
+NASTY = "</script><img src=x onerror=\"document.title='broken'\">{{viewer}}"
+BOX = page.Extras(title="Vase", places=[("vase", Ball(centre=np.array([0.2, 0, 0]), radius=0.5))])
+
+
+def arrays(count: int = 300, seed: int = 0) -> dict[str, np.ndarray]:
+    return cloud(count, seed).arrays()
+
+
+def description(path: Path) -> Any:
+    found = re.search('<script id="page"[^>]*>(.*?)</script>', path.read_text())
+    assert found
+    return json.loads(found[1])
+
+
+def opened(path: Path, **size: int) -> chromium.Page:
+    """The page, once it shows something."""
+    shown = chromium.Page(path, **size)
+    end = time.monotonic() + 60
+    while not shown.run("window.ready !== undefined") and time.monotonic() < end:
+        time.sleep(0.1)
+    still(shown)
+    return shown
+
+
+def still(shown: chromium.Page) -> None:
+    """Wait until the whole picture of the view is shown."""
+    end = time.monotonic() + 60
+    while shown.run("document.getElementById('message').textContent") and time.monotonic() < end:
+        time.sleep(0.05)
+    shown.run(
+        "ready.then(({ renderer: r }) => r.whole && r.whole.done ? 1 : r.settled().then(() => 1))"
+    )
+
+
+def ours(values: dict[str, np.ndarray], shown: chromium.Page) -> np.ndarray:
+    """Our renderer's picture from the page's camera."""
+    width, height = shown.run("[innerWidth, innerHeight]")
+    eye, axes = shown.run("ready.then(({ orbit }) => [orbit.position, orbit.axes()])")
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = np.array(axes) * np.array([[1], [-1], [-1]])
+    world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ np.array(eye)
+    focal = height / 2 / np.tan(np.radians(FIELD / 2))
+    camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    view = render_view(Gaussians.from_arrays(values), camera, world_to_camera)
+    return np.asarray(view.image)
+
+
+def bare(shown: chromium.Page) -> np.ndarray:
+    """What is seen without texts and buttons, 0 to 1."""
+    shown.run(
+        "document.querySelectorAll('header, nav, #models, #message')"
+        ".forEach(e => { e.style.visibility = 'hidden'; })"
+    )
+    still(shown)
+    return shown.picture() / 255.0
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(a - b).mean() + 1e-12))
+
+
+def press(shown: chromium.Page, text: str) -> None:
+    shown.run(
+        "[...document.querySelectorAll('button')]"
+        f".find(b => b.textContent === {json.dumps(text)}).click()"
+    )
