@@ -30,6 +30,8 @@ FINE, COARSE = "rois", "coarse"
 PREVIEW = "preview.ply"
 REPORT, REPORT_DATA, CROPS = "report.md", "report.json", "crops"
 REPORT_PAGE = "report.html"
+LEVELS, LEVELS_FILE = "levels", "levels.json"
+"""Levels of detail: a folder for each, laid out as the run folder, and the list of them."""
 
 STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 """In a stage's folder: once it is done, and while it trains."""
@@ -51,6 +53,8 @@ _RESULTS = (
     REPORT,
     REPORT_DATA,
     REPORT_PAGE,
+    LEVELS,
+    LEVELS_FILE,
     CROPS,
     SELECTION,
     ARCHIVE,

@@ -30,6 +30,8 @@ RESULTS = (
         run_files.REPORT_DATA,
         run_files.REPORT_PAGE,
         run_files.CROPS,
+        run_files.LEVELS,
+        run_files.LEVELS_FILE,
         run_files.SELECTION,
     ),
     run_files.SETTINGS,

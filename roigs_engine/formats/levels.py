@@ -1,0 +1,165 @@
+"""`levels.json`: a result in levels of detail, and the rule that chooses among them.
+
+A part (a box, or the surroundings) has a ladder of files, each with fewer Gaussians. What decides
+is how finely a view shows the part, its rate in pixels per unit of length: `Level.farther` is how
+many times coarser than its photos a view must be for that level to do. The rule depends on the view
+alone, not on what was drawn before, so a picture is the same whenever it is drawn. Just before a
+level is left, it and the next are drawn together, one fading in and then the other out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RunFolderError
+from . import run_files
+from .files import read_json, write_json
+
+Float64 = NDArray[np.float64]
+
+VERSION = 1
+FADE = 1.2
+"""By which factor a view becomes coarser while one level fades into the next."""
+NEAR_SHARE = 0.9
+"""The rate of a view is that of the nearest tenth of the probes."""
+HINT = "Make it again with `levels`."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One file of a ladder.
+
+    Attributes:
+        ply: relative to the run folder.
+        gaussians: their number.
+        farther: how many times coarser than the photos a view must be; 0 for the first level.
+        measured: what was measured of it, for people: name -> number.
+    """
+
+    ply: str
+    gaussians: int
+    farther: float
+    measured: dict[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ladder:
+    """The levels of a part, the whole one first.
+
+    Attributes:
+        box: name of the box; empty: the surroundings.
+        rate: how finely the photos show it, pixels per unit of the COLMAP frame.
+        probes: (P, 3) points in the COLMAP frame that stand for the part.
+        levels: `farther` grows, each at least `FADE` times the one before.
+    """
+
+    box: str
+    rate: float
+    probes: Float64
+    levels: tuple[Level, ...]
+
+
+def write_ladders(folder: Path, ladders: list[Ladder], record: dict[str, Any]) -> None:
+    """Write `levels.json` into a run folder.
+
+    Args:
+        folder, ladders: where, and what.
+        record: what else it shall hold.
+    """
+    parts = [
+        {
+            "box": ladder.box,
+            "rate": ladder.rate,
+            "probes": ladder.probes.tolist(),
+            "levels": [asdict(level) for level in ladder.levels],
+        }
+        for ladder in ladders
+    ]
+    write_json(folder / run_files.LEVELS_FILE, {"version": VERSION, "parts": parts, **record})
+
+
+def read_ladders(folder: Path) -> dict[str, Ladder]:
+    """Box -> its ladder, of a run folder; the surroundings are the box "".
+
+    Raises:
+        RunFolderError: there is no `levels.json`, or it is damaged or of another version.
+    """
+    path = folder / run_files.LEVELS_FILE
+    record = read_json(path, hint=HINT)
+    try:
+        if record["version"] != VERSION:
+            raise RunFolderError(f"{path} is of another version of the engine.", HINT)
+        ladders = [_ladder(part) for part in record["parts"]]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise RunFolderError(f"{path} is malformed ({error}).", HINT) from error
+    return {ladder.box: ladder for ladder in ladders}
+
+
+def _ladder(record: Any) -> Ladder:
+    """A part of the file; KeyError, TypeError, ValueError: it is malformed."""
+    probes = np.array(record["probes"], dtype=np.float64)
+    rate, levels = float(record["rate"]), tuple(_level(level) for level in record["levels"])
+    if probes.ndim != 2 or probes.shape[1] != 3 or not len(probes) or not np.isfinite(probes).all():
+        raise ValueError("probes must be points")
+    if not (0 < rate < math.inf) or not levels or levels[0].farther != 0:
+        raise ValueError("rate must be positive, and the first level whole")
+    steps = [level.farther for level in levels[1:]]
+    if not all(math.isfinite(step) and step > 0 for step in steps) or steps != sorted(steps):
+        raise ValueError("farther must grow")
+    return Ladder(box=str(record["box"]), rate=rate, probes=probes, levels=levels)
+
+
+def _level(record: Any) -> Level:
+    ply = str(record["ply"])
+    if Path(ply).is_absolute() or ".." in Path(ply).parts:
+        raise ValueError(f"{ply} is not in the run folder")
+    measured = {str(name): float(value) for name, value in record["measured"].items()}
+    return Level(
+        ply=ply,
+        gaussians=int(record["gaussians"]),
+        farther=float(record["farther"]),
+        measured=measured,
+    )
+
+
+def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
+    """How finely a view shows the probes, pixels per unit of length; 0 if it shows none.
+
+    Args:
+        probes: (P, 3).
+        to_clip: (4, 4) from the probes' frame to clip space: a point is in the picture if |x| and
+            |y| are at most w, and w > 0.
+        pixels: that a unit of the probes' frame covers where w is 1.
+    """
+    clip = probes @ to_clip[:, :3].T + to_clip[:, 3]
+    w = clip[:, 3]
+    shown = (w > 0) & (np.abs(clip[:, 0]) <= w) & (np.abs(clip[:, 1]) <= w)
+    if not shown.any():
+        return 0.0
+    return float(pixels / np.quantile(w[shown], 1 - NEAR_SHARE))
+
+
+def shown_levels(ladder: Ladder, rate: float, quality: float = 1.0) -> list[tuple[Level, float]]:
+    """The levels to draw, with the factors on their opacities: one level, or two in a fade.
+
+    Args:
+        ladder: of the part.
+        rate: of `rate_in_view`.
+        quality: how many times finer a level is to be than the rule asks for.
+    """
+    coarser = math.inf if rate <= 0 else ladder.rate / (rate * max(quality, 1e-6))
+    index = max(k for k, level in enumerate(ladder.levels) if level.farther <= coarser)
+    level = ladder.levels[index]
+    if not index or coarser >= level.farther * FADE:
+        return [(level, 1.0)]
+    # Both at once would let the background through, so one is always whole.
+    share = math.log(coarser / level.farther) / math.log(FADE)
+    fine, coarse = min(1.0, 2 * (1 - share)), min(1.0, 2 * share)
+    both = [(ladder.levels[index - 1], fine), (level, coarse)]
+    return [(each, factor) for each, factor in both if factor > 0]
