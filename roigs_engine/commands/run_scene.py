@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
 from ..formats.files import read_json
@@ -26,6 +27,39 @@ def scene_of_run(folder: Path) -> SfmScene | None:
         with suppress(EngineError):
             return load_colmap(place, pixels=False)
     return None
+
+
+def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmScene:
+    """The cameras that a run was trained with, at its size of photos.
+
+    Args:
+        folder: of the run.
+        scene: where its scene is; None: where it was.
+        context: receives messages.
+
+    Raises:
+        ConfigError: the scene is not where it was.
+        SceneError: it cannot be used.
+    """
+    from ..colmap.project import load_colmap
+
+    options: dict[str, Any] = {}
+    with suppress(ConfigError):
+        options = dict(read_json(folder / SETTINGS, ConfigError))
+    for place in [scene] if scene else _places(folder):
+        if scene or place.is_dir():
+            images = None if scene else options.get("images")
+            return load_colmap(
+                place,
+                images=images,
+                downscale=options.get("downscale"),
+                max_side=options.get("max_side"),
+                pixels=False,
+                context=context,
+            )
+    raise ConfigError(
+        f"The scene of {folder} is not where it was.", "Give its folder with --scene."
+    )
 
 
 def poses_of(scene: SfmScene) -> Float64:
