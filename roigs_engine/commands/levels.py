@@ -12,6 +12,7 @@ from ..formats.lock import locked
 from .console import Console
 from .options import add_device_option, add_threads_option, context_on_device
 from .run_scene import cameras_of_run
+from .train import MOST_LEVELS
 from .values import PATH, integer
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 HELP = "make levels of detail of a run's result: fewer Gaussians for views from afar"
 EXAMPLES = """\
   python -m roigs_engine levels runs/garden"""
-MOST = 8
 MOST_STEPS = 100_000
 
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=PATH, help="folder of the run")
     parser.add_argument(
         "--levels",
-        type=integer(2, MOST),
+        type=integer(2, MOST_LEVELS),
         default=5,
         metavar="N",
         help="how many, with the whole one; each has half the Gaussians of the one before"
