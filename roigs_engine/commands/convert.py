@@ -220,8 +220,15 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 
     models = []
     for item in wanted:
         gaussians, frame = read[item.file]
-        place = matrix @ item.matrix
-        models.append(PlacedModel(gaussians=gaussians, frame=frame, matrix=place, gains=item.gains))
+        models.append(
+            PlacedModel(
+                gaussians=gaussians,
+                frame=frame,
+                matrix=matrix @ item.matrix,
+                gains=item.gains,
+                opacity=item.opacity,
+            )
+        )
     return _merged(models), poses
 
 

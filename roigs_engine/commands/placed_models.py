@@ -21,11 +21,13 @@ class Placed(NamedTuple):
         file: of its Gaussians.
         matrix: (4, 4) from its own world to that of the list.
         gains: factors on red, green and blue.
+        opacity: a factor on the opacities, above 0 and at most 1.
     """
 
     file: str
     matrix: Float64
     gains: tuple[float, float, float]
+    opacity: float = 1.0
 
 
 def placed_models(record: Any) -> list[Placed]:
@@ -35,7 +37,12 @@ def placed_models(record: Any) -> list[Placed]:
         KeyError, TypeError, ValueError, OverflowError: it is malformed.
     """
     wanted = [
-        Placed(str(item["ply"]), _affine(item["matrix"]), _gains(item.get("gains", (1, 1, 1))))
+        Placed(
+            str(item["ply"]),
+            _affine(item["matrix"]),
+            _gains(item.get("gains", (1, 1, 1))),
+            _opacity(item.get("opacity", 1)),
+        )
         for item in record["models"]
     ]
     if not wanted:
@@ -70,3 +77,11 @@ def _gains(numbers: Any) -> tuple[float, float, float]:
         raise ValueError(f"gains must be three numbers from 0 to {MOST:g}")
     red, green, blue = gains.tolist()
     return red, green, blue
+
+
+def _opacity(number: Any) -> float:
+    """The factor of a request; ValueError unless it fades."""
+    factor = float(number)
+    if not 0 < factor <= 1:  # catches NaN too
+        raise ValueError("opacity must be a number above 0, at most 1")
+    return factor

@@ -127,7 +127,13 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
     read = models.get([item.file for item in wanted])
     placed = [
-        PlacedModel(gaussians=gaussians, frame=frame, matrix=item.matrix, gains=item.gains)
+        PlacedModel(
+            gaussians=gaussians,
+            frame=frame,
+            matrix=item.matrix,
+            gains=item.gains,
+            opacity=item.opacity,
+        )
         for (gaussians, frame), item in zip(read, wanted, strict=True)
     ]
     layer = render_placed(placed, camera, pose, device)

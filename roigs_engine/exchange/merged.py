@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..model.faded import faded
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.recolour import recoloured
@@ -42,7 +43,7 @@ def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
         means=gaussians.means,  # replaced when the frame of all is known
         quats=quats,
         log_scales=log_scales,
-        logit_opacities=gaussians.logit_opacities,
+        logit_opacities=faded(gaussians.logit_opacities, model.opacity),
         sh=_padded(recoloured(turned_sh(gaussians.sh, linear), model.gains), bands),
     )
 

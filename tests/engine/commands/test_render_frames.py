@@ -75,6 +75,19 @@ def test_gains_change_the_colours(folder: Path) -> None:
     assert after[1] == before[1] and after[2] == 0 and after[3] == before[3]
 
 
+def test_opacity_lets_more_through(folder: Path) -> None:
+    model = {"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}
+    whole, same = ask(folder), ask(folder, "b", models=[{**model, "opacity": 1}])
+    half = ask(folder, "c", models=[{**model, "opacity": 0.5}])
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    first, second, third = (
+        np.asarray(Image.open(colour_file(out))).astype(int) for out in (whole, same, half)
+    )
+    assert (first == second).all() and first[12, 16, 3] > 250
+    assert third[12, 16, 3] == pytest.approx(first[12, 16, 3] / 2, abs=2)
+    np.testing.assert_allclose(third[12, 16, :3], first[12, 16, :3], atol=2)
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
@@ -87,6 +100,10 @@ def test_gains_change_the_colours(folder: Path) -> None:
         ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1, -1]}]}, "three numbers"),
         ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1, float("nan")]}]}, "three"),
         ({"models": [{"ply": "a", "matrix": POSE, "gains": ["a", 1, 1]}]}, "malformed"),
+        ({"models": [{"ply": "a", "matrix": POSE, "opacity": 0}]}, "opacity must be"),
+        ({"models": [{"ply": "a", "matrix": POSE, "opacity": 1.5}]}, "opacity must be"),
+        ({"models": [{"ply": "a", "matrix": POSE, "opacity": float("nan")}]}, "opacity must be"),
+        ({"models": [{"ply": "a", "matrix": POSE, "opacity": [1]}]}, "malformed"),
     ],
 )
 def test_what_is_wrong_is_said(
