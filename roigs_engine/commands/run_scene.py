@@ -12,7 +12,7 @@ from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
 from ..formats.files import read_json
-from ..formats.run_files import BACKGROUND, COARSE, FINE, PROJECT, RESULT, SETTINGS
+from ..formats.run_files import BACKGROUND, COARSE, FINE, MANIFEST, PROJECT, RESULT, SETTINGS
 from ..formats.upright import levelled
 
 if TYPE_CHECKING:
@@ -52,14 +52,21 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
             return load_colmap(
                 place,
                 images=images,
-                downscale=options.get("downscale"),
-                max_side=options.get("max_side"),
+                max_side=_longest_side(folder),
                 pixels=False,
                 context=context,
             )
     raise ConfigError(
         f"The scene of {folder} is not where it was.", "Give its folder with --scene."
     )
+
+
+def _longest_side(folder: Path) -> int | None:
+    """The longest side of the photos that a run was trained on, pixels; None: not known."""
+    with suppress(ConfigError, KeyError, TypeError, ValueError):
+        sizes = read_json(folder / MANIFEST, ConfigError)["sizes"]
+        return max(int(side) for size in sizes for side in size.split("x"))
+    return None
 
 
 def poses_of(scene: SfmScene) -> Float64:

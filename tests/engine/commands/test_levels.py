@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.formats.levels import read_ladders
@@ -66,3 +67,32 @@ def test_bad_input_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) ->
     (run / "levels/1").rename(run.parent / "elsewhere")
     (run / "levels/1").symlink_to(run.parent / "elsewhere")
     assert "link" in refused(capsys, *words(run))
+
+
+def test_render_draws_what_a_view_needs(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = str(run.parent / "scene")
+    result = run / "result.ply"
+    parts = [Gaussians.load_ply(run / name) for name in ("background.ply", "rois/thing.ply")]
+    Gaussians.concatenate(parts).save_ply(result)
+    line = ["render", str(result), "--scene", scene, "--device", "cpu", "--out"]
+    assert "has no levels of detail" in refused(capsys, *line, tmp_path / "a", "--levels")
+    assert main(words(run)) == 0
+    (run / "levels/1/rois/thing.ply").write_bytes(b"")  # not needed from near
+    record = json.loads((run / "levels.json").read_text())
+    for part in record["parts"]:
+        path = f"levels/1/{part['levels'][0]['ply']}"
+        part["levels"][1:] = [{"ply": path, "gaussians": 1, "farther": 9.0, "measured": {}}]
+    (run / "levels.json").write_text(json.dumps(record))
+    capsys.readouterr()
+    assert main([*line, str(tmp_path / "near"), "--levels"]) == 0
+    assert main([*line, str(tmp_path / "whole")]) == 0
+    made = [sorted((tmp_path / folder).iterdir()) for folder in ("near", "whole")]
+    assert len(made[0]) == len(NAMES)
+    for pair in zip(*made, strict=True):
+        near, whole = (np.asarray(Image.open(path)) for path in pair)
+        np.testing.assert_allclose(near, whole, atol=1)
+    capsys.readouterr()
+    far = refused(capsys, *line, tmp_path / "far", "--levels", "--quality", "0.01")
+    assert "thing.ply" in far
