@@ -31,7 +31,8 @@ class Source:
             box taken from input k + 1).
         inputs: stages.
         rois: boxes, for `crop` and `merge`.
-        digest: hash of the sparse points, for `points`.
+        digest: hash of the sparse points, for `points`; for `merge`, of the masks of the boxes'
+            objects, which decide what their content is; empty: there are none.
     """
 
     kind: str
@@ -95,7 +96,19 @@ class Stage:
             "start": self.start.fingerprint,
             "order": asdict(self.order),
         }
-        return json_digest(record)
+        objects = self._object_masks()
+        return json_digest(record | ({"objects": objects} if objects else {}))
+
+    def _object_masks(self) -> list[tuple[int, int, str]]:
+        """What decides the masks of objects that the stage uses: photo, box, digest of the mask."""
+        if self.config.full_every == 1:  # whole photos
+            return []
+        return [
+            (row, box, image.objects[roi.name].digest)
+            for row, image in enumerate(self.images)
+            for box, roi in enumerate(self.rois)
+            if roi.name in image.objects
+        ]
 
     @property
     def inputs(self) -> tuple[Stage, ...]:
