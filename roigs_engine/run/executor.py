@@ -19,9 +19,11 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.cache import PhotoCache
 from ..training.budget import BoxBudget, budgets_from
+from ..training.cutouts import Cutouts
 from ..training.labels import object_owners
 from ..training.masks import RoiMasks
 from ..training.trainer import StageData
+from ..training.z_order import morton_order
 from .definition import Run
 from .memory import run_memory
 from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
@@ -204,10 +206,19 @@ class Executor:
             rois=stage.rois,
             budgets=self._budgets(stage),
             masks=masks,
+            cutouts=self._cutouts(stage, device) if stage.cutouts else None,
             points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
         )
+
+    def _cutouts(self, stage: Stage, device: torch.device) -> Cutouts:
+        """The objects that the stage's steps draw alone, by the labels of its first model."""
+        start = self.gaussians(stage.start).to(device)
+        rows = morton_order(start.means)  # the trainer's
+        owner = self._owners(start, self.run.rois)[rows]
+        images, rois = stage.images, self.run.rois
+        return Cutouts(start.rows(rows), owner, rois, images, stage.seed, self.context)
 
     def _budgets(self, stage: Stage) -> list[BoxBudget] | None:
         ends: Sequence[int] | None = stage.budgets

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from typing import Any
 
 from ..formats.text import json_digest
 from ..model.roi import OrientedBox
@@ -18,6 +19,7 @@ from ..selection import CameraSelection
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
 
+CUTOUTS_VERSION = 1  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 
 
@@ -61,6 +63,7 @@ class Stage:
         budgets: most Gaussians in each box at the end of densification; None: no limit.
         matched: a model; its numbers of Gaussians in the boxes replace `budgets`.
         seeing: row numbers of the photos that see a box.
+        cutouts: whether some steps draw objects alone (`training.cutouts`).
         extent: of the scene, world units.
         seed: for the positions of split Gaussians.
     """
@@ -76,11 +79,12 @@ class Stage:
     budgets: tuple[int, ...] | None = None
     matched: Source | None = None
     seeing: tuple[int, ...] = ()
+    cutouts: bool = False
 
     @cached_property
     def fingerprint(self) -> str:
         """Hash of everything that decides the stage's result; the boxes' names do not."""
-        record = {
+        record: dict[str, Any] = {
             "config": asdict(self.config),
             "images": [
                 (i.name, i.digest, asdict(i.camera), i.world_to_camera.tolist())
@@ -97,7 +101,8 @@ class Stage:
             "order": asdict(self.order),
         }
         objects = self._object_masks()
-        return json_digest(record | ({"objects": objects} if objects else {}))
+        record |= {"objects": objects} if objects else {}
+        return json_digest(record | ({"cutouts": CUTOUTS_VERSION} if self.cutouts else {}))
 
     def _object_masks(self) -> list[tuple[int, int, str]]:
         """What decides the masks of objects that the stage uses: photo, box, digest of the mask."""

@@ -186,10 +186,28 @@ def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, 
         start=_roi_start(run, scene, run.rois),
         order=_mixed_order,
     )
-    return (
+    models = (
         PlannedModel.of_stages("Scene-GS (joint)", scene),
         PlannedModel.of_stages("Joint", scene, joint),
     )
+    if not _object_masks(run):
+        return models
+    last = _cutout_stage(photos, result_of(joint), folder)
+    return (*models, PlannedModel.of_stages("Joint, cut out", scene, joint, last))
+
+
+def _cutout_stage(photos: PhotoSets, start: Source, folder: str) -> Stage:
+    """Trains a model on so that its objects look right alone (ours)."""
+    stage = _stage(
+        _path(folder, run_files.CUTOUT_STAGE),
+        photos,
+        photos.images,
+        stage_configs.cutout_stage(photos.run.config),
+        rois=photos.run.rois,
+        start=start,
+        order=_mixed_order,
+    )
+    return replace(stage, cutouts=True)
 
 
 def _independent(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:

@@ -27,6 +27,7 @@ from .averaging import ModelMean
 from .budget import BoxBudget
 from .callbacks import PeriodicCallback
 from .config import TrainConfig
+from .cutouts import Cutout, Cutouts
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
 from .floaters import floaters
@@ -55,6 +56,8 @@ class StageData:
         rois: boxes that limit densification, if the stage's config says so.
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
+        cutouts: the objects that some steps draw alone; None: there are none. The stage must not
+            densify, and their rows are those of the `z_order` of its first model.
         points: (P, 3) of the scene, world units; used with `config.min_views`.
         seed: for the positions of split Gaussians.
         device: where to train; devices differ only in rounding.
@@ -67,6 +70,7 @@ class StageData:
     rois: Sequence[OrientedBox] = ()
     budgets: Sequence[BoxBudget] | None = None
     masks: RoiMasks | None = None
+    cutouts: Cutouts | None = None
     points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     seed: int = 0
     device: torch.device = CPU
@@ -148,6 +152,10 @@ class Trainer:
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
         config, data = self.config, self.data
+        cutout = None if data.cutouts is None else data.cutouts.at(self.step)
+        if cutout is not None:
+            self._cutout_step(cutout)
+            return
         index = data.photo_at(self.step)
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target, counted = split_mask(self._photos[index])
@@ -174,7 +182,33 @@ class Trainer:
             self._optimizer.step(visible)
         self._density.observe(visible, output.grad2d[0], output.max_weight)
         self._observe(loss.loss.detach(), image, target, weights)
-        self.health.record_loss(self.step, index, loss.loss.detach())
+        self._end_step(index, loss.loss.detach())
+
+    def _cutout_step(self, cutout: Cutout) -> None:
+        """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
+        target, _ = split_mask(self._photos[cutout.photo])
+        lr = self.config.position_learning_rate(self.step) * self.data.extent
+        self._optimizer.set_lr("means", lr)
+        part = self._optimizer.part(cutout.rows)
+        output = self._rendered(part, cutout.photo, cutout.counted, background=cutout.background)
+        window = cutout.window()
+        loss = photo_loss(
+            output.image.squeeze(0)[window],
+            cutout.target(target)[window],
+            ssim_weight=self.config.ssim_weight,
+            counted=cutout.counted[window].to(target.device),
+        )
+        weight = loss.loss.new_tensor(cutout.loss_weight)
+        loss.loss.backward(weight)  # type: ignore[no-untyped-call]
+        if part.backward_step is None:
+            part.step(output.visible[0])
+        self._optimizer.put(part, cutout.rows)
+        self._end_step(cutout.photo, loss.loss.detach())
+
+    def _end_step(self, index: int, loss: Tensor) -> None:
+        """Count a step on a photo, look for NaN, edit the model if it is due."""
+        config = self.config
+        self.health.record_loss(self.step, index, loss)
         self.step += 1
         if self.step % min(CHECK_EVERY, config.densify_every) == 0:
             self.check()
@@ -195,25 +229,32 @@ class Trainer:
         return masks[index]
 
     def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
-        p, camera = self._parameters, self.data.images[index].camera
         active = None if mask is None else mask.pixels
         if counted is not None:
             active = counted if active is None else active.to(counted.device) & counted
+        needed = self._density.needs_max_weight
+        return self._rendered(self._optimizer, index, active, with_max_weight=needed)
+
+    def _rendered(
+        self, optimizer: VisibleAdam, index: int, active: Tensor | None, **options: Any
+    ) -> RenderOutput:
+        """A photo's view of an optimizer's Gaussians; `active`: the pixels that are needed."""
+        p, camera = optimizer.parameters, self.data.images[index].camera
         return rasterize(
-            p.means,
-            p.quats,
-            p.log_scales,
-            p.logit_opacities,
-            p.sh,
+            p["means"],
+            p["quats"],
+            p["log_scales"],
+            p["logit_opacities"],
+            p["sh"],
             self._viewmats[index : index + 1],
             self._intrinsics[index : index + 1],
             camera.width,
             camera.height,
             sh_degree=self.config.degree(self.step),
             raw=True,
-            with_max_weight=self._density.needs_max_weight,
             mask=active,
-            backward_step=self._optimizer.backward_step,
+            backward_step=optimizer.backward_step,
+            **options,
         )
 
     def _observe(
