@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,6 +35,7 @@ from .losses import photo_loss
 from .masks import RoiMask, RoiMasks, counted_weights, split_mask
 from .optimizer import VisibleAdam
 from .photo_order import PhotoAt, is_whole
+from .threads import one_torch_thread
 from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
@@ -152,6 +152,7 @@ class Trainer:
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
         config, data = self.config, self.data
+        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         cutout = None if data.cutouts is None else data.cutouts.at(self.step)
         if cutout is not None:
             self._cutout_step(cutout)
@@ -159,7 +160,6 @@ class Trainer:
         index = data.photo_at(self.step)
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target, counted = split_mask(self._photos[index])
-        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         mask = self._mask(index)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
@@ -187,8 +187,6 @@ class Trainer:
     def _cutout_step(self, cutout: Cutout) -> None:
         """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
         target, _ = split_mask(self._photos[cutout.photo])
-        lr = self.config.position_learning_rate(self.step) * self.data.extent
-        self._optimizer.set_lr("means", lr)
         part = self._optimizer.part(cutout.rows)
         output = self._rendered(part, cutout.photo, cutout.counted, background=cutout.background)
         window = cutout.window()
@@ -392,20 +390,6 @@ class Trainer:
         self._mean.load_state_dict(state["mean"])
         self._density = self._new_density(len(self._parameters))
         self._density.load_state_dict(state["density"])
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Limit torch to one thread: its threads and the kernels' would compete for the same cores.
-
-    torch's share of a training step is small; more threads would cost more than they gain.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _cameras(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor, Tensor]:
