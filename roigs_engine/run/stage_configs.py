@@ -8,7 +8,7 @@ from ..training.config import TrainConfig, with_steps
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
-CUTOUT_SHARE = 0.4  # steps of the stage that cuts objects out, in steps of the box stage
+CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
 

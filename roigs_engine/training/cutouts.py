@@ -26,7 +26,7 @@ from ..rasterize.view import rasterize_view
 from .photo_order import mixed, shuffled
 
 EVERY = 3  # one step in so many is an ordinary one
-MASKED_SHARE = 0.3  # of these, the share that uses a photo with a mask of the object
+MASKED_SHARE = 0.15  # of these, the share that uses a photo with a mask of the object
 BLOCKED = 0.5  # share of a pixel's light that something before the object takes: it is hidden there
 CORE = 2  # pixels from the edge of an object, as a photo without a mask shows it, that do not count
 LEAST = 64  # pixels of an object, below which a photo is not used for it
