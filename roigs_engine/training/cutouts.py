@@ -25,7 +25,7 @@ from ..photos.masks import load_mask, load_object_mask
 from ..rasterize.view import rasterize_view
 from .photo_order import mixed, shuffled
 
-EVERY = 3  # one step in so many is an ordinary one
+EVERY = 4  # one step in so many is an ordinary one
 MASKED_SHARE = 0.15  # of these, the share that uses a photo with a mask of the object
 BLOCKED = 0.5  # share of a pixel's light that something before the object takes: it is hidden there
 CORE = 2  # pixels from the edge of an object, as a photo without a mask shows it, that do not count
