@@ -38,7 +38,7 @@ from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.presets import preset
-from roigs_engine.training.trainer import one_torch_thread
+from roigs_engine.training.threads import one_torch_thread
 
 KINDS = ("random", "arc", "even")
 OURS = "Joint"

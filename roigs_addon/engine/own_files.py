@@ -31,6 +31,7 @@ def stage_in_words(stage: str) -> str:
         run_files.SCENE_STAGE: "whole scene",
         run_files.JOINT_STAGE: "all boxes",
         run_files.REFINE_STAGE: "refining",
+        run_files.CUTOUT_STAGE: "objects alone",
         CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
         CAMERAS: "cameras",

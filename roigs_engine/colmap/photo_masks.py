@@ -1,4 +1,7 @@
-"""The masks of a scene's photos, as its cameras see them: read, undistorted, resampled, kept."""
+"""The masks of a scene's photos, as its cameras see them: read, undistorted, resampled, kept.
+
+Those of the photos themselves say what counts, those of boxes show their objects.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +35,8 @@ if TYPE_CHECKING:
 STAGE = "masks"
 VERSION = 1  # part of each mask's digest: increase it if masks become others
 HIDDEN = "hidden by its mask"
-NOTHING = np.zeros((0, 0), np.uint8)  # stands for a mask that ignores all
 NAMED = 3  # unknown masks that a warning names
+Key = TypeVar("Key")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +63,7 @@ class MaskPlan:
         content: hash of the file that has the mask.
         undistortion: of the photo; None: it has no distortion.
         target: (width, height) of the mask.
+        of_object: whether it shows an object; else it says what counts.
     """
 
     photo: Path
@@ -68,29 +72,34 @@ class MaskPlan:
     content: str
     undistortion: UndistortionPlan | None
     target: tuple[int, int]
+    of_object: bool = False
 
     def digest(self) -> str:
         """Hash of all that decides the mask."""
         lens = self.undistortion and self.undistortion.source
         kind = "inverted" if self.source.inverted else "file"
         kind = "alpha" if self.source.file is None else kind
+        kind += " of an object" if self.of_object else ""
         text = repr((VERSION, kind, self.content, lens, self.target))
         return hashlib.sha256(text.encode("ascii")).hexdigest()[:32]
 
     def make(self) -> Mask:
         """The mask for the photo's camera; raises as `read_mask` and `alpha_mask`."""
-        from ..photos.masks import alpha_mask, read_mask, resized
+        from ..photos.masks import ALL, HALF, HINT, OBJECT_HINT, alpha_mask, read_mask, resized
+
+        least, hint = (HALF, OBJECT_HINT) if self.of_object else (ALL, HINT)
 
         if self.source.file is None:
             mask = alpha_mask(self.photo)
         else:
-            mask = read_mask(self.source.file, self.size, inverted=self.source.inverted)
+            inverted = self.source.inverted
+            mask = read_mask(self.source.file, self.size, inverted=inverted, hint=hint)
         if self.undistortion is not None:
             lens = self.undistortion.source
-            grey = np.where(resized(mask, (lens.width, lens.height)), 255, 0)
+            grey = np.where(resized(mask, (lens.width, lens.height), least), 255, 0)
             bitmap = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
-            mask = undistorted_pixels(bitmap, lens)[..., 0] == 255
-        return resized(mask, self.target)
+            mask = undistorted_pixels(bitmap, lens)[..., 0] >= least
+        return resized(mask, self.target, least)
 
     def kept(self, path: Path, *, write: bool) -> Mask:
         """The mask: from the file at `path`, or made now, and written there if `write`."""
@@ -116,10 +125,10 @@ def find_mask(name: str, photo: Path, files: MaskFiles, options: MaskOptions) ->
     """
     from ..photos.masks import has_alpha
 
-    file = files.find(name, others=options.others)
+    file = files.find(name)
     if file is not None:
         return MaskSource(file=file, inverted=options.inverted and not files.is_made(file))
-    return MaskSource(file=None) if options.others and has_alpha(photo) else None
+    return MaskSource(file=None) if has_alpha(photo) else None
 
 
 def plan_masks(
@@ -141,17 +150,54 @@ def plan_masks(
     plans = {}
     for key, image in images.items():
         source = find_mask(image.name, image.path, files, options)
-        if source is None:
-            continue
-        plans[key] = MaskPlan(
-            photo=image.path,
-            size=photo_size(image.path) or (image.camera.width, image.camera.height),
-            source=source,
-            content=image.file_digest if source.file is None else mask_digest(source.file),
-            undistortion=undistortions.get(key),
-            target=(image.camera.width, image.camera.height),
-        )
+        if source is not None:
+            plans[key] = _plan(image, source, undistortions.get(key))
     return plans
+
+
+def plan_object_masks(
+    images: Mapping[int, PosedImage],
+    undistortions: Mapping[int, UndistortionPlan],
+    files: MaskFiles,
+    options: MaskOptions,
+) -> dict[tuple[int, str], MaskPlan]:
+    """How to make the masks of the boxes' objects, by the photos' keys and the boxes' names.
+
+    A file that is also the mask of a photo, in a folder of that name, is none. Arguments and errors
+    are those of `plan_masks`.
+    """
+    taken = {files.find(image.name) for image in images.values()} if options.used else set()
+    inverted, plans = options.objects_inverted, {}
+    for box in options.boxes:
+        folder = files.of_object(box)
+        if folder is None:
+            continue
+        for key, image in images.items():
+            file = folder.find(image.name, beside=False)
+            if file is not None and file not in taken:
+                source = MaskSource(file=file, inverted=inverted)
+                plan = _plan(image, source, undistortions.get(key), of_object=True)
+                plans[key, box] = plan
+    return plans
+
+
+def _plan(
+    image: PosedImage,
+    source: MaskSource,
+    undistortion: UndistortionPlan | None,
+    *,
+    of_object: bool = False,
+) -> MaskPlan:
+    """How to make a mask of a photo; MaskError if its file cannot be read."""
+    return MaskPlan(
+        photo=image.path,
+        size=photo_size(image.path) or (image.camera.width, image.camera.height),
+        source=source,
+        content=image.file_digest if source.file is None else mask_digest(source.file, of_object),
+        undistortion=undistortion,
+        target=(image.camera.width, image.camera.height),
+        of_object=of_object,
+    )
 
 
 def make_masks(
@@ -159,8 +205,20 @@ def make_masks(
 ) -> dict[int, PhotoMask | None]:
     """The masks by the photos' keys; None: the whole photo is ignored. Full masks are left out.
 
+    Arguments and errors are those of `make_object_masks`.
+    """
+    made = _made(plans, cache, context, write=write)
+    found = {key: look for key, look in made.items() if not look.full}
+    return {key: None if look.empty else look.mask for key, look in found.items()}
+
+
+def make_object_masks(
+    plans: Mapping[Key, MaskPlan], cache: Path | None, context: Context = QUIET, *, write: bool
+) -> dict[Key, PhotoMask]:
+    """The masks by the plans' keys, full and empty ones too.
+
     Args:
-        plans: of `plan_masks`.
+        plans: how to make them.
         cache: its folder `masks` keeps them; None: a temporary folder.
         context: gets the progress; checked for cancellation.
         write: False: nothing is written, and the masks' files may be missing.
@@ -170,6 +228,23 @@ def make_masks(
         RunFolderError: the cache cannot be written.
         Stopped: on request.
     """
+    made = _made(plans, cache, context, write=write)
+    return {key: look.mask for key, look in made.items()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Made:
+    """A mask, and whether it has no pixel, or all."""
+
+    mask: PhotoMask
+    empty: bool
+    full: bool
+
+
+def _made(
+    plans: Mapping[Key, MaskPlan], cache: Path | None, context: Context, *, write: bool
+) -> dict[Key, _Made]:
+    """The mask of each plan."""
     if not plans:
         return {}
     folder = temporary_folder() if cache is None else own_folder(cache, MASKS)
@@ -177,27 +252,25 @@ def make_masks(
     if write and not all(path.is_file() for path in paths.values()):
         context.emit(StageStarted(stage=STAGE, total=len(plans)))
     threads = threads_for(max(decoding_bytes(plan.photo, plan.size) for plan in plans.values()))
-    made: dict[int, PhotoMask | None] = {}
+    made: dict[Key, _Made] = {}
 
-    def look(key: int) -> tuple[bool, NDArray[np.uint8]]:
-        """Whether no pixel is ignored, and the mask at a small size."""
+    def look(key: Key) -> _Made:
         mask = plans[key].kept(paths[key], write=write)
-        return bool(mask.all()), _small(mask) if mask.any() else NOTHING
+        full, empty = bool(mask.all()), not mask.any()
+        return _Made(mask=_photo_mask(plans[key], paths[key], mask), empty=empty, full=full)
 
     started = time.monotonic()
     with closing(in_parallel(look, [*plans], threads, context)) as work:
         for step, (key, job) in enumerate(work, start=1):
-            whole, small = job.result()
-            if not whole:
-                made[key] = _photo_mask(plans[key], paths[key], small) if small.size else None
+            made[key] = job.result()
             if write:
                 context.progress(STAGE, step, len(plans), started)
     return made
 
 
-def _photo_mask(plan: MaskPlan, path: Path, small: NDArray[np.uint8]) -> PhotoMask:
+def _photo_mask(plan: MaskPlan, path: Path, mask: Mask) -> PhotoMask:
     remake = partial(plan.kept, path, write=True)
-    return PhotoMask(digest=plan.digest(), path=path, remake=remake, small=small)
+    return PhotoMask(digest=plan.digest(), path=path, remake=remake, small=_small(mask))
 
 
 def _small(mask: Mask) -> NDArray[np.uint8]:
@@ -234,11 +307,12 @@ def mention_masks(
         )
 
 
-def mask_digest(file: Path) -> str:
+def mask_digest(file: Path, of_object: bool = False) -> str:
     """Hash of a mask's file; MaskError if it cannot be read."""
-    from ..photos.masks import HINT, MaskError
+    from ..photos.masks import HINT, OBJECT_HINT, MaskError
 
     try:
         return content_digest(file)
     except OSError as error:
-        raise MaskError(f"Cannot read the mask {file} ({error.strerror}).", HINT) from error
+        hint = OBJECT_HINT if of_object else HINT
+        raise MaskError(f"Cannot read the mask {file} ({error.strerror}).", hint) from error

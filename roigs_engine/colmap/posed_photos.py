@@ -20,7 +20,14 @@ from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_files import USUAL_MASKS, MaskFiles, MaskOptions
-from .photo_masks import HIDDEN, make_masks, mention_masks, plan_masks
+from .photo_masks import (
+    HIDDEN,
+    make_masks,
+    make_object_masks,
+    mention_masks,
+    plan_masks,
+    plan_object_masks,
+)
 from .records import NO_IDS, Model, ModelCamera, ModelImage
 from .undistort import (
     UndistortionPlan,
@@ -174,6 +181,8 @@ class PhotoLoader:
             self._identify(cache, context)
             if self._masks.used:
                 self._mask(cache, context)
+        if self._masks.boxes:
+            self._mask_objects(cache, context)
         if self._pixels:
             self._undistort(cache, context)
 
@@ -208,6 +217,14 @@ class PhotoLoader:
                 self.posed[key] = replace(self.posed[key], mask=mask)
         if self._pixels:
             mention_masks(made, self._mask_files, self._names, context)
+
+    def _mask_objects(self, cache: Path | None, context: Context) -> None:
+        """Give the photos the masks of the boxes' objects. Raises as `make_object_masks`."""
+        plans = plan_object_masks(self.posed, self._plans, self._mask_files, self._masks)
+        made = make_object_masks(plans, cache, context, write=self._pixels)
+        for (key, box), mask in made.items():
+            image = self.posed[key]
+            self.posed[key] = replace(image, objects={**image.objects, box: mask})
 
     def _undistort(self, cache: Path | None, context: Context) -> None:
         """Undistort distorted photos, or take them from the cache, see `undistort_all`."""

@@ -52,11 +52,13 @@ def load_colmap(
         downscale: divides the photos' size, >= 1.
         max_side: longest side in pixels; photos are never enlarged.
         masks: which masks of photos to use; default: those in the folder `masks` beside the
-            photos' folder, files `NAME.mask.png` beside photos, and alpha channels.
+            photos' folder, files `NAME.mask.png` beside photos, and alpha channels; no masks of
+            boxes' objects.
         pixels: False if only cameras are needed: the cameras are the same, but nothing is decoded
             or undistorted, damaged photos are not all found, and `path` names the distorted photo.
-            Photos have digests and masks only with a `cache`, which is not written. Needs numpy
-            alone; without pycolmap, lens distortion is ignored, with a warning.
+            Photos have digests and masks of their own only with a `cache`, which is not written.
+            Needs numpy alone, unless there are masks; without pycolmap, lens distortion is
+            ignored, with a warning.
         check: called with the cameras before any photo is decoded; raises what is wrong with them.
         context: receives messages; checked for cancellation between files and photos.
 

@@ -40,6 +40,16 @@ def boxes_of(args: argparse.Namespace, scene: SfmScene, folder: Path | None) -> 
     return only(load_rois(path) if path and path.exists() else [subject_box(scene)], args)
 
 
+def box_names(args: argparse.Namespace, folder: Path | None) -> list[str]:
+    """The names of `boxes_of`, which are known before the scene; raises as that."""
+    from ..model.subject_box import NAME
+
+    if not is_auto(args):
+        return [roi.name for roi in boxes(args)]
+    path = folder and folder / run_files.BOXES
+    return [roi.name for roi in load_rois(path)] if path and path.exists() else [NAME]
+
+
 def keep_box(
     args: argparse.Namespace, rois: list[OrientedBox], folder: Path | None, context: Context
 ) -> None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..context import QUIET, Context
+from ..context import Context
 from ..errors import ConfigError
 from ..formats.files import own_folder
 from ..formats.projects import top_folder
 from ..formats.run_files import BACKGROUND, FINE
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
+from ..model.object_masks import with_useful_masks
+from ..model.ownership import count_owned
 from ..photos.mask_files import MASKS, MaskOptions
 from .console import Console
 from .options import (
@@ -31,10 +32,8 @@ from .values import PATH
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..model.gaussians import Gaussians
-    from ..model.local_frame import LocalFrame
     from ..model.roi import OrientedBox
-    from ..training.labels import MaskedView
+    from ..model.scene import PosedImage, SfmScene
 
 HELP = "cut objects out of their boxes along masks: the vase without the table under it"
 EXAMPLES = """\
@@ -79,93 +78,67 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
-    from ..model.ownership import owners
+    from ..training.labels import object_owners
 
     rois = boxes(args)
     files = {roi.name: own_folder(args.out, FINE) / f"{roi.name}.ply" for roi in rois}
     refuse_inputs([*files.values(), args.out / BACKGROUND], [*read_files(args), args.model])
     check_ply(args.model)
-    folders = _folders(args, rois)
-    frame = LocalFrame.of_scene(load_scene(args, console))
-    context = context_on_device(args, console)
+    scene = _masked_scene(args, rois, console)
+    frame, context = LocalFrame.of_scene(scene), context_on_device(args, console)
     model = Gaussians.load_ply(args.model, frame).to(torch.device(context.device))
-    owner = owners(model, [frame.box(roi) for roi in rois])
-    rest = torch.ones(len(model), dtype=torch.bool, device=owner.device)
+    local, images = [frame.box(roi) for roi in rois], frame.scene(scene).images
+    owner = object_owners(model, local, images, context)
+    _say(owner, count_owned(model, local), local, images, context)
     for index, roi in enumerate(rois):
-        rows = owner == index
-        if roi.name in folders:
-            views = _views(args, folders[roi.name], frame, console.context)
-            rows = _object(model, views, rows, roi.name, context)
-        else:
-            context.info(f"Box '{roi.name}' has no masks: it stays whole.")
-        rest &= ~rows
-        model.rows(rows).save_ply(files[roi.name], frame)
-    model.rows(rest).save_ply(args.out / BACKGROUND, frame)
+        model.rows(owner == index).save_ply(files[roi.name], frame)
+    model.rows(owner == -1).save_ply(args.out / BACKGROUND, frame)
     outputs = {"objects": str(args.out / FINE), "rest": str(args.out / BACKGROUND)}
     console.print_places(outputs)
     return outputs
 
 
-def _folders(args: argparse.Namespace, rois: list[OrientedBox]) -> dict[str, Path]:
-    """Box -> folder of its masks, of the boxes that have one; ConfigError if none has."""
-    root = args.masks or top_folder(args.scene) / MASKS
-    found = {roi.name: root / roi.name for roi in rois if (root / roi.name).is_dir()}
-    if not found:
-        names = ", ".join(roi.name for roi in rois)
+def _masked_scene(
+    args: argparse.Namespace, rois: Sequence[OrientedBox], console: Console
+) -> SfmScene:
+    """The scene with the masks of the boxes' objects; ConfigError if there are none."""
+    root, names = args.masks or top_folder(args.scene) / MASKS, [roi.name for roi in rois]
+    if not any((root / name).is_dir() for name in names):
         raise ConfigError(
-            f"{root} has no folder of masks for a box ({names}).",
-            f"Put masks into {root / rois[0].name}, or give --masks the folder above it.",
+            f"{root} has no folder of masks for a box ({', '.join(names)}).",
+            f"Put masks into {root / names[0]}, or give --masks the folder above it.",
         )
-    return found
-
-
-def _views(
-    args: argparse.Namespace, folder: Path, frame: LocalFrame, context: Context
-) -> list[MaskedView]:
-    """The photos with a mask of the object, as the model sees them."""
-    import torch
-
-    from ..colmap.project import load_colmap
-    from ..colmap.undistort import temporary_folder
-    from ..photos.masks import load_mask
-
-    options = MaskOptions(folder=folder, inverted=bool(args.invert_masks), others=False)
-    scene = load_colmap(
-        args.scene,
-        images=args.images,
-        cache=temporary_folder(),
-        downscale=args.downscale,
-        max_side=args.max_side,
-        masks=options,
-        pixels=False,
-        context=replace(context, emit=QUIET.emit),
-    )
-    views = []
-    for image in frame.scene(scene).images:
-        mask = load_mask(image)
-        if mask is not None:
-            views.append((image.camera, image.world_to_camera, torch.from_numpy(mask)))
-    if not views:
+    inverted = bool(args.invert_masks)
+    masks = MaskOptions(folder=root, used=False, boxes=tuple(names), objects_inverted=inverted)
+    scene = with_useful_masks(load_scene(args, console, masks=masks), rois, console.context)
+    if not any(image.objects for image in scene.images):
         raise ConfigError(
-            f"{folder} has no mask that shows an object.",
+            f"{root} has no mask that shows an object.",
             "The mask of the photo 012.jpg is 012.jpg.png: white where the object is, else black.",
         )
-    return views
+    return scene
 
 
-def _object(
-    model: Gaussians, views: list[MaskedView], owned: Tensor, name: str, context: Context
-) -> Tensor:
-    """(N,) bool: the Gaussians of a box's object, of those that the box owns; says how many."""
-    from ..training.labels import mask_votes, object_rows
-
-    rows = object_rows(model, mask_votes(model, views, context), owned)
-    context.info(
-        f"Box '{name}': {int(rows.sum()):,} of {int(owned.sum()):,} Gaussians are the object's, by"
-        f" masks on {counted(len(views), 'photo')}."
-    )
-    if not bool(rows.any()):
-        context.warn(
-            f"No Gaussian of box '{name}' is the object's. If black marks it, use --invert-masks."
+def _say(
+    owner: Tensor,
+    owned: Sequence[int],
+    rois: Sequence[OrientedBox],
+    images: Sequence[PosedImage],
+    context: Context,
+) -> None:
+    """Say of each box how many of its Gaussians are the object's."""
+    for index, (roi, whole) in enumerate(zip(rois, owned, strict=True)):
+        photos = sum(roi.name in image.objects for image in images)
+        if not photos:
+            context.info(f"Box '{roi.name}' has no masks: it stays whole.")
+            continue
+        found = int((owner == index).sum())
+        context.info(
+            f"Box '{roi.name}': {found:,} of {whole:,} Gaussians are the object's, by masks on"
+            f" {counted(photos, 'photo')}."
         )
-    return rows
+        if not found:
+            context.warn(
+                f"No Gaussian of box '{roi.name}' is the object's. If black marks it, use"
+                " --invert-masks."
+            )

@@ -12,16 +12,19 @@ from ..formats.files import own_folder, read_json
 from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
+from ..model.object_masks import with_useful_masks
 from ..model.scene import SfmScene
 from ..run.config import PHOTOS, TEST, VALIDATION, RunConfig
 from .console import Console
 from .options import (
     add_device_option,
+    add_object_mask_option,
     add_roi_options,
     add_scene_options,
     boxes,
     context_on_device,
     load_scene,
+    mask_options,
     read_files,
 )
 from .out_folder import refuse_inputs
@@ -37,6 +40,7 @@ EXAMPLES = """\
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
+    add_object_mask_option(parser)
     add_roi_options(parser)
     add_device_option(parser)
     parser.add_argument(
@@ -93,7 +97,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             check_has_points(cameras, roi)
         _check_test_photos(test, split, cameras)
 
-    scene = load_scene(args, console, own_folder(args.out, CACHE), check=check)
+    masks = mask_options(args, [roi.name for roi in rois])
+    scene = load_scene(args, console, own_folder(args.out, CACHE), check=check, masks=masks)
+    scene = with_useful_masks(scene, rois, console.context)
     wanted = set(test or choose_test_views(scene, rois, args.test_every or RunConfig.test_every))
     test = [image.name for image in scene.images if image.name in wanted]
     if len(test) < len(wanted):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -99,12 +99,28 @@ def add_mask_options(group: argparse._ActionsContainer) -> None:
     )
 
 
-def mask_options(args: argparse.Namespace) -> MaskOptions:
-    """The options of `add_mask_options`, of a command that has them."""
+def add_object_mask_option(parser: argparse.ArgumentParser) -> None:
+    """Whether masks of the boxes' objects are used."""
+    group = parser.add_argument_group("masks of objects")
+    group.add_argument(
+        "--no-object-masks",
+        action="store_true",
+        default=None,
+        help="use whole boxes: no masks of their objects (masks/vase/012.jpg.png shows the object"
+        " of box vase on the photo 012.jpg; white is the object)",
+    )
+
+
+def mask_options(args: argparse.Namespace, boxes: Iterable[str] = ()) -> MaskOptions:
+    """The options of `add_mask_options`, of a command that has them.
+
+    `boxes`: names of those whose masks of objects are used, unless `--no-object-masks` is given.
+    """
     return MaskOptions(
         folder=getattr(args, "masks", None),
         inverted=bool(getattr(args, "invert_masks", False)),
         used=not getattr(args, "no_masks", False),
+        boxes=() if getattr(args, "no_object_masks", False) else tuple(boxes),
     )
 
 
@@ -236,6 +252,7 @@ def load_scene(
     *,
     pixels: bool = True,
     check: Callable[[SfmScene], None] | None = None,
+    masks: MaskOptions | None = None,
 ) -> SfmScene:
     """The scene of `add_scene_options`.
 
@@ -244,6 +261,7 @@ def load_scene(
         cache: folder for undistorted photos; None: only cameras are needed, not pixels.
         pixels: False if only cameras, and what `cache` knows of the photos, are needed.
         check: called with the cameras before any photo is decoded.
+        masks: which to use; None: those of `mask_options`, without masks of objects.
     """
     from ..colmap.project import load_colmap
     from ..kernels.library import set_threads
@@ -256,7 +274,7 @@ def load_scene(
         cache=cache,
         downscale=args.downscale,
         max_side=args.max_side,
-        masks=mask_options(args),
+        masks=masks or mask_options(args),
         pixels=pixels and cache is not None,
         check=check,
         context=console.context,

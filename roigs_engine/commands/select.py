@@ -8,16 +8,19 @@ from pathlib import Path
 
 from ..formats.files import write_json
 from ..formats.text import counted
+from ..model.object_masks import with_useful_masks
 from ..model.roi import OrientedBox
 from ..selection import SelectionConfig, format_selection, select_cameras
-from .automatic import boxes_of, is_auto, keep_box
+from .automatic import box_names, boxes_of, is_auto, keep_box
 from .console import Console
 from .options import (
+    add_object_mask_option,
     add_roi_options,
     add_scene_options,
     add_selection_options,
     boxes,
     load_scene,
+    mask_options,
     read_files,
     selection_options,
 )
@@ -33,6 +36,7 @@ EXAMPLES = """\
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
+    add_object_mask_option(parser)
     add_roi_options(parser)
     add_selection_options(parser)
     parser.add_argument("--out", type=PATH, metavar="DIR", help="write ROI.json files there")
@@ -43,8 +47,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if not is_auto(args):
         _files(args, boxes(args))  # what is wrong with them is said before the scene is read
     config = replace(SelectionConfig(), **selection_options(args))
-    scene = load_scene(args, console)
+    scene = load_scene(args, console, masks=mask_options(args, box_names(args, args.out)))
     rois = boxes_of(args, scene, args.out)
+    scene = with_useful_masks(scene, rois, console.context)
     files = _files(args, rois)
     keep_box(args, rois, args.out, console.context)
     tests = None

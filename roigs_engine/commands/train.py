@@ -15,6 +15,7 @@ from ..formats.lock import locked
 from ..formats.projects import model_folders
 from ..selection.manual import load_manual
 from .automatic import (
+    box_names,
     boxes_of,
     check_photos,
     is_auto,
@@ -27,6 +28,7 @@ from .console import Console
 from .options import (
     add_device_option,
     add_evaluation_option,
+    add_object_mask_option,
     add_roi_options,
     add_scene_options,
     add_selection_options,
@@ -34,6 +36,7 @@ from .options import (
     boxes,
     context_on_device,
     load_scene,
+    mask_options,
     run_config,
 )
 from .options_file import settings
@@ -43,6 +46,7 @@ from .values import PATH, Number, integer
 if TYPE_CHECKING:
     from ..model.roi import OrientedBox
     from ..model.scene import SfmScene
+    from ..photos.mask_files import MaskOptions
     from ..run.definition import Run
 
 MAX_SECONDS = 1e9
@@ -58,6 +62,7 @@ EXAMPLES = """\
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command; `run` has them too."""
     add_scene_options(parser)
+    add_object_mask_option(parser)
     add_roi_options(parser)
     add_selection_options(parser)
     add_training_options(parser)
@@ -166,7 +171,8 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
             console.log_to(args.run_dir)
 
         # Damaged photos are found only now: without them, other photos may be test photos.
-        scene = load_scene(args, console, args.run_dir / run_files.CACHE, check=check)
+        cache, masks = args.run_dir / run_files.CACHE, _mask_options(args)
+        scene = load_scene(args, console, cache, check=check, masks=masks)
         run = define_run(args.run_dir, scene, context=context, **inputs)
         open_folder(run, context, update=args.update)
         write_json(args.run_dir / run_files.SETTINGS, settings(args))
@@ -197,7 +203,7 @@ def show_plan(
     # What is in the photos matters only if there are results to compare them with.
     cache = args.run_dir / run_files.CACHE
     cache = cache if (cache / CONTENTS).exists() else None
-    scene = load_scene(args, console, cache, pixels=False)
+    scene = load_scene(args, console, cache, pixels=False, masks=_mask_options(args))
     inputs = inputs or _inputs(args, boxes_of(args, scene, args.run_dir))
     run = define_run(args.run_dir, scene, context=context, **inputs)
     console.print(describe_plan(run, compare, context, update=args.update))
@@ -220,6 +226,11 @@ def _inputs(args: argparse.Namespace, rois: Sequence[OrientedBox]) -> dict[str, 
         refuse_inputs(own, given, "Give a copy of that folder to --selection.")
     manual = load_manual(args.selection, rois) if args.selection else {}
     return {"rois": rois, "config": config, "manual": manual}
+
+
+def _mask_options(args: argparse.Namespace) -> MaskOptions:
+    """The masks of photos and of the boxes' objects."""
+    return mask_options(args, box_names(args, args.run_dir))
 
 
 def _context(args: argparse.Namespace, console: Console) -> Context:

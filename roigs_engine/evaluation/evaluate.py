@@ -3,8 +3,8 @@
 There are two masks (docs/method.md, evaluation), the same for every row of a box. The first is the
 silhouette of the box, which is the paper's mask. The second is the object: the silhouette's pixels
 whose expected depth lies inside the box, in the model with the best score on the silhouette or in
-a named model. PSNR is computed per view and then averaged. Renders are clamped to [0, 1] but not
-rounded to 8 bits.
+a named model. A third one is what a photo's mask shows as the box's object, if there is one. PSNR
+is computed per view and then averaged. Renders are clamped to [0, 1] but not rounded to 8 bits.
 """
 
 from __future__ import annotations
@@ -212,6 +212,7 @@ def _row(
         worst_gain=gains.worst,
         worst_view=gains.worst_view,
         won_share=gains.won,
+        mask_psnr=mean([v.mask_psnr for v in views if v.mask_psnr is not None]),
     )
 
 
@@ -227,4 +228,9 @@ def _view(name: str, sample: Sample, index: int, best: int | None) -> ViewScore:
         object_psnr=psnr,
         roi_flip=sample.flip[index],
         distance=sample.distance,
+        mask_psnr=(
+            metrics.psnr_from_mse(sample.mask_mse[index])
+            if sample.mask_pixels >= MIN_OBJECT
+            else None
+        ),
     )

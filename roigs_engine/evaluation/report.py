@@ -16,9 +16,13 @@ Key = Callable[[ModelScore], float | None]
 # Heading, the row's number, its format, and which value is best: 1 highest, -1 lowest, 0 none.
 Column = tuple[str, Key, str, int]
 FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
+MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
+OPTIONAL = (FLIP, MASK)
+"""Columns that are there if they have a number."""
 COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
     ("object PSNR (dB)", lambda row: row.object_psnr, ".2f", 1),
+    MASK,
     ("ROI SSIM", lambda row: row.roi_ssim, ".4f", 1),
     FLIP,
     ("image PSNR (dB)", lambda row: row.image_psnr, ".2f", 1),
@@ -45,14 +49,14 @@ def format_markdown(evaluation: Evaluation) -> str:
     """Two tables per box, with the best value of each column in bold, and notes on the numbers.
 
     The first table compares the models, the second one says where they gain and lose: near and far,
-    and on single photos. The FLIP column and those of the second table are there if they have a
-    number.
+    and on single photos. The columns of `OPTIONAL` and of the second table are there if they have
+    a number.
     """
     count = len(evaluation.test_views)
     lines = [f"# Evaluation on {counted(count, f'{evaluation.photos} photo')}", ""]
     for scores in evaluation.rois:
         rows = scores.rows
-        columns = [column for column in COLUMNS if column != FLIP or has_number(rows, column)]
+        columns = shown_columns(rows)
         lines += [f"## box '{_text(scores.roi)}'", "", *_table(rows, columns), ""]
         columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
         if columns:
@@ -84,6 +88,11 @@ def write_report(evaluation: Evaluation, run_dir: Path) -> tuple[Path, Path]:
 def _text(text: str) -> str:
     """The text on one line, escaped for a table cell."""
     return printable(" ".join(text.split())).replace("|", "\\|")
+
+
+def shown_columns(rows: Sequence[ModelScore]) -> list[Column]:
+    """The columns of the first table: all, of the optional ones those with a number."""
+    return [c for c in COLUMNS if c not in OPTIONAL or has_number(rows, c)]
 
 
 def has_number(rows: Sequence[ModelScore], column: Column) -> bool:
@@ -145,6 +154,13 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
         )
     else:
         notes.append(f"Object: no photo has {MIN_OBJECT} {mask}.")
+    masked = sum(view.mask_psnr is not None for view in scores.rows[0].views) if scores.rows else 0
+    if masked:
+        others = "" if masked == len(views) else "; the others have no mask of it"
+        notes.append(
+            "Mask: the pixels that masks show as the object, on"
+            f" {masked} of {counted(len(views), 'photo')}{others}."
+        )
     for flag, what in (
         ("small", f"Fewer than {MIN_SILHOUETTE} pixels, used because no photo shows more"),
         ("camera_inside", "Camera inside the box, so the silhouette is the whole image"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from ..formats.files import write_text
 from ..formats.run_files import REPORT_PAGE
 from ..formats.text import counted, printable
-from .report import COLUMNS, FLIP, PHOTO_COLUMNS, Column, box_notes, cells, has_number
+from .report import PHOTO_COLUMNS, Column, box_notes, cells, has_number, shown_columns
 from .report_pictures import Comparison, Shown
 from .report_plot import plot
 from .scores import Evaluation, ModelScore, RoiScores
@@ -85,7 +85,7 @@ def _text(text: str) -> str:
 
 def _box(scores: RoiScores, evaluation: Evaluation, pictures: Sequence[Comparison]) -> list[str]:
     rows = scores.rows
-    columns = [column for column in COLUMNS if column != FLIP or has_number(rows, column)]
+    columns = shown_columns(rows)
     parts = [f"<h2>{_text(scores.roi)}</h2>", *_table(rows, columns)]
     if pictures:
         parts += ['<div class="pictures">', *(_figure(item) for item in pictures), "</div>"]

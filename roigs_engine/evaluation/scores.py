@@ -23,6 +23,8 @@ class ViewScore:
         roi_flip: FLIP error on the silhouette; None: the package is missing.
         distance: of the camera from the box's centre, in diagonals of the box; None in reports
             of version 0.1.0.
+        mask_psnr: on the pixels that the photo's mask shows as the box's object; None: the photo
+            has no such mask, or it shows fewer than `MIN_OBJECT`.
     """
 
     view: str
@@ -31,6 +33,7 @@ class ViewScore:
     object_psnr: float | None = None
     roi_flip: float | None = None
     distance: float | None = None
+    mask_psnr: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +48,7 @@ class ModelScore:
         peak_gain, peak_view: largest gain in ROI PSNR over the baseline, dB, and its view.
         worst_gain, worst_view: the least gain, and its view.
         won_share: share of the views with a gain above 0.
+        mask_psnr: mean over the views with a mask of the object, dB.
         gaussians, gaussians_in_box: numbers of Gaussians.
         seconds: training time.
         stages: stage -> its training time, seconds.
@@ -74,6 +78,7 @@ class ModelScore:
     worst_gain: float | None = None
     worst_view: str | None = None
     won_share: float | None = None
+    mask_psnr: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +148,10 @@ class Evaluation:
         record: dict[str, Any] = _plain(dataclasses.asdict(self))
         if not self.masked:
             del record["masked"]
+        rows = [row for scores in record["rois"] for row in scores["rows"]]
+        if all(row["mask_psnr"] is None for row in rows):
+            for part in (*rows, *(view for row in rows for view in row["views"])):
+                del part["mask_psnr"]
         return record
 
     @classmethod

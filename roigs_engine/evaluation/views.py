@@ -19,7 +19,7 @@ from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.decode import load_photo
-from ..photos.masks import load_mask
+from ..photos.masks import load_mask, load_object_mask
 from ..rasterize.view import render_view
 from . import metrics
 from .flip import flip
@@ -89,6 +89,8 @@ class Sample:
         flip: (M,) FLIP error inside the silhouette; None: the package is missing.
         pixels: (M,) size of the object's mask from each model's depth.
         object_mse: (M, M) error of each model (row) in each model's mask (column); NaN if empty.
+        mask_pixels: size of the mask of the box's object that the photo has; 0: it has none.
+        mask_mse: (M,) error in that mask; NaN without one.
     """
 
     distance: float
@@ -97,6 +99,8 @@ class Sample:
     flip: list[float | None]
     pixels: list[int]
     object_mse: list[list[float]]
+    mask_pixels: int
+    mask_mse: list[float]
 
 
 def points_in_box(
@@ -233,13 +237,17 @@ class _Box:
 
     Attributes:
         plan, mask: of the box; (H, W) bool, its P `measured_pixels`.
+        shown: (P,) bool, those that the photo's mask shows as the object; none without one.
         errors, objects: of each model: (P,) squared errors; (P,) bool, the object's mask.
         ssim, flip: of each model.
     """
 
     def __init__(self, plan: BoxPlan, image: PosedImage, device: torch.device) -> None:
         self.plan, self.image = plan, image
-        self.mask = torch.from_numpy(measured_pixels(plan.roi, image)).to(device)
+        pixels, shown = measured_pixels(plan.roi, image), load_object_mask(image, plan.roi.name)
+        shown = np.zeros_like(pixels) if shown is None else shown
+        self.mask = torch.from_numpy(pixels).to(device)
+        self.shown = torch.from_numpy(shown[pixels]).to(device)
         self.errors: list[Tensor] = []
         self.objects: list[Tensor] = []
         self.ssim: list[float] = []
@@ -262,4 +270,6 @@ class _Box:
             object_mse=[
                 [metrics.mean_in(error, inside) for inside in self.objects] for error in self.errors
             ],
+            mask_pixels=int(self.shown.sum()),
+            mask_mse=[metrics.mean_in(error, self.shown) for error in self.errors],
         )

@@ -37,6 +37,8 @@ STAGE, MODEL, CHECKPOINT = "stage.json", "model.ply", "checkpoint.bin"
 """In a stage's folder: once it is done, and while it trains."""
 SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, OBJECT_STAGE = "scene", "joint", "refine", "object-"
 """Names of stages; the last is followed by the box's."""
+CUTOUT_STAGE = "cutout"
+"""Name of the stage that makes objects with masks look right alone."""
 FULL_SCENE_STAGE, MATCHED_STAGE, FULL_OBJECT_STAGE = "full-scene", "matched-scene", "full-object-"
 """Names of the baselines' stages; the last is followed by the box's."""
 TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
@@ -60,7 +62,10 @@ _RESULTS = (
     ARCHIVE,
     CACHE,
 )
-_STAGES = (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, FULL_SCENE_STAGE, MATCHED_STAGE)
+_STAGES = (
+    *(SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, CUTOUT_STAGE),
+    *(FULL_SCENE_STAGE, MATCHED_STAGE),
+)
 _PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
 _NAMES = {*_FILES, *_RESULTS, *_STAGES}
 

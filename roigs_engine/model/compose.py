@@ -5,9 +5,10 @@ Source: ROI-GS, composition of Scene-GS and Object-GS (docs/method.md, compositi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
+from torch import Tensor
 
 from ..errors import RoiError
 from .gaussians import Gaussians
@@ -27,22 +28,28 @@ def crop(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) ->
     return gaussians.rows(owners(gaussians, rois) == names.index(roi.name))
 
 
-def background(gaussians: Gaussians, rois: Sequence[OrientedBox]) -> Gaussians:
-    """The Gaussians that no box owns."""
-    return gaussians.rows(owners(gaussians, rois) == -1)
+Owners = Callable[[Gaussians, Sequence[OrientedBox]], Tensor]
+"""A model and the boxes -> (N,) the index of the box that owns each Gaussian, -1 for none."""
 
 
-def merge(scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]]) -> Gaussians:
+def merge(
+    scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]], owned: Owners = owners
+) -> Gaussians:
     """The scene model with the content of each box taken from that box's object model.
 
     The result has the scene's Gaussians that no box owns, in their order, then for each box the
     object model's Gaussians that this box owns. Models with fewer SH bands are padded with zeros.
     The result is on the scene model's device. The inputs do not change.
+
+    Args:
+        scene: the scene model.
+        objects: boxes and their models.
+        owned: which box owns a Gaussian.
     """
     rois = [roi for roi, _ in objects]
-    parts = [background(scene, rois)]
+    parts = [scene.rows(owned(scene, rois) == -1)]
     for index, (_, model) in enumerate(objects):
-        parts.append(model.rows(owners(model, rois) == index))
+        parts.append(model.rows(owned(model, rois) == index))
     bands = max(part.sh.shape[1] for part in parts)
     return Gaussians.concatenate([_adapted(part, bands, scene.means.device) for part in parts])
 

@@ -7,7 +7,7 @@ Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forwar
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -62,13 +62,13 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhotoMask:
-    """Which pixels of a photo count; the others are ignored in training and evaluation.
+    """Some pixels of a photo: those that count, or those that show an object.
 
     Attributes:
         digest: hash of all that decides the mask.
         path: the mask for the photo at `PosedImage.path`, made by the engine.
         remake: makes that file again.
-        small: (h, w) uint8, the mask at a small size: 255 where all pixels count, 0 where none.
+        small: (h, w) uint8, the mask at a small size: 255 where all pixels are in it, 0 where none.
     """
 
     digest: str
@@ -90,7 +90,8 @@ class PosedImage:
         digest: hash of all that decides the pixels of the photo at `path`; empty: not known.
         file_digest: hash of the photo's own file; empty: not known.
         remake: makes the file at `path` again, if the engine made it from the photo.
-        mask: which pixels count; None: all.
+        mask: which pixels count in training and evaluation; None: all.
+        objects: box -> which pixels show its object, of the boxes with such a mask here.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
     """
@@ -104,6 +105,7 @@ class PosedImage:
     file_digest: str = ""
     remake: Callable[[], None] | None = None
     mask: PhotoMask | None = None
+    objects: Mapping[str, PhotoMask] = field(default_factory=dict)
     distorted: bool = False
 
     @property

@@ -8,6 +8,8 @@ The mask of `sub/012.jpg` is the first of these files that exists, as COLMAP and
 `masks` is the folder beside the photos' folder, or the one that the user names. A photo without
 such a file has its alpha channel, if there is one, as its mask. Before that comes, unless the user
 names a folder, the mask that `reconstruct` has used, which lies in its own folder.
+
+Masks of a box's object have the names of the first two columns, in the folder `masks/BOX`.
 """
 
 from __future__ import annotations
@@ -35,13 +37,15 @@ class MaskOptions:
         folder: of the masks; None: the folder `masks` beside the photos' folder, if it exists.
         inverted: in mask files, black marks what is used; alpha channels are never inverted.
         used: False: there are no masks.
-        others: whether masks outside the folder count: files beside photos, and alpha channels.
+        boxes: names of the boxes whose masks of objects are used, from the folders `masks/BOX`.
+        objects_inverted: black marks the objects.
     """
 
     folder: Path | None = None
     inverted: bool = False
     used: bool = True
-    others: bool = True
+    boxes: tuple[str, ...] = ()
+    objects_inverted: bool = False
 
     def check(self) -> None:
         """Raise ConfigError if the folder is none."""
@@ -67,24 +71,29 @@ class MaskFiles:
         self._made = PhotoFolder(project / RECONSTRUCTION / MASKS)
         self._given = folder is not None
 
+    def of_object(self, box: str) -> MaskFiles | None:
+        """The masks of a box's object; None: it has no folder."""
+        folder = self.folder / box
+        return MaskFiles(self._photos, folder) if folder.is_dir() else None
+
     def is_made(self, mask: Path) -> bool:
         """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
         return mask.is_relative_to(self._made.folder)
 
-    def find(self, name: str, *, others: bool = True) -> Path | None:
+    def find(self, name: str, *, beside: bool = True) -> Path | None:
         """The mask file of the photo with that name; None: it has none.
 
-        `others`: see `MaskOptions`.
+        `beside`: False: only files in the folder count.
         """
         marked, plain = mask_names(name)
         for candidate in (plain[0], *marked, *(() if self._among_photos else plain[1:])):
             found = self._masks.find(candidate)
             if found is not None:
                 return found
-        if not others:
+        if not beside:
             return None
-        beside = next(filter(None, map(self._beside.find, marked)), None)
-        return beside or (None if self._given else self._made.find(plain[0]))
+        found = next(filter(None, map(self._beside.find, marked)), None)
+        return found or (None if self._given else self._made.find(plain[0]))
 
     def unknown(self, photos: Iterable[str]) -> list[str]:
         """Names of the files that are the mask of none of these photos, nor of a box in one."""

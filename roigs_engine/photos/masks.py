@@ -1,8 +1,9 @@
-"""Reads the masks of photos: which pixels count, and which are ignored.
+"""Reads the masks of photos: which pixels count, and which are ignored; which show an object.
 
 A mask is (H, W) bool, True where a pixel counts. In a file, black is ignored and all else counts,
 as in COLMAP; so is what the file itself leaves transparent. Of an alpha channel, what is more than
-half transparent is ignored. A pixel of a resampled mask is ignored if it covers any that is.
+half transparent is ignored. A pixel of a resampled mask is ignored if it covers any that is. A
+pixel of a resampled mask of an object shows the object if half of it does.
 """
 
 from __future__ import annotations
@@ -15,27 +16,32 @@ from PIL import Image, UnidentifiedImageError
 
 from ..errors import SceneError
 from ..formats.files import atomic_write
-from ..model.scene import PosedImage
+from ..model.scene import PhotoMask, PosedImage
 from .decode import Pixels, load_photo
 from .headers import MAX_PIXELS, open_photo, unreadable
 
 Mask = NDArray[np.bool_]
 
 OPAQUE = 128  # least alpha of a pixel that counts
+ALL, HALF = 255, 128  # least value of a resampled pixel that is in the mask
 HINT = "Save it again as a PNG, remove it, or use no masks (--no-masks)."
+OBJECT_HINT = "Save it again as a PNG, or remove it."
 
 
 class MaskError(SceneError):
     """A mask cannot be used."""
 
 
-def read_mask(path: Path, photo: tuple[int, int], *, inverted: bool = False) -> Mask:
+def read_mask(
+    path: Path, photo: tuple[int, int], *, inverted: bool = False, hint: str = HINT
+) -> Mask:
     """The mask in a file, at the file's own size.
 
     Args:
         path: a PNG of any depth.
         photo: (width, height) of its photo, whose shape the mask must have.
         inverted: whether black counts and all else is ignored.
+        hint: what to do with a file that cannot be read.
 
     Raises:
         MaskError: the file cannot be read, is an animation, or has another shape; names it.
@@ -47,7 +53,7 @@ def read_mask(path: Path, photo: tuple[int, int], *, inverted: bool = False) -> 
     except (MemoryError, MaskError):
         raise
     except Exception as error:  # Pillow's readers raise nearly anything on damaged files
-        raise MaskError(f"Cannot read the mask {path} ({_reason(path, error)}).", HINT) from error
+        raise MaskError(f"Cannot read the mask {path} ({_reason(path, error)}).", hint) from error
     return ~bright if inverted else bright
 
 
@@ -77,14 +83,17 @@ def alpha_mask(path: Path) -> Mask:
     return opaque
 
 
-def resized(mask: Mask, size: tuple[int, int]) -> Mask:
-    """The mask at `size` = (width, height); a pixel that covers an ignored one is ignored."""
+def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
+    """The mask at `size` = (width, height).
+
+    `least`: `ALL`: a pixel that covers an ignored one is ignored; `HALF`: so is most of it.
+    """
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
     grey = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
     smaller = np.array(grey.resize(size, Image.Resampling.BOX))
-    full: Mask = smaller == 255
-    return full
+    enough: Mask = smaller >= least
+    return enough
 
 
 def write_mask(path: Path, mask: Mask) -> None:
@@ -102,14 +111,26 @@ def load_mask(image: PosedImage) -> Mask | None:
         MaskError, PhotoError: the mask or photo is missing or was changed; names it.
         RunFolderError: a file of the engine cannot be made again.
     """
-    if image.mask is None:
-        return None
+    return None if image.mask is None else _loaded(image.mask, image, ALL)
+
+
+def load_object_mask(image: PosedImage, box: str) -> Mask | None:
+    """Which pixels of a posed photo show a box's object; None: it has no such mask.
+
+    Raises as `load_mask`.
+    """
+    mask = image.objects.get(box)
+    return None if mask is None else _loaded(mask, image, HALF)
+
+
+def _loaded(mask: PhotoMask, image: PosedImage, least: int) -> Mask:
+    """A mask of a posed photo at its camera's size; made again if its file is lost or damaged."""
     size = (image.camera.width, image.camera.height)
     try:
-        return resized(stored_mask(image.mask.path), size)
+        return resized(stored_mask(mask.path), size, least)
     except (OSError, MaskError):
-        image.mask.remake()
-    return resized(stored_mask(image.mask.path), size)
+        mask.remake()
+    return resized(stored_mask(mask.path), size, least)
 
 
 def stored_mask(path: Path) -> Mask:

@@ -11,6 +11,7 @@ from typing import Any
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..model.local_frame import LocalFrame
+from ..model.object_masks import with_useful_masks
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import check_has_points
@@ -85,6 +86,15 @@ def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any
     """A scene and its boxes, both in the world's frame, in a manifest."""
     images = scene.images
     masks = {image.name: image.mask.digest for image in images if image.mask is not None}
+    objects = {
+        roi.name: {
+            image.name: image.objects[roi.name].digest
+            for image in images
+            if roi.name in image.objects
+        }
+        for roi in rois
+    }
+    objects = {box: found for box, found in objects.items() if found}
     record = {
         "rois": [roi.to_dict() for roi in rois],
         "photos": len(images),
@@ -92,7 +102,8 @@ def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any
         "model": scene.digest()[:16],
         "contents": {image.name: image.file_digest or image.digest for image in images},
     }
-    return record | ({"masks": masks} if masks else {})
+    record |= {"masks": masks} if masks else {}
+    return record | ({"object_masks": objects} if objects else {})
 
 
 def define_run(
@@ -123,6 +134,7 @@ def define_run(
         raise SceneError("The model has no 3D points.", "Triangulate it in COLMAP first.")
     for roi in rois:
         check_has_points(scene, roi)  # its message is in the world's frame
+    scene = with_useful_masks(scene, rois, context)
     frame = LocalFrame.of_scene(scene)
     local, boxes = frame.scene(scene), tuple(frame.box(roi) for roi in rois)
     test = choose_test_views(local, boxes, config.test_every, context)

@@ -21,7 +21,8 @@ from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage, SfmScene
 from ..training.config import TrainConfig
 from ..training.masks import RoiMasks
-from ..training.trainer import StageData, Trainer, one_torch_thread
+from ..training.threads import one_torch_thread
+from ..training.trainer import StageData, Trainer
 from .plan import Stage
 
 # One densification adds the share GROWTH to a small model, and less to a larger one: half of it to

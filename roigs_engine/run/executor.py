@@ -12,14 +12,18 @@ from ..evaluation.views import EvaluatedModel
 from ..formats import run_files
 from ..formats.files import own_folder, write_json
 from ..formats.lock import check_held
-from ..model.compose import background, crop, merge
+from ..model.compose import crop, merge
 from ..model.gaussians import Gaussians
-from ..model.ownership import count_owned
+from ..model.ownership import count_owned, owners
+from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.cache import PhotoCache
 from ..training.budget import BoxBudget, budgets_from
+from ..training.cutouts import Cutouts
+from ..training.labels import object_owners
 from ..training.masks import RoiMasks
 from ..training.trainer import StageData
+from ..training.z_order import morton_order
 from .definition import Run
 from .memory import run_memory
 from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
@@ -204,10 +208,19 @@ class Executor:
             rois=stage.rois,
             budgets=self._budgets(stage),
             masks=masks,
+            cutouts=self._cutouts(stage, device) if stage.cutouts else None,
             points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
         )
+
+    def _cutouts(self, stage: Stage, device: torch.device) -> Cutouts:
+        """The objects that the stage's steps draw alone, by the labels of its first model."""
+        start = self.gaussians(stage.start).to(device)
+        rows = morton_order(start.means)  # the trainer's
+        owner = self._owners(start, self.run.rois)[rows]
+        images, rois = stage.images, self.run.rois
+        return Cutouts(start.rows(rows), owner, rois, images, stage.seed, self.context)
 
     def _budgets(self, stage: Stage) -> list[BoxBudget] | None:
         ends: Sequence[int] | None = stage.budgets
@@ -229,8 +242,16 @@ class Executor:
         if source.fingerprint not in self._models:
             scene, *objects = (self.result(stage) for stage in source.inputs)
             pairs = zip(source.rois, (stage.gaussians for stage in objects), strict=True)
-            self._models[source.fingerprint] = merge(scene.gaussians, list(pairs))
+            self._models[source.fingerprint] = merge(scene.gaussians, list(pairs), self._owners)
         return self._models[source.fingerprint]
+
+    def _owners(self, model: Gaussians, rois: Sequence[OrientedBox]) -> torch.Tensor:
+        """The box that owns each Gaussian: its object alone, where masks show that."""
+        images = self.run.train_scene.images
+        if not any(image.objects for image in images):
+            return owners(model, rois)
+        on_device = model.to(torch.device(self.context.device))
+        return object_owners(on_device, rois, images, self.context).to(model.means.device)
 
     def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
         """The cache of these photos; drops an earlier one, as only one stage runs at a time."""
@@ -241,20 +262,31 @@ class Executor:
         return self._photos[key]
 
     def _write(self, output: Output) -> None:
-        """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box."""
+        """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box.
+
+        The parts are what each box owns, its object alone where masks show that, and the rest.
+        """
         folder = own_folder(self.run.folder, output.folder)
         rois, frame = self.run.rois, self.run.frame
         result = self.gaussians(output.model.source)
         coarse = self.result(output.coarse).gaussians
         check_held(folder)
         result.save_ply(folder / run_files.RESULT, frame)
-        background(result, rois).save_ply(folder / run_files.BACKGROUND, frame)
-        for roi in rois:
-            for model, name in ((result, run_files.FINE), (coarse, run_files.COARSE)):
-                path = own_folder(folder, name) / f"{roi.name}.ply"
-                cropped = crop(model, roi, rois)
-                cropped.save_ply(path, frame)
-                if name == run_files.FINE and not len(cropped):
-                    self.context.warn(
-                        f"The result has no Gaussian in box '{roi.name}'. Are the cameras right?"
-                    )
+        owner, coarse_owner = self._owners(result, rois), self._owners(coarse, rois)
+        result.rows(owner == -1).save_ply(folder / run_files.BACKGROUND, frame)
+        for index, roi in enumerate(rois):
+            part = result.rows(owner == index)
+            part.save_ply(own_folder(folder, run_files.FINE) / f"{roi.name}.ply", frame)
+            if not len(part):
+                self._warn_of_nothing(roi)
+            part = coarse.rows(coarse_owner == index)
+            part.save_ply(own_folder(folder, run_files.COARSE) / f"{roi.name}.ply", frame)
+
+    def _warn_of_nothing(self, roi: OrientedBox) -> None:
+        masked = any(roi.name in image.objects for image in self.run.train_scene.images)
+        what = "the masks show no Gaussian of the result as the object's. Is white the object?"
+        self.context.warn(
+            f"Box '{roi.name}': {what}"
+            if masked
+            else f"The result has no Gaussian in box '{roi.name}'. Are the cameras right?"
+        )

@@ -19,6 +19,7 @@ from .renaming import rename_results, rename_stages, renamed_boxes, with_names
 
 FORMER_NAME = "request.json"  # until 0.1.0
 CONTENTS, MASKS = "contents", "masks"  # the keys of the digests of photos and of their masks
+OBJECTS = "object_masks"  # the key of the digests of the masks of boxes' objects
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them
 OTHER_SCENE = "its photos are those of another scene"
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
@@ -158,6 +159,8 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return _photos_changed(before, now)
     if path == MASKS:
         return _masks_changed(before or {}, now or {})
+    if path == OBJECTS:
+        return _objects_changed(before or {}, now or {})
     if isinstance(before, dict) and isinstance(now, dict):
         if not path and _other_scene(before, now):
             return OTHER_SCENE
@@ -211,3 +214,12 @@ def _masks_changed(before: dict[str, Any], now: dict[str, Any]) -> str:
     if len(names) == 1:
         return f"the mask of {names[0]} changed"
     return f"the masks of {len(names)} photos changed, the first is {names[0]}"
+
+
+def _objects_changed(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """Which box has other masks of its object, in words; empty if none."""
+    for box in sorted(before.keys() | now.keys()):
+        changed = _masks_changed(before.get(box, {}), now.get(box, {}))
+        if changed:
+            return f"box '{box}': {changed}"
+    return ""

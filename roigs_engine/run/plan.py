@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from typing import Any
 
 from ..formats.text import json_digest
 from ..model.roi import OrientedBox
@@ -18,6 +19,7 @@ from ..selection import CameraSelection
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
 
+CUTOUTS_VERSION = 1  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 
 
@@ -31,7 +33,8 @@ class Source:
             box taken from input k + 1).
         inputs: stages.
         rois: boxes, for `crop` and `merge`.
-        digest: hash of the sparse points, for `points`.
+        digest: hash of the sparse points, for `points`; for `merge`, of the masks of the boxes'
+            objects, which decide what their content is; empty: there are none.
     """
 
     kind: str
@@ -60,6 +63,7 @@ class Stage:
         budgets: most Gaussians in each box at the end of densification; None: no limit.
         matched: a model; its numbers of Gaussians in the boxes replace `budgets`.
         seeing: row numbers of the photos that see a box.
+        cutouts: whether some steps draw objects alone (`training.cutouts`).
         extent: of the scene, world units.
         seed: for the positions of split Gaussians.
     """
@@ -75,11 +79,12 @@ class Stage:
     budgets: tuple[int, ...] | None = None
     matched: Source | None = None
     seeing: tuple[int, ...] = ()
+    cutouts: bool = False
 
     @cached_property
     def fingerprint(self) -> str:
         """Hash of everything that decides the stage's result; the boxes' names do not."""
-        record = {
+        record: dict[str, Any] = {
             "config": asdict(self.config),
             "images": [
                 (i.name, i.digest, asdict(i.camera), i.world_to_camera.tolist())
@@ -95,7 +100,20 @@ class Stage:
             "start": self.start.fingerprint,
             "order": asdict(self.order),
         }
-        return json_digest(record)
+        objects = self._object_masks()
+        record |= {"objects": objects} if objects else {}
+        return json_digest(record | ({"cutouts": CUTOUTS_VERSION} if self.cutouts else {}))
+
+    def _object_masks(self) -> list[tuple[int, int, str]]:
+        """What decides the masks of objects that the stage uses: photo, box, digest of the mask."""
+        if self.config.full_every == 1:  # whole photos
+            return []
+        return [
+            (row, box, image.objects[roi.name].digest)
+            for row, image in enumerate(self.images)
+            for box, roi in enumerate(self.rois)
+            if roi.name in image.objects
+        ]
 
     @property
     def inputs(self) -> tuple[Stage, ...]:

@@ -52,8 +52,9 @@ def with_names(manifest: dict[str, Any], renamed: dict[str, str]) -> dict[str, A
         for roi in manifest["rois"]
         if isinstance(roi, dict)
     ]
-    if isinstance(manual := manifest.get("manual"), dict):
-        named["manual"] = {renamed.get(name, name): photos for name, photos in manual.items()}
+    for key in ("manual", "object_masks"):
+        if isinstance(by_box := manifest.get(key), dict):
+            named[key] = {renamed.get(name, name): photos for name, photos in by_box.items()}
     return named
 
 

@@ -8,6 +8,7 @@ from ..training.config import TrainConfig, with_steps
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
+CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
 
@@ -83,6 +84,21 @@ def tuned_matched_baseline(config: RunConfig) -> TunedBaseline:
     """The tuned baseline with the lower threshold of `matched_baseline` in the boxes."""
     tuned, threshold = tuned_baseline(config), config.roi.grad_threshold / 4
     return replace(tuned, fine=replace(tuned.fine, box_grad_threshold=threshold))
+
+
+def cutout_stage(config: RunConfig) -> TrainConfig:
+    """The stage that makes objects look right alone: the box stage's settings at its end."""
+    steps = max(1, round(CUTOUT_SHARE * config.roi.steps))
+    return replace(
+        config.roi,
+        steps=steps,
+        sh_start=config.roi.sh_degree,
+        lr_means=config.roi.lr_means / 10,
+        densify_until=0,
+        box_budget=0.0,
+        min_views=0,
+        average_steps=steps // 2,
+    )
 
 
 def _densify_steps(config: RunConfig) -> int:

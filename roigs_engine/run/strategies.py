@@ -11,6 +11,7 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..evaluation.scores import FULL_SCENE, FULL_SCENE_TUNED
 from ..formats import run_files
+from ..formats.text import json_digest
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..training.budget import box_budgets
@@ -185,10 +186,28 @@ def _joint(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, 
         start=_roi_start(run, scene, run.rois),
         order=_mixed_order,
     )
-    return (
+    models = (
         PlannedModel.of_stages("Scene-GS (joint)", scene),
         PlannedModel.of_stages("Joint", scene, joint),
     )
+    if not _object_masks(run):
+        return models
+    last = _cutout_stage(photos, result_of(joint), folder)
+    return (*models, PlannedModel.of_stages("Joint, cut out", scene, joint, last))
+
+
+def _cutout_stage(photos: PhotoSets, start: Source, folder: str) -> Stage:
+    """Trains a model on so that its objects look right alone (ours)."""
+    stage = _stage(
+        _path(folder, run_files.CUTOUT_STAGE),
+        photos,
+        photos.images,
+        stage_configs.cutout_stage(photos.run.config),
+        rois=photos.run.rois,
+        start=start,
+        order=_mixed_order,
+    )
+    return replace(stage, cutouts=True)
 
 
 def _independent(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedModel, ...]:
@@ -201,7 +220,7 @@ def _independent(photos: PhotoSets, scene: Stage, folder: str) -> tuple[PlannedM
     objects: dict[str, tuple[Stage, ...]] = {
         roi.name: (stage,) for roi, stage in zip(run.rois, stages, strict=True)
     }
-    composed = Source(kind=MERGE, inputs=(scene, *stages), rois=run.rois)
+    composed = Source(kind=MERGE, inputs=(scene, *stages), rois=run.rois, digest=_object_masks(run))
     models = [
         PlannedModel.of_stages("Scene-GS", scene),
         *(PlannedModel.of_stages("Object-GS", *own, roi=roi) for roi, own in objects.items()),
@@ -315,6 +334,17 @@ def _points(run: Run) -> Source:
     scene = run.train_scene
     digest = hashlib.sha256(scene.points.tobytes() + scene.colors.tobytes()).hexdigest()
     return Source(kind=POINTS, digest=digest)
+
+
+def _object_masks(run: Run) -> str:
+    """Hash of the masks of the boxes' objects on the training photos; empty: there are none."""
+    found = [
+        (image.name, index, image.objects[roi.name].digest)
+        for image in run.train_scene.images
+        for index, roi in enumerate(run.rois)
+        if roi.name in image.objects
+    ]
+    return json_digest(found) if found else ""
 
 
 def _roi_start(run: Run, scene: Stage, rois: Sequence[OrientedBox]) -> Source:

@@ -6,7 +6,8 @@ Facility location over points x viewing-direction bins, for the photos S:
 
 rho = f / z * cos(theta) is the number of pixels of photo v per world unit of the surface at p. rho*
 is its 90th percentile over all observations. b is one of the bins of directions from p to the
-camera. The weights w_p give each voxel (see score.py) the same total weight. F is monotone and
+camera. The weights w_p give each voxel (see score.py) the same total weight; a point that masks of
+the object show to be something else has none. F is monotone and
 submodular: lazy greedy equals greedy, it reaches at least 1 - 1/e of the best set of its size, and
 each prefix is the greedy result for that number of photos.
 
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
+from ..model.object_masks import object_points
 from ..model.scene import Float64, Int64
 from ..model.visibility import Candidates
 from .baselines import fill_up
@@ -55,6 +57,9 @@ class Coverage:
         share = np.minimum(1.0, density / best) if best > 0 else np.zeros(len(density))
         voxel = voxel_indices(candidates.points, candidates.roi)
         weight = 1.0 / np.bincount(voxel)[voxel]
+        shown = object_points(candidates.points, candidates.roi, candidates.images)
+        if shown.any():
+            weight[~shown] = 0.0
         directions = fibonacci_directions(DIRECTIONS)
         slot = point * DIRECTIONS + nearest_direction(ray, directions)
         slots, self._slot = np.unique(slot, return_inverse=True)

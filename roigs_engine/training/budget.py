@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..context import QUIET, Context
-from ..model.counted_pixels import counted_pixels
+from ..model.counted_pixels import counted_pixels, object_share
 from ..model.gaussians import Gaussians
 from ..model.ownership import count_owned
 from ..model.roi import OrientedBox
@@ -49,7 +49,8 @@ def box_budgets(
 
     Args:
         images: the stage's photos; each pixel in a box's silhouette counts, unless the photo's
-            mask ignores it.
+            mask ignores it, or the mask of the box's object does not show it. Photos without such
+            a mask count with the mean share that the masks leave of the silhouette.
         rois: the boxes.
         config: has `box_budget`.
         context: checked for cancellation between photos.
@@ -71,8 +72,10 @@ def budgets_from(
 
 def _pixels(roi: OrientedBox, images: Sequence[PosedImage], context: Context) -> float:
     """Number of pixels in the box's silhouette that count, over all photos."""
-    pixels = 0.0
+    shares = [share for image in images if (share := object_share(roi, image)) is not None]
+    usual, pixels = (sum(shares) / len(shares) if shares else 1.0), 0.0
     for image in images:
         context.check_cancelled()
-        pixels += counted_pixels(roi, image)
+        share = 1.0 if roi.name in image.objects else usual
+        pixels += share * counted_pixels(roi, image)
     return pixels

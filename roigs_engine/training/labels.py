@@ -1,14 +1,16 @@
 """Which Gaussians belong to an object, by the votes of its masks on some photos.
 
 Each pixel of a masked photo votes with the weight alpha x T that it blends a Gaussian with: for the
-object where the mask shows it, else against. A Gaussian belongs to the object if the votes for it
-are more: this is the optimum in closed form of fitting binary labels to the masks (FlashSplat, Shen
-et al. 2024). A Gaussian that no masked photo shows goes with those around it.
+object where the mask shows it, else against, unless the photo's own mask ignores the pixel. A
+Gaussian belongs to the object if the votes for it are more: this is the optimum in closed form of
+fitting binary labels to the masks (FlashSplat, Shen et al. 2024). A Gaussian that no masked photo
+shows goes with those around it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,11 +21,27 @@ from ..context import QUIET, Context
 from ..cuda.device import CPU
 from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
-from ..model.scene import Camera, Float64
+from ..model.ownership import owners
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64, PosedImage
+from ..photos.masks import load_mask, load_object_mask
 from ..rasterize.view import rasterize_view
 
-MaskedView = tuple[Camera, Float64, Tensor]
-"""A camera, its world_to_camera, and the object's mask there, (H, W) bool."""
+
+class MaskedView(NamedTuple):
+    """A photo with a mask of the object.
+
+    Attributes:
+        camera, world_to_camera: of the photo.
+        mask: (H, W) bool, the object's pixels.
+        counted: (H, W) bool, the pixels that vote; None: all.
+    """
+
+    camera: Camera
+    world_to_camera: Float64
+    mask: Tensor
+    counted: Tensor | None = None
+
 
 LEAST = 1 / 255  # sum of votes below which no photo shows a Gaussian
 AROUND = 5  # neighbours that decide for it
@@ -43,9 +61,11 @@ def mask_votes(
     device = gaussians.means.device
     model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
     inside, everywhere = (torch.zeros(len(model), device=model.means.device) for _ in range(2))
-    for camera, pose, mask in views:
-        weights = mask.to(model.means)[None]
-        for total, pixels in ((inside, weights), (everywhere, None)):
+    for camera, pose, mask, counted in views:
+        voting = None if counted is None else counted.to(model.means)[None]
+        yes = mask.to(model.means)[None]
+        yes = yes if voting is None else yes * voting
+        for total, pixels in ((inside, yes), (everywhere, voting)):
             context.check_cancelled()
             # colours do not matter
             output = rasterize_view(
@@ -77,3 +97,39 @@ def object_rows(gaussians: Gaussians, votes: tuple[Tensor, Tensor], candidates: 
     found = (rows & seen).cpu().numpy()
     found[asked] = share > 0.5
     return torch.from_numpy(np.ascontiguousarray(found)).to(rows.device)
+
+
+def masked_views(images: Iterable[PosedImage], box: str) -> Iterator[MaskedView]:
+    """The photos with a mask of the box's object; raises as `load_mask`."""
+    for image in images:
+        mask = load_object_mask(image, box)
+        if mask is not None:
+            ignored = load_mask(image)
+            counted = None if ignored is None else torch.from_numpy(ignored)
+            shown = torch.from_numpy(np.ascontiguousarray(mask))
+            yield MaskedView(image.camera, image.world_to_camera, shown, counted)
+
+
+def object_owners(
+    gaussians: Gaussians,
+    rois: Sequence[OrientedBox],
+    images: Sequence[PosedImage],
+    context: Context = QUIET,
+) -> Tensor:
+    """(N,) index of the box whose object each Gaussian belongs to, -1 for none.
+
+    As `owners`, without what boxes own that is not their objects'. A box without masks keeps all.
+
+    Args:
+        gaussians: the model.
+        rois: the boxes.
+        images: photos; those with masks of a box's object vote.
+        context: checked for cancellation between photos.
+    """
+    owner = owners(gaussians, rois)
+    for index, roi in enumerate(rois):
+        if any(roi.name in image.objects for image in images):
+            owned = owner == index
+            votes = mask_votes(gaussians, masked_views(images, roi.name), context)
+            owner[owned & ~object_rows(gaussians, votes, owned)] = -1
+    return owner

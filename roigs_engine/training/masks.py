@@ -1,6 +1,7 @@
 """Masks: the pixels of a photo that the box stage trains on, the boxes' silhouettes and a rim.
 
-Photos may have masks of their own (`photos.masks`): what these ignore is trained on by no stage.
+In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Photos
+may have masks of their own (`photos.masks`): what these ignore is trained on by no stage.
 
 The Scene-GS has already trained the background. Most steps of the box stage skip it: they are
 faster, and their gradients go into the boxes (ours, docs/method.md; in the paper, the loss is on
@@ -20,6 +21,7 @@ from torch import Tensor
 from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
+from ..photos.masks import load_object_mask
 from ..rasterize.inputs import TILE
 
 
@@ -118,7 +120,7 @@ class RoiMasks:
 
 
 def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
-    """(rows, columns): the tiles that the boxes' silhouettes touch, and the tiles next to them.
+    """(rows, columns): the tiles that the boxes touch in the photo, and the tiles next to them.
 
     The rim covers the SSIM window of the outermost pixels, and some background, which keeps the
     transition to it smooth.
@@ -127,7 +129,7 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
     rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
     pixels = np.zeros((rows * TILE, columns * TILE), dtype=bool)
     for roi in rois:
-        pixels[: camera.height, : camera.width] |= roi.silhouette(camera, image.world_to_camera)
+        pixels[: camera.height, : camera.width] |= shown_pixels(roi, image)
     touched = pixels.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
     padded = np.pad(touched, 1)
     grown: NDArray[np.bool_] = np.zeros_like(touched)
@@ -135,6 +137,13 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
         for x in range(3):
             grown |= padded[y : y + rows, x : x + columns]
     return grown
+
+
+def shown_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
+    """(H, W) the pixels of the box's silhouette, of its object alone where a mask shows that."""
+    silhouette = roi.silhouette(image.camera, image.world_to_camera)
+    mask = load_object_mask(image, roi.name)
+    return silhouette if mask is None else silhouette & mask
 
 
 def split_mask(photo: Tensor) -> tuple[Tensor, Tensor | None]:

@@ -237,6 +237,29 @@ class VisibleAdam:
                     moments[name][fresh] = 0
 
     @torch.no_grad()
+    def part(self, rows: Tensor) -> VisibleAdam:
+        """An optimizer of copies of these rows, with their moments; `put` takes them back."""
+        copies = {name: p.detach()[rows].contiguous() for name, p in self.parameters.items()}
+        options: dict[str, Any] = {"betas": self.betas, "eps": self.eps, "backend": self.backend}
+        rates = {name: (copy, self._learning_rates[name]) for name, copy in copies.items()}
+        part = VisibleAdam(rates, fused=self._may_fuse, **options)
+        part.step_count = self.step_count
+        for name in copies:
+            part.exp_avg[name] = self.exp_avg[name][rows].contiguous()
+            part.exp_avg_sq[name] = self.exp_avg_sq[name][rows].contiguous()
+        return part
+
+    @torch.no_grad()
+    def put(self, part: VisibleAdam, rows: Tensor) -> None:
+        """Take back the rows of a `part`, which has taken steps."""
+        for name, parameter in self.parameters.items():
+            parameter[rows] = part.parameters[name].detach()
+            self.exp_avg[name][rows] = part.exp_avg[name]
+            self.exp_avg_sq[name][rows] = part.exp_avg_sq[name]
+        self.step_count = part.step_count
+        self.skipped_rows += part.skipped_rows
+
+    @torch.no_grad()
     def zero_moments(self, name: str) -> None:
         """Zero a parameter's moments."""
         for moments in (self.exp_avg[name], self.exp_avg_sq[name]):

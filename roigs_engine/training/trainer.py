@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +26,7 @@ from .averaging import ModelMean
 from .budget import BoxBudget
 from .callbacks import PeriodicCallback
 from .config import TrainConfig
+from .cutouts import Cutout, Cutouts
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
 from .floaters import floaters
@@ -35,6 +35,7 @@ from .losses import photo_loss
 from .masks import RoiMask, RoiMasks, counted_weights, split_mask
 from .optimizer import VisibleAdam
 from .photo_order import PhotoAt, is_whole
+from .threads import one_torch_thread
 from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
@@ -55,6 +56,8 @@ class StageData:
         rois: boxes that limit densification, if the stage's config says so.
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
+        cutouts: the objects that some steps draw alone; None: there are none. The stage must not
+            densify, and their rows are those of the `z_order` of its first model.
         points: (P, 3) of the scene, world units; used with `config.min_views`.
         backgrounds: (P,) grey behind all Gaussians in each photo, from 0 to 1; None: black.
         seed: for the positions of split Gaussians.
@@ -68,6 +71,7 @@ class StageData:
     rois: Sequence[OrientedBox] = ()
     budgets: Sequence[BoxBudget] | None = None
     masks: RoiMasks | None = None
+    cutouts: Cutouts | None = None
     points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     backgrounds: Tensor | None = None
     seed: int = 0
@@ -150,10 +154,14 @@ class Trainer:
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
         config, data = self.config, self.data
+        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
+        cutout = None if data.cutouts is None else data.cutouts.at(self.step)
+        if cutout is not None:
+            self._cutout_step(cutout)
+            return
         index = data.photo_at(self.step)
         self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
         target, counted = split_mask(self._photos[index])
-        self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         mask = self._mask(index)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
@@ -176,7 +184,31 @@ class Trainer:
             self._optimizer.step(visible)
         self._density.observe(visible, output.grad2d[0], output.max_weight)
         self._observe(loss.loss.detach(), image, target, weights)
-        self.health.record_loss(self.step, index, loss.loss.detach())
+        self._end_step(index, loss.loss.detach())
+
+    def _cutout_step(self, cutout: Cutout) -> None:
+        """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
+        target, _ = split_mask(self._photos[cutout.photo])
+        part = self._optimizer.part(cutout.rows)
+        output = self._rendered(part, cutout.photo, cutout.counted, background=cutout.background)
+        window = cutout.window()
+        loss = photo_loss(
+            output.image.squeeze(0)[window],
+            cutout.target(target)[window],
+            ssim_weight=self.config.ssim_weight,
+            counted=cutout.counted[window].to(target.device),
+        )
+        weight = loss.loss.new_tensor(cutout.loss_weight)
+        loss.loss.backward(weight)  # type: ignore[no-untyped-call]
+        if part.backward_step is None:
+            part.step(output.visible[0])
+        self._optimizer.put(part, cutout.rows)
+        self._end_step(cutout.photo, loss.loss.detach())
+
+    def _end_step(self, index: int, loss: Tensor) -> None:
+        """Count a step on a photo, look for NaN, edit the model if it is due."""
+        config = self.config
+        self.health.record_loss(self.step, index, loss)
         self.step += 1
         if self.step % min(CHECK_EVERY, config.densify_every) == 0:
             self.check()
@@ -197,27 +229,38 @@ class Trainer:
         return masks[index]
 
     def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
-        p, camera = self._parameters, self.data.images[index].camera
         active = None if mask is None else mask.pixels
         if counted is not None:
             active = counted if active is None else active.to(counted.device) & counted
         greys = self.data.backgrounds
+        return self._rendered(
+            self._optimizer,
+            index,
+            active,
+            background=None if greys is None else greys[index].expand(3).to(self._viewmats),
+            with_max_weight=self._density.needs_max_weight,
+        )
+
+    def _rendered(
+        self, optimizer: VisibleAdam, index: int, active: Tensor | None, **options: Any
+    ) -> RenderOutput:
+        """A photo's view of an optimizer's Gaussians; `active`: the pixels that are needed."""
+        p, camera = optimizer.parameters, self.data.images[index].camera
         return rasterize(
-            p.means,
-            p.quats,
-            p.log_scales,
-            p.logit_opacities,
-            p.sh,
+            p["means"],
+            p["quats"],
+            p["log_scales"],
+            p["logit_opacities"],
+            p["sh"],
             self._viewmats[index : index + 1],
             self._intrinsics[index : index + 1],
             camera.width,
             camera.height,
             sh_degree=self.config.degree(self.step),
             raw=True,
-            background=None if greys is None else greys[index].expand(3).to(p.means),
-            with_max_weight=self._density.needs_max_weight,
             mask=active,
-            backward_step=self._optimizer.backward_step,
+            backward_step=optimizer.backward_step,
+            **options,
         )
 
     def _observe(
@@ -355,20 +398,6 @@ class Trainer:
         self._mean.load_state_dict(state["mean"])
         self._density = self._new_density(len(self._parameters))
         self._density.load_state_dict(state["density"])
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Limit torch to one thread: its threads and the kernels' would compete for the same cores.
-
-    torch's share of a training step is small; more threads would cost more than they gain.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _cameras(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor, Tensor]:

@@ -70,6 +70,7 @@ def masks(dice: random.Random, folder: Path) -> Case:
             [],
             [],
             ["--no-masks"],
+            ["--no-object-masks"],
             ["--invert-masks"],
             ["--masks", str(scene / "masks")],
             ["--masks", str(scene / "images")],
@@ -78,7 +79,7 @@ def masks(dice: random.Random, folder: Path) -> Case:
     ply = str(write(folder / "in" / "a.ply", inputs.good_ply()))
     if dice.random() < 0.3:
         line = ["cut", str(scene), "--rois", rois, "--model", ply, "--out", out, "--device", "cpu"]
-        return Case([*line, *(word for word in more if word != "--no-masks")])
+        return Case([*line, *(word for word in more if not word.startswith("--no-"))])
     if dice.random() < 0.3:
         line = ["train", str(scene), "--rois", rois, "--run-dir", out, *QUICK]
         return Case([*line, *more])

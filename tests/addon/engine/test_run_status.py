@@ -38,6 +38,7 @@ def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:
     assert run.done == ("scene",) and run.left == "object-vase" and not run.result
     assert run.boxes == {"vase": ([[1]], [1])}
     assert stage_in_words(run.left) == "box 'vase'"
+    assert stage_in_words("cutout") == "objects alone"
     write(tmp_path / MANIFEST, "no JSON")
     assert run_status.read(tmp_path).boxes is None
 

@@ -94,5 +94,5 @@ def test_render_draws_what_a_view_needs(
         near, whole = (np.asarray(Image.open(path)) for path in pair)
         np.testing.assert_allclose(near, whole, atol=1)
     capsys.readouterr()
-    far = refused(capsys, *line, tmp_path / "far", "--levels", "--quality", "0.01")
-    assert "thing.ply" in far
+    assert main([*line, str(tmp_path / "far"), "--levels", "--quality", "0.01"]) == 2
+    assert "thing.ply is not a PLY file" in capsys.readouterr().err.splitlines()[-1]

@@ -96,3 +96,64 @@ def test_masks_that_cannot_be_used(
     (scene / "masks/3.png.png").write_bytes(b"")
     line = refused_after_notes(words, capsys)
     assert "3.png.png (the file is empty)" in line and "--no-masks" in line
+
+
+def put_object(scene: Path, mask: np.ndarray, names: list[str]) -> None:
+    """Masks of the object of box `thing`."""
+    (scene / "masks/thing").mkdir(parents=True, exist_ok=True)
+    for name in names:
+        Image.fromarray(mask).save(scene / "masks/thing" / f"{name}.png")
+
+
+def left_half() -> np.ndarray:
+    mask = np.zeros((72, 96), bool)
+    mask[:, :48] = True
+    return mask
+
+
+def test_a_run_with_masks_of_an_object_and_without(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene / "masks/thing").mkdir(parents=True)  # without a file
+    assert main(command("train", scene, tmp_path / "empty")) == 0
+    put_object(scene, left_half(), NAMES[::2])
+    assert main(command("train", scene, tmp_path / "none", "--no-object-masks")) == 0
+    capsys.readouterr()
+    assert main(command("run", scene, tmp_path / "run", "--compare")) == 0
+    said = capsys.readouterr()
+    assert "Box 'thing': masks of the object on 5 photos." in said.err
+    assert "mask PSNR (dB)" in said.out and "Joint, cut out" in said.out
+    assert not (tmp_path / "none/cutout").exists() and (tmp_path / "run/cutout").exists()
+    for name in (run_files.RESULT, "rois/thing.ply", "background.ply", "coarse/thing.ply"):
+        files = [(tmp_path / run / name).read_bytes() for run in ("empty", "none")]
+        assert files[0] == files[1]
+    settings = json.loads((tmp_path / "none" / run_files.SETTINGS).read_text("utf-8"))
+    assert settings["no_object_masks"] is True
+    assert main(command("run", scene, tmp_path / "run", "--compare", "--dry-run")) == 0
+    assert capsys.readouterr().out.count(" done\n") == 3
+    put_object(scene, ~left_half(), ["4.png"])
+    line = refused_after_notes(command("run", scene, tmp_path / "run", "--compare"), capsys)
+    assert "box 'thing': the mask of 4.png changed" in line and "--update" in line
+    split = str(tmp_path / "run" / run_files.SPLIT)
+    words = ["evaluate", str(scene), "--roi", BOX, "--split", split, "--device", "cpu"]
+    model = f"Ours={tmp_path / 'run' / run_files.RESULT}"
+    assert main([*words, "--model", model, "--out", str(tmp_path / "out")]) == 0
+    assert "mask PSNR (dB)" in capsys.readouterr().out
+
+
+def test_masks_of_objects_that_cannot_be_used(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_object(scene, left_half(), NAMES)
+    words = command("train", scene, tmp_path / "run")
+    for data, reason in ((b"", "the file is empty"), (b"no picture", "it is no PNG")):
+        (scene / "masks/thing/3.png.png").write_bytes(data)
+        line = refused_after_notes(words, capsys)
+        assert f"3.png.png ({reason})" in line and "--no-masks" not in line
+    put_object(scene, np.zeros((72, 96), bool), NAMES)
+    assert main(words) == 0
+    said = capsys.readouterr().err
+    assert "Box 'thing': 10 masks show nothing in the box and are not used: 0.png" in said
+    assert not (tmp_path / "run/cutout").exists()
+    assert main(["select", str(scene), "--roi", BOX]) == 0
+    assert "show nothing in the box" in capsys.readouterr().err

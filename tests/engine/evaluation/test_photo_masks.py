@@ -1,4 +1,4 @@
-"""Test photos with masks: ignored pixels are in no number."""
+"""Test photos with masks: ignored pixels are in no number, and objects have a number."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.masks import write_mask
+from roigs_engine.rasterize.view import render_view
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 
 TEST = ("001.png", "004.png")
@@ -75,3 +76,35 @@ def test_a_box_that_masks_hide_has_no_scores(tmp_path: Path, share: float) -> No
     result = scores(masked(make_scene(tmp_path, views=6), tmp_path, mask))
     views = result.roi("thing").views
     assert len(views) == (2 if share else 0)
+
+
+def test_what_a_mask_shows_as_the_object_has_a_column(tmp_path: Path) -> None:
+    clean = make_scene(tmp_path, views=6)
+    half = np.zeros((48, 64), bool)
+    half[:, :32] = True
+    path = tmp_path / "object.png"
+    write_mask(path, half)
+    small = np.where(half, np.uint8(255), np.uint8(0))
+    made = PhotoMask(digest="o", path=path, remake=lambda: None, small=small)
+    images = tuple(
+        replace(image, objects={"thing": made}) if image.name == TEST[0] else image
+        for image in clean.images
+    )
+    found = scores(replace(clean, images=images))
+    worse, _ = found.roi("thing").rows
+    first, second = worse.views
+    assert second.mask_psnr is None and worse.mask_psnr == first.mask_psnr
+    image = clean.image(TEST[0])
+    shown = half & BOX.silhouette(image.camera, image.world_to_camera)
+    model = truth()
+    model.sh[::2] *= 0.9
+    picture = render_view(model, image.camera, image.world_to_camera).image.numpy()
+    error = ((picture - load_photo(image) / 255.0)[shown] ** 2).mean()
+    assert first.mask_psnr == pytest.approx(-10 * np.log10(error), abs=1e-3)
+    text = format_markdown(found)
+    assert "mask PSNR (dB)" in text
+    assert "on 1 of 2 photos; the others have no mask of it" in text
+    assert Evaluation.from_dict(found.to_dict()) == found
+    plain = scores(clean)
+    assert "mask_psnr" not in str(plain.to_dict()) and "mask PSNR" not in format_markdown(plain)
+    assert Evaluation.from_dict(plain.to_dict()) == plain

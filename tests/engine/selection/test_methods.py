@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roigs_engine.model.object_masks import object_points
 from roigs_engine.model.roi import OrientedBox
-from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
 from roigs_engine.model.visibility import Candidates
 from roigs_engine.selection.baselines import farthest_first, order_fvs, order_random, view_positions
 from roigs_engine.selection.coverage import (
@@ -360,3 +362,22 @@ def test_gp_inputs_follow_the_box():
     before, _ = gp_inputs(candidates, static_features(candidates), True)
     after, _ = gp_inputs(turned, static_features(turned), True)
     assert after == pytest.approx(before, abs=1e-6)
+
+
+def test_coverage_counts_the_objects_points_alone() -> None:
+    candidates = instance(5)
+    small = np.zeros((12, 16), np.uint8)
+    small[:, :8] = 255
+    mask = PhotoMask(digest="m", path=Path("m"), remake=lambda: None, small=small)
+    images = (replace(candidates.images[0], objects={"box": mask}), *candidates.images[1:])
+    masked = replace(candidates, images=images)
+    shown = object_points(masked.points, BOX, images)
+    assert 0 < shown.sum() < len(shown)
+    plain, weighted = Coverage(candidates), Coverage(masked)
+    starts = candidates.row_starts()
+    for view in range(len(candidates)):
+        seen = candidates.obs_point[starts[view] : starts[view + 1]]
+        assert plain.gain(view) > 0 and (weighted.gain(view) > 0) == shown[seen].any()
+    small[:] = 0  # a mask that shows none of the points says nothing about photos
+    nothing = [replace(image, objects={"box": mask}) for image in candidates.images]
+    assert Coverage(replace(candidates, images=tuple(nothing))).gain(0) == plain.gain(0)

@@ -39,7 +39,7 @@ def views(model: Gaussians, ball: torch.Tensor, count: int) -> list[MaskedView]:
         alone, black = model.rows(ball), torch.zeros(3)
         alone.sh.zero_()  # grey: as bright as it is opaque
         mask = render_view(alone, CAMERA, pose, background=black).image[..., 0] > 0.25
-        found.append((CAMERA, pose, mask))
+        found.append(MaskedView(CAMERA, pose, mask))
     return found
 
 
@@ -63,8 +63,8 @@ def test_votes_are_the_blending_weights_of_the_masks_pixels() -> None:
     model, ball = scene()
     (view,) = views(model, ball, 1)
     yes, no = mask_votes(model, [view])
-    camera, pose, mask = view
-    swapped = mask_votes(model, [(camera, pose, ~mask)])
+    camera, pose, mask, _ = view
+    swapped = mask_votes(model, [view._replace(mask=~mask)])
     assert torch.allclose(yes, swapped[1], atol=1e-3) and torch.allclose(no, swapped[0], atol=1e-3)
     # All weights of a pixel and what is behind the last Gaussian are 1.
     total = float((yes + no).sum())

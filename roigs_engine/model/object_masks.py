@@ -1,0 +1,80 @@
+"""Masks of the boxes' objects: which are used, and which sparse points are the object's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..formats.text import counted
+from .counted_pixels import object_share
+from .roi import OrientedBox
+from .scene import Float64, PosedImage, SfmScene
+
+NAMED = 3  # photos that a warning names
+HALF = 128  # least value of a small mask's pixel that shows the object
+
+
+def with_useful_masks(
+    scene: SfmScene, rois: Sequence[OrientedBox], context: Context = QUIET
+) -> SfmScene:
+    """The scene without masks of objects that show nothing in their box.
+
+    Says how many there are of each box, and warns of those that are left out.
+    """
+    useless: dict[str, set[str]] = {}
+    for roi in rois:
+        there = [image for image in scene.images if roi.name in image.objects]
+        names = [image.name for image in there if not object_share(roi, image)]
+        useless[roi.name] = set(names)
+        if len(there) > len(names):
+            photos = counted(len(there) - len(names), "photo")
+            context.info(f"Box '{roi.name}': masks of the object on {photos}.")
+        if names:
+            more = ", …" if len(names) > NAMED else ""
+            verb = "shows" if len(names) == 1 else "show"
+            context.warn(
+                f"Box '{roi.name}': {counted(len(names), 'mask')} {verb} nothing in the box and"
+                f" {'is' if len(names) == 1 else 'are'} not used:"
+                f" {', '.join(names[:NAMED])}{more}. White is the object, black all else."
+            )
+    return replace(scene, images=tuple(_with(image, useless) for image in scene.images))
+
+
+def _with(image: PosedImage, useless: dict[str, set[str]]) -> PosedImage:
+    """The photo with the masks of these boxes' objects alone, without the useless ones."""
+    objects = {
+        box: mask
+        for box, mask in image.objects.items()
+        if image.name not in useless.get(box, {image.name})
+    }
+    return image if objects == image.objects else replace(image, objects=objects)
+
+
+def object_points(
+    points: Float64, roi: OrientedBox, images: Iterable[PosedImage]
+) -> NDArray[np.bool_]:
+    """(P, 3) points in the box -> (P,) whether they are the object's, by the masks of its photos.
+
+    A point is, unless more of the masks that it projects into show something else there. Points
+    that none shows, and all without masks, are.
+    """
+    votes = np.zeros(len(points), dtype=np.int64)
+    for image in images:
+        mask = image.objects.get(roi.name)
+        if mask is None:
+            continue
+        local = points @ image.world_to_camera[:3, :3].T + image.world_to_camera[:3, 3]
+        camera = image.camera
+        with np.errstate(all="ignore"):
+            x = (local[:, 0] / local[:, 2] * camera.fx + camera.cx) / camera.width
+            y = (local[:, 1] / local[:, 2] * camera.fy + camera.cy) / camera.height
+        seen = np.flatnonzero((local[:, 2] > 0) & (x >= 0) & (x < 1) & (y >= 0) & (y < 1))
+        rows, columns = mask.small.shape
+        shown = mask.small[(y[seen] * rows).astype(int), (x[seen] * columns).astype(int)] >= HALF
+        votes[seen] += np.where(shown, 1, -1)
+    found: NDArray[np.bool_] = votes >= 0
+    return found
