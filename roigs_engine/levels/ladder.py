@@ -66,6 +66,7 @@ def make_level(
         return None
     weights = contributions(start, small, context)
     kept = weights.topk(min(count_at(level, len(part.gaussians)), len(start))).indices.sort().values
+    device = torch.device(context.device)
     backgrounds = [(BLACK, WHITE)[k % 2] for k in range(len(small))]
     config = TrainConfig(
         steps=steps,
@@ -84,8 +85,8 @@ def make_level(
         photos=TeacherPictures(part, small, backgrounds, coarser, context),
         photo_at=shuffled(range(len(small)), 0),
         extent=_extent(part),
-        backgrounds=torch.tensor(backgrounds),
-        device=torch.device(context.device),
+        backgrounds=torch.tensor(backgrounds, device=device)[:, None].expand(-1, 3),
+        device=device,
     )
     trainer = Trainer(start.rows(kept), data, config)
     name = f"level {level} of {part.box or 'surroundings'}"

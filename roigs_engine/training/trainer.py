@@ -59,7 +59,7 @@ class StageData:
         cutouts: the objects that some steps draw alone; None: there are none. The stage must not
             densify, and their rows are those of the `z_order` of its first model.
         points: (P, 3) of the scene, world units; used with `config.min_views`.
-        backgrounds: (P,) grey behind all Gaussians in each photo, from 0 to 1; None: black.
+        backgrounds: (P, 3) colour behind all Gaussians, for each photo, on `device`; None: black.
         seed: for the positions of split Gaussians.
         device: where to train; devices differ only in rounding.
     """
@@ -232,13 +232,10 @@ class Trainer:
         active = None if mask is None else mask.pixels
         if counted is not None:
             active = counted if active is None else active.to(counted.device) & counted
-        greys = self.data.backgrounds
+        colours, needed = self.data.backgrounds, self._density.needs_max_weight
+        behind = None if colours is None else colours[index]
         return self._rendered(
-            self._optimizer,
-            index,
-            active,
-            background=None if greys is None else greys[index].expand(3).to(self._viewmats),
-            with_max_weight=self._density.needs_max_weight,
+            self._optimizer, index, active, background=behind, with_max_weight=needed
         )
 
     def _rendered(
