@@ -244,11 +244,7 @@ class Trainer:
         """A photo's view of an optimizer's Gaussians; `active`: the pixels that are needed."""
         p, camera = optimizer.parameters, self.data.images[index].camera
         return rasterize(
-            p["means"],
-            p["quats"],
-            p["log_scales"],
-            p["logit_opacities"],
-            p["sh"],
+            *(p[name] for name in NAMES),
             self._viewmats[index : index + 1],
             self._intrinsics[index : index + 1],
             camera.width,
