@@ -198,8 +198,7 @@ class Trainer:
             ssim_weight=self.config.ssim_weight,
             counted=cutout.counted[window].to(target.device),
         )
-        weight = loss.loss.new_tensor(cutout.loss_weight)
-        loss.loss.backward(weight)  # type: ignore[no-untyped-call]
+        loss.loss.backward(loss.loss.new_tensor(cutout.loss_weight))  # type: ignore[no-untyped-call]
         if part.backward_step is None:
             part.step(output.visible[0])
         self._optimizer.put(part, cutout.rows)
@@ -242,9 +241,10 @@ class Trainer:
         self, optimizer: VisibleAdam, index: int, active: Tensor | None, **options: Any
     ) -> RenderOutput:
         """A photo's view of an optimizer's Gaussians; `active`: the pixels that are needed."""
-        p, camera = optimizer.parameters, self.data.images[index].camera
+        camera = self.data.images[index].camera
+        gaussians: list[Any] = [optimizer.parameters[name] for name in NAMES]
         return rasterize(
-            *(p[name] for name in NAMES),
+            *gaussians,
             self._viewmats[index : index + 1],
             self._intrinsics[index : index + 1],
             camera.width,
