@@ -24,6 +24,7 @@ from torch import Tensor
 from ..cuda.library import has_triton
 from ..errors import EngineError
 from ..kernels import bindings
+from .config import TrainConfig
 
 
 class VisibleAdam:
@@ -321,3 +322,22 @@ class FusedStep:
     def take(self, kernel: Callable[[Any], int]) -> None:
         """Take the step with a kernel, see `VisibleAdam.step_by`."""
         self.optimizer.step_by(kernel)
+
+
+def learning_rates(config: TrainConfig, extent: float, bands: int) -> dict[str, float | Tensor]:
+    """The learning rate of each of `Gaussians`' tensors, at the first step.
+
+    Args:
+        config: of the stage.
+        extent: of the scene, world units.
+        bands: SH coefficients of a colour.
+    """
+    sh = torch.full((bands, 3), config.lr_shN)
+    sh[0] = config.lr_sh0
+    return {
+        "means": config.lr_means * extent,
+        "quats": config.lr_quats,
+        "log_scales": config.lr_scales,
+        "logit_opacities": config.lr_opacities,
+        "sh": sh.flatten(),
+    }

@@ -33,7 +33,7 @@ from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
 from .masks import RoiMask, RoiMasks, counted_weights, split_mask
-from .optimizer import VisibleAdam
+from .optimizer import VisibleAdam, learning_rates
 from .photo_order import PhotoAt, is_whole
 from .threads import one_torch_thread
 from .z_order import morton_order
@@ -241,10 +241,13 @@ class Trainer:
         self, optimizer: VisibleAdam, index: int, active: Tensor | None, **options: Any
     ) -> RenderOutput:
         """A photo's view of an optimizer's Gaussians; `active`: the pixels that are needed."""
-        camera = self.data.images[index].camera
-        gaussians: list[Any] = [optimizer.parameters[name] for name in NAMES]
+        p, camera = optimizer.parameters, self.data.images[index].camera
         return rasterize(
-            *gaussians,
+            p["means"],
+            p["quats"],
+            p["log_scales"],
+            p["logit_opacities"],
+            p["sh"],
             self._viewmats[index : index + 1],
             self._intrinsics[index : index + 1],
             camera.width,
@@ -350,19 +353,9 @@ class Trainer:
         return density_control(inputs, count)
 
     def _new_optimizer(self) -> VisibleAdam:
-        config, tensors = self.config, self._parameters.tensors()
-        bands = tensors["sh"].shape[1]
-        sh_learning_rates = torch.full((bands, 3), config.lr_shN)
-        sh_learning_rates[0] = config.lr_sh0
-        learning_rates: dict[str, float | Tensor] = {
-            "means": config.lr_means * self.data.extent,
-            "quats": config.lr_quats,
-            "log_scales": config.lr_scales,
-            "logit_opacities": config.lr_opacities,
-            "sh": sh_learning_rates.flatten(),
-        }
-        parameters = {name: (tensors[name], learning_rates[name]) for name in NAMES}
-        return VisibleAdam(parameters, fused=True)
+        tensors = self._parameters.tensors()
+        rates = learning_rates(self.config, self.data.extent, tensors["sh"].shape[1])
+        return VisibleAdam({name: (tensors[name], rates[name]) for name in NAMES}, fused=True)
 
     def state_dict(self) -> dict[str, Any]:
         """The complete training state: tensors on the CPU and plain numbers."""
