@@ -23,6 +23,7 @@ from .commands import (
     export,
     floaters,
     inspect,
+    masks,
     reconstruct,
     refine_cameras,
     render,
@@ -49,6 +50,7 @@ COMMANDS: dict[str, ModuleType] = {
     "train": train,
     "compose": compose,
     "convert": convert,
+    "masks": masks,
     "cut": cut,
     "floaters": floaters,
     "evaluate": evaluate,
@@ -65,6 +67,7 @@ WITH_TORCH = (
     "render-frames",
     "compose",
     "convert",
+    "masks",
     "cut",
     "floaters",
 )
