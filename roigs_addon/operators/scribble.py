@@ -24,6 +24,9 @@ KINDS = (
     (scribbles.BACKGROUND, "Background", "Strokes are on what is not the object"),
 )
 END = {"ESC", "RET", "NUMPAD_ENTER"}
+MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
+"""The latter are what Blender has left out while it was busy drawing."""
+
 LEAST = 2.0
 """Pixels of the window between two points of a stroke."""
 STATUS = (
@@ -106,8 +109,10 @@ one undo step"""
         if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
             self._points = []
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            if place is not None:
+                self._points.append(place[0])
             self._keep(context, place[1] if place else 1.0)
-        elif event.type == "MOUSEMOVE" and place is not None:
+        elif event.type in MOVES and place is not None:
             self._points.append(place[0])
             self._show(place[1])
         if not self._points:
