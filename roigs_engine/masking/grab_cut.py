@@ -63,7 +63,7 @@ def _likelihood(view: View, prior: Prior) -> Floats:
     cv2 = opencv()
     guessed = prior.unknown * (0.5 * prior.in_box - prior.in_object)
     found = prior.in_object + DOUBT * guessed
-    if _fenced(view).any():
+    if fenced(view).any():
         # Not less beyond the strokes: a step there would pass for the object's outline.
         least = LEAST_INSIDE * prior.unknown
         found = np.maximum(found, least + (1 - least) * prior.in_object) * (prior.in_box > 0.5)
@@ -89,7 +89,7 @@ def _trimap(view: View, prior: Prior, likely: Mask, band: float) -> NDArray[np.u
     reach = max(2, round(band * math.sqrt(likely.sum())))
     known = prior.unknown < 1 - CERTAIN
     trimap = np.where(likely, np.uint8(MAYBE_OBJECT), np.uint8(MAYBE_BACKGROUND))
-    fence = _fenced(view)
+    fence = fenced(view)
     if fence.any():
         trimap[~fence & (prior.in_box > 0.5) & (prior.unknown > 0.5)] = MAYBE_OBJECT
         trimap[fence] = SURE_BACKGROUND
@@ -102,7 +102,7 @@ def _trimap(view: View, prior: Prior, likely: Mask, band: float) -> NDArray[np.u
     return trimap
 
 
-def _fenced(view: View) -> Mask:
+def fenced(view: View) -> Mask:
     """The pixels beyond strokes that run all around the object; none if there is a gap in them."""
     cv2 = opencv()
     free = (view.seeds != ON_BACKGROUND) & view.near_box

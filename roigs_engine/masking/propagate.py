@@ -11,7 +11,7 @@ import numpy as np
 from ..context import QUIET, Context
 from ..formats.events import StageStarted
 from ..model.scene import Float64
-from .grab_cut import Prior, cut
+from .grab_cut import Prior, cut, fenced
 from .views import Mask, View
 
 STAGE = "masks"
@@ -46,9 +46,9 @@ def make_masks(
     """
     steps = _Steps(len(views) * (1 + AGREEMENTS), context)
     masks: dict[str, Mask] = {}
-    begun = [view for view in views if view.given is not None or view.is_scribbled]
-    for view in begun:
-        if view.given is None:
+    begun = _begun(views)
+    for view in views:
+        if view.given is None and view.is_scribbled:
             knowledge.learn_strokes(view)
     for view in begun:
         if view.given is None:
@@ -71,6 +71,15 @@ def make_masks(
         for view in views:
             knowledge.learn(view, masks[view.name], PERSON if view in begun else 1.0)
     return masks
+
+
+def _begun(views: Sequence[View]) -> list[View]:
+    """The photos to begin with: a person's masks, and objects with strokes all around them.
+
+    Other strokes correct a mask: they are too few to begin with, unless there is nothing else.
+    """
+    whole = [view for view in views if view.given is not None or fenced(view).any()]
+    return whole or [view for view in views if view.is_scribbled]
 
 
 class _Steps:

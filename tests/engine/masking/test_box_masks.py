@@ -86,6 +86,9 @@ def test_strokes_win_in_their_own_photo(ball: BallScene, tmp_path: Path) -> None
     work(ball, tmp_path, drawn).make(votes(ball))
     found = masks(tmp_path)
     assert not found["3.png"][int(low) + 4, int(middle)]
+    # The other photos disagree, and so does the rest of that one: the correction stays local.
+    assert iou(found["3.png"], true) > 0.8
+    assert min(iou(found[name], ball.true[name]) for name in found if name != "3.png") > 0.9
     beside = np.array([[3.0, 3.0], [8.0, 3.0]])  # on the table, far from the box
     drawn["3.png"] = (Stroke(kind=OBJECT, width=3.0, points=beside),)
     work(ball, tmp_path, drawn).make(votes(ball))
