@@ -89,6 +89,12 @@ class RoigsPhotoItem(bpy.types.PropertyGroup):
     score: FloatProperty(description="How well the photos up to this one cover the box")
 
 
+class RoigsScribble(bpy.types.PropertyGroup):
+    """A person's strokes for a box on a photo; `name` is the photo's."""
+
+    strokes: StringProperty(description="JSON list, as in a file of scribbles; oldest first")
+
+
 class RoigsExcludedPhoto(bpy.types.PropertyGroup):
     """A photo that is not used; `name` is the photo's."""
 
@@ -132,6 +138,7 @@ class RoigsObject(bpy.types.PropertyGroup):
     photo: StringProperty(description="Photo: its record, see geometry/photo.py")
     selection: CollectionProperty(type=RoigsPhotoItem, description="Box: its photos, best first")
     selection_index: IntProperty(description="Box: the photo that is active in the list")
+    scribbles: CollectionProperty(type=RoigsScribble, description="Box: strokes on photos")
     half_sides: FloatVectorProperty(
         name="Half Side",
         subtype="XYZ_LENGTH",
@@ -297,6 +304,12 @@ class RoigsScene(bpy.types.PropertyGroup):
     )
     model_cache: StringProperty(description="Folder of the model as exported by the engine")
     skipped: StringProperty(description="What the import skipped, in words")
+    show_masks: BoolProperty(
+        name="Show Masks",
+        description="Show the photo with the active box's strokes and mask, in a view through a"
+        " photo's camera",
+        default=False,
+    )
     known_length: FloatProperty(
         name="Length",
         default=1.0,
@@ -332,7 +345,14 @@ def object_props(item: bpy.types.Object) -> RoigsObject:
 # Blender's stubs know neither what add-ons add to its types nor what this returns.
 OWNERS: Any = bpy.types
 DEFINE: Any = PointerProperty
-CLASSES = (RoigsPhotoItem, RoigsExcludedPhoto, RoigsEditedMesh, RoigsObject, RoigsScene)
+CLASSES = (
+    RoigsPhotoItem,
+    RoigsScribble,
+    RoigsExcludedPhoto,
+    RoigsEditedMesh,
+    RoigsObject,
+    RoigsScene,
+)
 
 
 def register() -> None:

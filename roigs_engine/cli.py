@@ -24,6 +24,7 @@ from .commands import (
     floaters,
     inspect,
     levels,
+    masks,
     reconstruct,
     refine_cameras,
     render,
@@ -50,6 +51,7 @@ COMMANDS: dict[str, ModuleType] = {
     "train": train,
     "compose": compose,
     "convert": convert,
+    "masks": masks,
     "cut": cut,
     "floaters": floaters,
     "levels": levels,
@@ -67,6 +69,7 @@ WITH_TORCH = (
     "render-frames",
     "compose",
     "convert",
+    "masks",
     "cut",
     "floaters",
 )

@@ -34,6 +34,7 @@ ROOMS = (
     "rasterize",
     "exchange",
     "training",
+    "masking",
     "evaluation",
     "levels",
     "run",
@@ -54,6 +55,7 @@ PYCOLMAP = {"colmap.library"}
 PRINTING = {"commands", "cli", "kernels.build"}
 IMPORT_NAMES = {
     "flip-evaluator": "flip_evaluator",
+    "opencv-python-headless": "cv2",
     "pillow": "PIL",
     "pillow-heif": "pillow_heif",
     "scikit-learn": "sklearn",
@@ -260,7 +262,7 @@ def test_only_the_command_line_prints() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    used = ("train", "cuda", "flip", "video", "heic")
+    used = ("train", "cuda", "flip", "video", "heic", "masks")
     asked = [*project["dependencies"], *(name for extra in used for name in extras[extra])]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}

@@ -28,6 +28,7 @@ TASKS = (
     ("Scenes from photos", python.FOR_RECONSTRUCTING),
     ("Scenes from videos", python.FOR_VIDEOS),
     ("Scenes from HEIC photos", python.FOR_HEIC),
+    ("Masks from strokes", python.FOR_MASKS),
 )
 
 last: tuple[Finding, ...] = ()

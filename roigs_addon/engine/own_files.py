@@ -10,15 +10,25 @@ from pathlib import Path
 from ..shared import run_files
 
 CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
+MASKING = "masks"
 LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
 MATCHING, MAPPING = "matching", "mapping"
-UNITS = {CHECK: "Photo", LOOK: "Photo", FEATURES: "Photo", COMPARE: "Photo", MATCHING: "Pair"}
+UNITS = {
+    CHECK: "Photo",
+    LOOK: "Photo",
+    MASKING: "Photo",
+    FEATURES: "Photo",
+    COMPARE: "Photo",
+    MATCHING: "Pair",
+}
 """What a stage counts, where that is not steps."""
 
 OWN = "blender"
 """The add-on's own folder in it; all that follows is in there."""
 LOG = f"{OWN}/engine.log"
 TRAIN_OPTIONS, SELECT_OPTIONS, ROIS = "train.json", "select.json", "rois.json"
+MASKS_OPTIONS, SCRIBBLES, MASKS = "masks.json", "scribbles.json", "masks"
+"""The last is a folder: of masks that cannot be written beside the photos."""
 IMPORTED = "imported"
 """Folder with the Gaussians that were imported."""
 MANUAL_SELECTION, SELECTED = "selection", "selected"

@@ -20,7 +20,7 @@ SOURCE = Path(__file__).resolve().parents[2]
 VARIABLE = "ROIGS_ENGINE_PYTHON"
 """Environment variable that names the engine's Python: for tests and render farms."""
 
-PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pillow_heif")
+PACKAGES = ("numpy", "PIL", "scipy", "sklearn", "pycolmap", "torch", "av", "pillow_heif", "cv2")
 FOR_READING = ("numpy",)
 FOR_GAUSSIAN_PROCESS = ("numpy", "scipy", "sklearn")
 FOR_REFINING = ("numpy", "pycolmap")
@@ -29,6 +29,7 @@ FOR_RECONSTRUCTING = ("numpy", "PIL", "pycolmap")
 FOR_VIDEOS = (*FOR_RECONSTRUCTING, "av")
 FOR_HEIC = (*FOR_RECONSTRUCTING, "pillow_heif")
 FOR_TRAINING = ("numpy", "PIL", "scipy", "torch")
+FOR_MASKS = (*FOR_TRAINING, "cv2")
 
 MARKER = "roigs-complete.json"
 """In the folder of a complete environment: what it was made from."""

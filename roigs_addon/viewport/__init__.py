@@ -15,6 +15,7 @@
 | `picture` | the viewport as a picture |
 | `points` | the sparse points in their colours |
 | `chosen` | Gaussians that a clean-up tool has selected |
+| `photo_overlay` | a photo with strokes and a mask, over the view through its camera |
 | `marks` | boxes, chosen and excluded cameras as coloured lines |
 
 `sorting`, `packing` and `pace` need no Blender. Nothing of `gpu` is built before the first image is
@@ -26,12 +27,13 @@ from __future__ import annotations
 
 def register() -> None:
     """Start drawing; does nothing in background mode."""
-    from . import chosen, draw, marks, points
+    from . import chosen, draw, marks, photo_overlay, points
 
     points.register()  # before those that look at its depth
     draw.register()
     chosen.register()
     marks.register()
+    photo_overlay.register()
 
 
 def problems() -> dict[str, str]:
@@ -48,8 +50,9 @@ def problems() -> dict[str, str]:
 
 def unregister() -> None:
     """Stop drawing and free everything."""
-    from . import chosen, draw, marks, points
+    from . import chosen, draw, marks, photo_overlay, points
 
+    photo_overlay.unregister()
     marks.unregister()
     chosen.unregister()
     draw.unregister()

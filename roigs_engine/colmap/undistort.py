@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import EngineError, SceneError
 from ..formats.files import atomic_write
-from ..model.scene import Camera
+from ..model.scene import Camera, Float64
 from ..photos.parallel import decoding_bytes
 from .library import pycolmap_module
 from .records import ONE_FOCAL, ModelCamera
@@ -83,7 +83,7 @@ class UndistortionPlan:
         if source < 1:
             return 0
         share = min((source / file) ** 0.5, 0.9 * FULL_FROM)
-        pinhole = undistorted_camera(_resized(self.source, *self.size))
+        pinhole = undistorted_camera(resized_lens(self.source, *self.size))
         return max(1, int(0.99 * max(pinhole.width, pinhole.height) * share / OVERSAMPLING))
 
 
@@ -137,12 +137,12 @@ def plan_undistortion(
     Raises:
         SceneError: the camera cannot be undistorted.
     """
-    source = _resized(camera, *size)
+    source = resized_lens(camera, *size)
     pinhole = undistorted_camera(source)
     target = pinhole.resized(*shrink(pinhole.width, pinhole.height))
     share = OVERSAMPLING * max(target.width / pinhole.width, target.height / pinhole.height)
     if share < FULL_FROM:
-        source = _resized(camera, round(size[0] * share), round(size[1] * share))
+        source = resized_lens(camera, round(size[0] * share), round(size[1] * share))
         # The smaller photo's pinhole differs by less than a pixel; the target must match it.
         target = undistorted_camera(source).resized(target.width, target.height)
     return UndistortionPlan(photo=photo, size=size, source=source, target=target)
@@ -221,7 +221,14 @@ def temporary_folder() -> Path:
     return Path(folder)
 
 
-def _resized(camera: ModelCamera, width: int, height: int) -> ModelCamera:
+def undistorted_places(lens: ModelCamera, camera: Camera, places: Float64) -> Float64:
+    """(N, 2) places in a distorted photo -> places in its pinhole camera's picture; may be NaN."""
+    rays = np.asarray(_colmap_camera(lens).cam_from_img(np.ascontiguousarray(places)))
+    found: Float64 = rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    return found
+
+
+def resized_lens(camera: ModelCamera, width: int, height: int) -> ModelCamera:
     """The same distorted camera for the photo resampled to `width` x `height`."""
     if (width, height) == (camera.width, camera.height):
         return camera

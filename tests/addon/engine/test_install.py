@@ -62,8 +62,8 @@ def test_what_not_every_platform_has_is_installed_where_it_can_be(
     steps = install_steps.steps(plan, Path("python"), tmp_path / "1")
     optional = [step.command for step in steps if not step.needed]
     names = [install_steps.name_of(command[-1]) for command in optional]
-    assert names[:2] == ["av", "pillow-heif"]
-    assert ({"gsply", "usd-core", "pygltflib"} <= set(names[2:])) == formats
+    assert names[:3] == ["av", "pillow-heif", "opencv-python-headless"]
+    assert ({"gsply", "usd-core", "pygltflib"} <= set(names[3:])) == formats
     assert all(":all:" in command for command in optional)
     assert all(("--no-index" in command) == wheels for command in optional)
     assert not any("av>" in name for name in install_steps.requirements())  # of the marker
@@ -229,11 +229,12 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
         "Installing",
         "Installing av",
         "Installing pillow-heif",
+        "Installing opencv-python-headless",
         "Removing what is not needed",
         "Testing the environment",
     ]
-    assert all("--no-index" in step.command for step in offline[1:4])
-    assert [step.needed for step in offline] == [True, True, False, False, True, True]
+    assert all("--no-index" in step.command for step in offline[1:5])
+    assert [step.needed for step in offline] == [True, True, False, False, False, True, True]
     online = install_steps.steps(Plan(environments=(tmp_path,), cuda=True), base, made)
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
     own = ("install_torch", "trim_engine", "try_engine")

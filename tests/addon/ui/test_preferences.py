@@ -71,7 +71,7 @@ def test_the_question_says_what_it_frees(
 def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleType) -> None:
     from roigs_addon.ui import preferences
 
-    for formats, size in ((False, "350 MB and takes 1100"), (True, "475 MB and takes 1620")):
+    for formats, size in ((False, "411 MB and takes 1260"), (True, "536 MB and takes 1780")):
         said = preferences._needed_space(SimpleNamespace(cuda=False, formats=formats))
         assert said == f"Downloads about {size} MB of the disk (on Linux)."
     assert "gigabytes" in preferences._needed_space(SimpleNamespace(cuda=True))

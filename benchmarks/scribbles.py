@@ -1,0 +1,179 @@
+"""How good the masks are that `masks` makes from one person's scribble, against true masks.
+
+    python demo/masks.py --out true
+    python -m benchmarks.scribbles demo/scene --truth true --model runs/demo/result.ply
+
+For each box, strokes as a person would draw them are simulated on one of its close-ups, from the
+true mask: three short lines on the object, and one around it. `masks` then makes the masks of the
+other photos that are selected for the box.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from benchmarks.markdown import table
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.formats.scribbles import BACKGROUND, OBJECT, Scribble, Stroke, scribbles_document
+from roigs_engine.masking.box_masks import masked_photos
+from roigs_engine.model.roi import OrientedBox, load_rois
+from roigs_engine.photos.mask_files import MaskOptions
+from roigs_engine.selection import SelectionConfig, select_cameras
+
+Mask = NDArray[np.bool_]
+LINES = 3
+WIDTH, AWAY, WOBBLE = 0.04, 0.12, 0.01  # of strokes, in the object's size
+DEEP = 0.3  # lines stay this far from the outline, in the largest distance
+LEAST, MOST = 0.25, 0.9  # length of lines, in the object's size
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", type=Path, help="COLMAP project with rois.json")
+    parser.add_argument("--truth", type=Path, required=True, help="folder of true masks")
+    parser.add_argument("--model", type=Path, help="PLY of the trained scene")
+    parser.add_argument("--seeds", type=int, default=3, help="scribbles for each box (default: 3)")
+    parser.add_argument("--box", action="append", default=[], help="only this box; repeatable")
+    parser.add_argument("--out", type=Path, help="folder for the masks and pictures of them")
+    return parser.parse_args()
+
+
+def read(path: Path) -> Mask:
+    """The mask in a file."""
+    mask: Mask = np.asarray(Image.open(path).convert("L")) > 127
+    return mask
+
+
+def iou(a: Mask, b: Mask) -> float:
+    """Intersection over union of two masks."""
+    return float((a & b).sum() / max(1, (a | b).sum()))
+
+
+def strokes(mask: Mask, seed: int) -> tuple[Stroke, ...]:
+    """A person's strokes on an object: lines on it, and one around it that is not very exact."""
+    rng = np.random.default_rng(seed)
+    size = float(np.sqrt(mask.sum()))
+    width = max(2.0, WIDTH * size)
+    away = cv2.distanceTransform(np.pad(mask.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    deep = away > DEEP * away.max()
+    places = np.argwhere(deep)[:, ::-1] + 0.5
+    found: list[Stroke] = []
+    while len(found) < LINES:
+        a, b = places[rng.integers(len(places), size=2)]
+        line = a + (b - a) * np.linspace(0, 1, 50)[:, None]
+        x, y = line.astype(int).T
+        if LEAST * size < np.linalg.norm(b - a) < MOST * size and deep[y, x].all():
+            found.append(Stroke(kind=OBJECT, width=width, points=np.array([a, b])))
+    beside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5) <= AWAY * size
+    outlines, _ = cv2.findContours(
+        beside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    ring = max(outlines, key=len)[:, 0] + 0.5
+    ring = ring[:: max(1, len(ring) // 40)]
+    ring = np.concatenate([ring, ring[:1]])
+    ring = ring + rng.normal(0, WOBBLE * size, ring.shape)
+    return (*found, Stroke(kind=BACKGROUND, width=width, points=ring))
+
+
+def close_ups(roi: OrientedBox, photos: Sequence[str], truth: Path) -> list[str]:
+    """The photos, those that show most of a box's object first."""
+    areas = {name: read(truth / roi.name / f"{name}.png").sum() for name in photos}
+    return sorted(photos, key=lambda name: -areas[name])
+
+
+def overlay(photo: Path, mask: Mask, truth: Mask, file: Path) -> None:
+    """Write the photo with its mask in magenta, and where it is wrong in yellow."""
+    pixels = np.asarray(Image.open(photo).convert("RGB")).astype(float)
+    pixels[mask] = 0.5 * pixels[mask] + (127, 0, 127)
+    pixels[mask != truth] = (255, 255, 0)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels.astype(np.uint8)).save(file)
+
+
+def measure(args: argparse.Namespace, roi: OrientedBox, seed: int, out: Path) -> list[str]:
+    """One scribble of one box: a row of the table."""
+    from roigs_engine.cli import main as engine
+
+    scene = load_colmap(args.scene, pixels=False, masks=MaskOptions(used=False))
+    selection = select_cameras(scene, roi, SelectionConfig())
+    ranked = close_ups(roi, selection.names, args.truth)
+    first = ranked[seed % len(ranked)]
+    true = {name: read(args.truth / roi.name / f"{name}.png") for name in ranked}
+    scribble = Scribble(box=roi.name, photo=first, strokes=strokes(true[first], seed))
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "scribbles.json").write_text(scribbles_document([scribble]))
+    line = ["masks", str(args.scene), "--rois", str(args.scene / "rois.json"), "--box", roi.name]
+    line += ["--scribbles", str(out / "scribbles.json"), "--out", str(out)]
+    line += ["--model", str(args.model)] if args.model else []
+    started = time.monotonic()
+    assert engine(line) == 0
+    seconds = time.monotonic() - started
+    names = masked_photos(selection.names, selection.candidates, [first])
+    found = {name: read(out / roi.name / f"{name}.png") for name in names}
+    for name, mask in found.items():
+        picture = out / "pictures" / roi.name / f"{name.replace('/', '-')}.png"
+        overlay(args.scene / "images" / name, mask, true[name], picture)
+    scores = {name: iou(mask, true[name]) for name, mask in found.items()}
+    others = [score for name, score in scores.items() if name != first]
+    row = [roi.name, first, f"{scores[first]:.3f}", str(len(others))]
+    row += [f"{np.mean(others):.3f}", f"{min(others):.3f}"]
+    return [*row, silhouettes(args, roi, out, first, true) if args.model else "", f"{seconds:.0f}"]
+
+
+def silhouettes(
+    args: argparse.Namespace, roi: OrientedBox, out: Path, first: str, true: dict[str, Mask]
+) -> str:
+    """IoU of the object that `cut` cuts out along the masks: its silhouettes against the truth."""
+    from roigs_engine.cli import main as engine
+    from roigs_engine.model.gaussians import SH_C0, Gaussians
+    from roigs_engine.model.local_frame import LocalFrame
+    from roigs_engine.rasterize.view import render_view
+
+    rois = str(args.scene / "rois.json")
+    line = ["cut", str(args.scene), "--rois", rois, "--box", roi.name, "--masks", str(out)]
+    assert engine([*line, "--model", str(args.model), "--out", str(out / "cut")]) == 0
+    scene = load_colmap(args.scene, pixels=False, masks=MaskOptions(used=False))
+    frame = LocalFrame.of_scene(scene)
+    parts = [
+        Gaussians.load_ply(path, frame)
+        for path in (out / "cut/rois" / f"{roi.name}.ply", out / "cut/background.ply")
+    ]
+    for part, value in zip(parts, (0.5, -0.5), strict=True):
+        part.sh.zero_()
+        part.sh[:, 0] = value / SH_C0
+    model, scores = Gaussians.concatenate(parts), []
+    for image in frame.scene(scene).images:
+        if image.name in true and image.name != first:
+            shown = render_view(model, image.camera, image.world_to_camera).image[..., 0] > 0.5
+            scores.append(iou(shown.numpy(), true[image.name]))
+    return f"{np.mean(scores):.3f}"
+
+
+def main() -> None:
+    """Measure all boxes."""
+    args = arguments()
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for roi in load_rois(args.scene / "rois.json"):
+            if args.box and roi.name not in args.box:
+                continue
+            for seed in range(args.seeds):
+                out = Path(args.out or temporary) / f"{roi.name}-{seed}"
+                rows.append(measure(args, roi, seed, out))
+                print(" | ".join(rows[-1]), flush=True)
+    head = ["box", "scribble on", "IoU there", "other photos", "mean IoU", "worst", "cut", "s"]
+    print(*table(head, rows, names=2), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Where a place in the 3D view is on the photo that a camera's frame is filled with. No bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Frame = tuple[float, float, float, float]
+"""Left, bottom, right and top in pixels of the region, from its lower left corner."""
+Places = NDArray[np.float64]
+
+
+def on_photo(
+    place: tuple[float, float], frame: Frame, size: tuple[int, int]
+) -> tuple[float, float]:
+    """Pixels of the photo, from its upper left corner, of a place in the region."""
+    left, bottom, right, top = frame
+    x = (place[0] - left) / max(right - left, 1e-6) * size[0]
+    y = (top - place[1]) / max(top - bottom, 1e-6) * size[1]
+    return x, y
+
+
+def in_region(points: Sequence[Sequence[float]], frame: Frame, size: tuple[int, int]) -> Places:
+    """(N, 2) places in the region of pixels of the photo, (N, 2)."""
+    left, bottom, right, top = frame
+    x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
+    across = left + x / size[0] * (right - left)
+    return np.column_stack([across, top - y / size[1] * (top - bottom)])
+
+
+def unit(frame: Frame, size: tuple[int, int]) -> float:
+    """Pixels of the photo in a pixel of the region."""
+    return size[0] / max(frame[2] - frame[0], 1e-6)
+
+
+def thinned(points: Sequence[tuple[float, float]], least: float) -> list[tuple[float, float]]:
+    """The points of a stroke that are `least` apart; the first and the last one stay."""
+    kept = list(points[:1])
+    for point in points[1:]:
+        if np.hypot(point[0] - kept[-1][0], point[1] - kept[-1][1]) >= least:
+            kept.append(point)
+    return kept if len(points) < 2 or kept[-1] == points[-1] else [*kept, points[-1]]

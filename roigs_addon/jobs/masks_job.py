@@ -1,0 +1,65 @@
+"""Making masks: the engine makes those of one box from the strokes on photos."""
+
+from __future__ import annotations
+
+import os
+
+import bpy
+
+from .. import settings
+from ..engine import own_files
+from ..engine.writing import writing
+from ..errors import AddonError
+from ..properties import object_props, scene_props
+from ..scene import exclusions, lookup, masks, rois, scribbles
+from ..shared import files, run_files
+from . import options_files, run_folders
+from .spec import MASKING, JobSpec
+
+DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
+
+
+def spec(scene: bpy.types.Scene, roi: bpy.types.Object) -> JobSpec:
+    """The job that makes the masks of a box.
+
+    Raises:
+        AddonError: there is no model, there are no strokes, or files cannot be written.
+    """
+    colmap = options_files.colmap_folder(scene)
+    if not scribbles.photos(roi):
+        raise AddonError(DRAW_FIRST)
+    folder = options_files.own_folder(scene)
+    run = run_folders.run_folder(scene)
+    out = masks.folder(scene, run)
+    result = run / run_files.RESULT
+    boxes = lookup.rois(scene)
+    with writing(folder, "Run Folder"):
+        drawn, options = folder / own_files.SCRIBBLES, folder / own_files.MASKS_OPTIONS
+        files.write_json(drawn, scribbles.document(roi))
+        values = {
+            "scene": str(colmap),
+            "images": bpy.path.abspath(scene_props(scene).images) or None,
+            "rois": str(rois.write(folder, boxes, scene)),
+            "only": [roi.name],
+            "scribbles": str(drawn),
+            "model": str(result) if os.path.isfile(result) else None,
+            "photo": _photos(scene, roi) or None,
+            "threads": settings.get().threads or None,
+            "device": settings.get().device,
+            "out": str(out),
+        }
+        given = {key: value for key, value in values.items() if value is not None}
+        files.write_json(options, given)
+    return JobSpec(
+        title=MASKING,
+        arguments=["masks", str(options)],
+        log=own_files.log_file(run),
+        done_text=f"Masks of {roi.name} are in {masks.of_box(out, roi)}.",
+    )
+
+
+def _photos(scene: bpy.types.Scene, roi: bpy.types.Object) -> list[str]:
+    """The box's photos without excluded ones; if there are none, the engine selects."""
+    unused, there = set(exclusions.excluded(scene)), lookup.cameras(scene)
+    names = [item.name for item in object_props(roi).selection]
+    return [name for name in names if name not in unused and name in there]

@@ -1,0 +1,113 @@
+"""Step 3, Cameras: masks of a box's object, made by the engine from strokes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from bpy.props import IntProperty
+
+from ..blender import registration, scene_of
+from ..engine.python import FOR_MASKS
+from ..errors import AddonError
+from ..jobs import masks_job, run_folders
+from ..jobs.spec import JobSpec
+from ..properties import scene_props
+from ..scene import lookup, masks, scribbles
+from ..shared import EngineError, made_masks, text
+from .base import FRESH, NO_BOX, EngineOperator, available, box_problem, failed, model_problem
+
+if TYPE_CHECKING:
+    from ..blender import OperatorResult
+
+
+class MakeMasks(EngineOperator):
+    """Make masks of the box's object on its photos from the strokes. Masks that you made yourself \
+stay"""
+
+    bl_idname = "roigs.make_masks"
+    bl_label = "Make Masks"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a model, a box with strokes, and an idle engine."""
+        roi = lookup.active_roi(context)
+        no_strokes = "" if roi is None or scribbles.photos(roi) else masks_job.DRAW_FIRST
+        return available(cls, model_problem(context) or box_problem(context) or no_strokes)
+
+    def packages(self, context: bpy.types.Context) -> tuple[str, ...]:
+        """OpenCV cuts the photos."""
+        return FOR_MASKS
+
+    def spec(self, context: bpy.types.Context) -> JobSpec:
+        """Make them beside the photos."""
+        roi, scene = lookup.active_roi(context), scene_of(context)
+        if roi is None:
+            raise AddonError(f"{NO_BOX}.")
+        scene_props(scene).show_masks = True
+        return masks_job.spec(scene, roi)
+
+
+class StepMask(bpy.types.Operator):
+    """Look at the next or previous photo that has a mask or strokes for the active box"""
+
+    bl_idname = "roigs.step_mask"
+    bl_label = "Next Mask"
+    bl_options = {"REGISTER", "UNDO"}
+
+    step: IntProperty(description="Go this many photos further", default=1, options=FRESH)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a box."""
+        return available(cls, box_problem(context))
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Look through the photo's camera, with its mask."""
+        roi, scene = lookup.active_roi(context), scene_of(context)
+        if roi is None:
+            return failed(self, f"{NO_BOX}.")
+        root = masks.folder(scene, run_folders.run_folder(scene))
+        names = masks.photos(scene, root, roi)
+        if not names:
+            return failed(self, f"'{roi.name}' has no masks yet.")
+        photo = masks.photo_at_hand(context)
+        at = names.index(photo.name) + self.step if photo and photo.name in names else 0
+        scene_props(scene).show_masks = True
+        operators: Any = bpy.ops
+        operators.roigs.look_through(photo=names[at % len(names)])
+        return {"FINISHED"}
+
+
+class RemoveMasks(bpy.types.Operator):
+    """Delete the masks of the active box that were made from strokes. Masks that you made \
+yourself or changed stay, and so do the strokes"""
+
+    bl_idname = "roigs.remove_masks"
+    bl_label = "Remove Masks"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There must be a box, and the engine must be idle."""
+        return available(cls, model_problem(context) or box_problem(context))
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask first: files cannot be undone."""
+        assert context.window_manager is not None
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Delete the files."""
+        roi, scene = lookup.active_roi(context), scene_of(context)
+        if roi is None:
+            return failed(self, f"{NO_BOX}.")
+        root = masks.folder(scene, run_folders.run_folder(scene))
+        try:
+            count = made_masks.remove_masks(masks.of_box(root, roi))
+        except EngineError as error:
+            return failed(self, str(error))
+        self.report({"INFO"}, f"Removed {text.counted(count, 'mask')}.")
+        return {"FINISHED"}
+
+
+register, unregister = registration(MakeMasks, StepMask, RemoveMasks)

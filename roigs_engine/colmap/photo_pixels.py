@@ -1,0 +1,117 @@
+"""A photo as its pinhole camera sees it, and where its pixels are in the photo's file.
+
+Masks and strokes that a person draws are in pixels of the file, lens distortion included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..model.scene import Camera, Float64, PosedImage
+from ..photos.headers import photo_size
+from .model_files import read_model
+from .posed_photos import photo_name
+from .records import ModelCamera
+from .undistort import resized_lens, undistorted_pixels, undistorted_places
+
+Mask = NDArray[np.bool_]
+ROWS = 256  # of a photo that are looked up at a time
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhotoPixels:
+    """One photo.
+
+    Attributes:
+        name: in the model.
+        path: its file.
+        size: (width, height) of the file.
+        camera: the pinhole camera.
+        lens: the distorted camera at the file's size; None: the photo has no distortion.
+    """
+
+    name: str
+    path: Path
+    size: tuple[int, int]
+    camera: Camera
+    lens: ModelCamera | None
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 sRGB at the camera's size; PhotoError if it cannot be decoded."""
+        from PIL import Image
+
+        from ..photos.decode import decode
+
+        size = (self.camera.width, self.camera.height)
+        if self.lens is None:
+            return decode(self.path, size)
+        flat = Image.fromarray(undistorted_pixels(decode(self.path, self.size), self.lens))
+        return np.asarray(flat.resize(size, Image.Resampling.LANCZOS))
+
+    def to_camera(self, places: Float64) -> tuple[Float64, float]:
+        """(N, 2) places in the file -> places in the camera's picture; and its pixels in one."""
+        if self.lens is None:
+            factors = np.array([self.camera.width, self.camera.height]) / self.size
+            return places * factors, float(factors.mean())
+        found = undistorted_places(self.lens, self.camera, places)
+        return found, self.camera.fx / self.lens.params[0]
+
+    def of_file(self, mask: Mask) -> Mask:
+        """The file's mask (height, width) at the camera's size, (H, W)."""
+        from ..photos.masks import resized
+
+        if self.lens is not None:
+            grey = np.where(resized(mask, self.size), np.uint8(255), np.uint8(0))
+            mask = (
+                undistorted_pixels(np.repeat(grey[..., None], 3, axis=2), self.lens)[..., 0] > 127
+            )
+        return resized(mask, (self.camera.width, self.camera.height))
+
+    def in_file(self, mask: Mask) -> Mask:
+        """A mask (H, W) at the camera's size as one of the file; False where no camera sees."""
+        across, down = self.size
+        found = np.zeros((down, across), dtype=bool)
+        x = np.arange(across) + 0.5
+        for top in range(0, down, ROWS):
+            y = np.arange(top, min(top + ROWS, down)) + 0.5
+            places, _ = self.to_camera(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+            column, row = np.nan_to_num(np.floor(places), nan=-1).T
+            inside = (column >= 0) & (column < mask.shape[1]) & (row >= 0) & (row < mask.shape[0])
+            values = np.zeros(len(places), dtype=bool)
+            values[inside] = mask[row[inside].astype(int), column[inside].astype(int)]
+            found[top : top + len(y)] = values.reshape(len(y), across)
+        return found
+
+
+def photo_pixels(
+    model: Path, images: Iterable[PosedImage], context: Context = QUIET
+) -> dict[str, PhotoPixels]:
+    """The pixels of photos by name.
+
+    Args:
+        model: the model's folder (`find_model`).
+        images: photos of a scene that was loaded without pixels.
+        context: checked for cancellation.
+    """
+    images = list(images)
+    lenses: dict[str, ModelCamera] = {}
+    if any(image.distorted for image in images):
+        record = read_model(model, context)
+        lenses = {photo_name(each): record.cameras[each.camera_id] for each in record.images}
+    found = {}
+    for image in images:
+        size = photo_size(image.path) or (image.camera.width, image.camera.height)
+        found[image.name] = PhotoPixels(
+            name=image.name,
+            path=image.path,
+            size=size,
+            camera=image.camera,
+            lens=resized_lens(lenses[image.name], *size) if image.distorted else None,
+        )
+    return found

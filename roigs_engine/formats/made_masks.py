@@ -1,0 +1,72 @@
+"""Which masks in a folder the engine has made from scribbles, and may replace.
+
+Beside the masks of a box lies `made.json` with the SHA-256 of each file as it was written:
+
+{"masks": {"sub/012.jpg.png": "9f86d0..."}}
+
+A file that is not in it, or that has been changed since, is a person's: it is never replaced.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from ..errors import RunFolderError
+from .files import cannot_write, own_folder, read_json, sha256, write_json
+
+MADE = "made.json"
+KEY = "masks"
+
+
+def mask_name(photo: str) -> str:
+    """The name of the mask that is made for a photo, below the folder of its box."""
+    return f"{photo}.png"
+
+
+def made_masks(folder: Path) -> dict[str, str]:
+    """Name -> SHA-256 of the masks that were made and not changed; a damaged record has none."""
+    try:
+        record = read_json(folder / MADE)
+    except RunFolderError:
+        return {}
+    files = record.get(KEY) if isinstance(record, dict) else None
+    found = {}
+    for name, digest in files.items() if isinstance(files, dict) else ():
+        inside = not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts
+        with suppress(OSError):
+            if inside and sha256(folder / name) == digest:
+                found[name] = digest
+    return found
+
+
+def record_masks(folder: Path, masks: Mapping[str, str]) -> None:
+    """Write the record; RunFolderError if it cannot be written."""
+    write_json(folder / MADE, {KEY: dict(sorted(masks.items()))})
+
+
+def remove_masks(folder: Path) -> int:
+    """Remove the masks that were made, and their record; returns how many. A person's stay.
+
+    Raises:
+        RunFolderError: one cannot be removed, or a folder is a link.
+    """
+    made = made_masks(folder)
+    for name in made:
+        file = own_folder(folder, *PurePosixPath(name).parts[:-1]) / PurePosixPath(name).name
+        _remove(file)
+    if os.path.lexists(folder / MADE):
+        _remove(folder / MADE)
+    for parent in sorted({(folder / name).parent for name in made} | {folder}, reverse=True):
+        with suppress(OSError):  # not empty
+            parent.rmdir()
+    return len(made)
+
+
+def _remove(file: Path) -> None:
+    try:
+        file.unlink()
+    except OSError as error:
+        raise cannot_write(file, error) from error

@@ -1,0 +1,127 @@
+"""Scribbles: a person's strokes on photos, from which masks of objects are made; numpy only.
+
+{"scribbles": [{"box": "vase", "photo": "sub/012.jpg", "strokes": [
+    {"kind": "object", "width": 8, "points": [[310.5, 200], [330, 240]]},
+    {"kind": "background", "width": 8, "points": [[250, 180], [250, 300]]}]}]}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ConfigError
+from .files import read_json
+
+OBJECT, BACKGROUND = "object", "background"
+"""Kinds of strokes."""
+MOST = 1e6  # pixels; larger numbers are no places in a photo
+HINT = (
+    'Give --scribbles a JSON file with a list "scribbles" of {"box", "photo", "strokes"}'
+    " (docs/files.md)."
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stroke:
+    """One line on a photo.
+
+    Attributes:
+        kind: `OBJECT` or `BACKGROUND`.
+        width: of the line, pixels of the photo's file.
+        points: (N, 2) x and y in these pixels, from the photo's upper left corner; N >= 1.
+    """
+
+    kind: str
+    width: float
+    points: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scribble:
+    """The strokes for one box on one photo, oldest first: where they cross, the later one counts.
+
+    Attributes:
+        box: the box's name.
+        photo: the photo's name in the model.
+        strokes: at least one.
+    """
+
+    box: str
+    photo: str
+    strokes: tuple[Stroke, ...]
+
+
+def read_scribbles(path: Path) -> list[Scribble]:
+    """All scribbles of a file; ConfigError if it cannot be used."""
+    document = read_json(path, ConfigError, HINT)
+    records = document.get("scribbles") if isinstance(document, dict) else document
+    if not isinstance(records, list) or not records:
+        raise ConfigError(f"{path} holds no scribble.", HINT)
+    try:
+        found = [_scribble(record) for record in records]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
+    pairs = [(scribble.box, scribble.photo) for scribble in found]
+    if len(set(pairs)) < len(pairs):
+        raise ConfigError(
+            f"{path} has two scribbles for one box and photo.", "Put all strokes into one."
+        )
+    return found
+
+
+def scribbles_document(scribbles: Sequence[Scribble]) -> str:
+    """The text of a file of scribbles."""
+    records = [
+        {
+            "box": scribble.box,
+            "photo": scribble.photo,
+            "strokes": [
+                {"kind": s.kind, "width": s.width, "points": np.round(s.points, 2).tolist()}
+                for s in scribble.strokes
+            ],
+        }
+        for scribble in scribbles
+    ]
+    return json.dumps({"scribbles": records}, ensure_ascii=False) + "\n"
+
+
+def _scribble(record: Any) -> Scribble:
+    """A scribble of the file; KeyError, TypeError or ValueError if it is none."""
+    if not isinstance(record, dict):
+        raise TypeError("a scribble is an object")
+    strokes = record["strokes"]
+    if not isinstance(strokes, list) or not strokes:
+        raise ValueError("a scribble needs a list of strokes")
+    return Scribble(
+        box=_text(record["box"]),
+        photo=_text(record["photo"]),
+        strokes=tuple(_stroke(stroke) for stroke in strokes),
+    )
+
+
+def _stroke(record: Any) -> Stroke:
+    """A stroke of the file; raises as `_scribble`."""
+    if not isinstance(record, dict):
+        raise TypeError("a stroke is an object")
+    if record["kind"] not in (OBJECT, BACKGROUND):
+        raise ValueError(f"the kind of a stroke is '{OBJECT}' or '{BACKGROUND}'")
+    width = float(record["width"])
+    points = np.array(record["points"], dtype=float)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
+        raise ValueError("the points of a stroke are [x, y] each")
+    if not (np.abs(points) < MOST).all() or not 0 < width < MOST:  # catches NaN too
+        raise ValueError("a stroke has a number that is no place in a photo")
+    return Stroke(kind=record["kind"], width=width, points=points)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("names are texts")
+    return value

@@ -1,0 +1,147 @@
+"""GrabCut with what is known beforehand (Rother et al. 2004, OpenCV's)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .opencv import opencv
+from .views import ON_BACKGROUND, ON_OBJECT, Mask, View
+
+Floats = NDArray[np.float32]
+SURE_BACKGROUND, SURE_OBJECT, MAYBE_BACKGROUND, MAYBE_OBJECT = range(4)  # OpenCV's numbers
+ROUNDS = 5
+CERTAIN = 0.9  # of a pixel's weight
+DOUBT = 0.5  # of what only neighbours say
+LEAST_INSIDE = 0.35  # likelihood of what nothing is known of, if strokes run around the object
+LEAST_OUTSIDE = 0.02  # share of the box's silhouette beyond strokes around the object
+RAMP = 0.03  # standard deviation of the outline's place, in the object's size
+ISLAND, HOLE = 0.03, 0.003  # smaller ones, as shares of the object, are no part of it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prior:
+    """What other photos say of the pixels of one, as shares of what each pixel shows, 0 to 1.
+
+    Attributes:
+        in_object: (H, W) of the object, as far as that can be told or guessed.
+        in_box: (H, W) of what is in the box.
+        unknown: (H, W) of what no other photo has said anything about.
+        trust: how much this counts beside the colours, 0 to 1.
+    """
+
+    in_object: Floats
+    in_box: Floats
+    unknown: Floats
+    trust: float = 1.0
+
+
+def cut(view: View, prior: Prior, band: float) -> Mask:
+    """The object's mask in a photo.
+
+    Args:
+        view: the photo; its strokes always win.
+        prior: what other photos say; of a photo with strokes, what these say elsewhere in it.
+        band: how far the outline may be from where the prior has it for sure, in the object's size.
+    """
+    cv2 = opencv()
+    likely = _likelihood(view, prior)
+    trimap = _trimap(view, prior, likely > 0.5, band)
+    if _is_object(trimap).any() and not _is_object(trimap).all():
+        cv2.setRNGSeed(0)  # of the clustering that colour models start from
+        models = np.zeros((1, 65)), np.zeros((1, 65))
+        image = _with_likelihood(view, likely, prior.trust)
+        cv2.grabCut(image, trimap, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
+    return _tidy(_is_object(trimap), view)
+
+
+def _likelihood(view: View, prior: Prior) -> Floats:
+    """(H, W) how likely each pixel shows the object, 0 to 1; a ramp across the outline."""
+    cv2 = opencv()
+    guessed = prior.unknown * (0.5 * prior.in_box - prior.in_object)
+    found = prior.in_object + DOUBT * guessed
+    if fenced(view).any():
+        # Not less beyond the strokes: a step there would pass for the object's outline.
+        least = LEAST_INSIDE * prior.unknown
+        found = np.maximum(found, least + (1 - least) * prior.in_object) * (prior.in_box > 0.5)
+    size = math.sqrt((prior.in_object > 0.5).sum())
+    ramp: Floats = cv2.GaussianBlur(found.astype(np.float32), (0, 0), max(0.5, RAMP * size))
+    return ramp
+
+
+def _with_likelihood(view: View, likely: Floats, trust: float) -> NDArray[np.uint8]:
+    """(H, W, 3) what GrabCut works on: brightness, one channel of colour, and the likelihood.
+
+    As a third channel, the likelihood enters GrabCut's models beside the colours, and its ramp
+    tells the object from things of the same colours.
+    """
+    cv2 = opencv()
+    bright, red, blue = cv2.split(cv2.cvtColor(view.smooth, cv2.COLOR_RGB2YCrCb).astype(np.float32))
+    channels = np.dstack([bright, (red - blue) / 2 + 128, 255 * (0.5 + trust * (likely - 0.5))])
+    return np.ascontiguousarray(channels.clip(0, 255).astype(np.uint8))
+
+
+def _trimap(view: View, prior: Prior, likely: Mask, band: float) -> NDArray[np.uint8]:
+    """What is sure and what is likely, in OpenCV's numbers."""
+    reach = max(2, round(band * math.sqrt(likely.sum())))
+    known = prior.unknown < 1 - CERTAIN
+    trimap = np.where(likely, np.uint8(MAYBE_OBJECT), np.uint8(MAYBE_BACKGROUND))
+    fence = fenced(view)
+    if fence.any():
+        trimap[~fence & (prior.in_box > 0.5) & (prior.unknown > 0.5)] = MAYBE_OBJECT
+        trimap[fence] = SURE_BACKGROUND
+    trimap[eroded((prior.in_object > CERTAIN) & known, reach)] = SURE_OBJECT
+    trimap[eroded((prior.in_object < 1 - CERTAIN) & known, reach)] = SURE_BACKGROUND
+    trimap[eroded(prior.in_box < 1 - CERTAIN, 2)] = SURE_BACKGROUND
+    trimap[~view.near_box] = SURE_BACKGROUND
+    trimap[view.seeds == ON_OBJECT] = SURE_OBJECT
+    trimap[view.seeds == ON_BACKGROUND] = SURE_BACKGROUND
+    return trimap
+
+
+def fenced(view: View) -> Mask:
+    """The pixels beyond strokes that run all around the object; none if there is a gap in them."""
+    cv2 = opencv()
+    free = (view.seeds != ON_BACKGROUND) & view.near_box
+    _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+    inside = np.isin(labels, np.unique(labels[(view.seeds == ON_OBJECT) & free])) & free
+    outside = view.near_box & free & ~inside
+    gap = (inside & ~eroded(view.near_box, 1)).any()
+    if gap or not inside.any() or outside.sum() < LEAST_OUTSIDE * view.near_box.sum():
+        return np.zeros(free.shape, dtype=bool)
+    beyond: Mask = ~inside
+    return beyond
+
+
+def eroded(mask: Mask, reach: float) -> Mask:
+    """The mask without what is within `reach` pixels of its outline; photo's edges are none."""
+    cv2 = opencv()
+    padded = np.pad(mask.astype(np.uint8), 1, mode="edge")
+    away: Mask = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] > reach
+    return away
+
+
+def _is_object(trimap: NDArray[np.uint8]) -> Mask:
+    found: Mask = (trimap == SURE_OBJECT) | (trimap == MAYBE_OBJECT)
+    return found
+
+
+def _tidy(mask: Mask, view: View) -> Mask:
+    """The mask without small islands and holes, except where strokes are."""
+    area = int(mask.sum())
+    mask = mask & ~_small(mask, ISLAND * area, view.seeds == ON_OBJECT)
+    return mask | _small(~mask, HOLE * area, view.seeds == ON_BACKGROUND)
+
+
+def _small(mask: Mask, area: float, kept: Mask) -> Mask:
+    """The connected parts of a mask that are smaller than `area` and have no pixel of `kept`."""
+    cv2 = opencv()
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    small = stats[:, cv2.CC_STAT_AREA] < area
+    small[np.unique(labels[kept])] = False
+    small[0] = False  # what is not of the mask
+    found: Mask = small[labels]
+    return found

@@ -1,0 +1,186 @@
+"""A photo's part around a box: its pixels, its camera, and the strokes on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..formats.scribbles import OBJECT, Stroke
+from ..model.roi import OrientedBox
+from ..model.scene import Camera, Float64
+from .opencv import opencv
+
+if TYPE_CHECKING:
+    from ..colmap.photo_pixels import PhotoPixels
+
+Mask = NDArray[np.bool_]
+Seeds = NDArray[np.uint8]
+
+SIDE = 640  # longest side of the part that is worked on, pixels
+MARGIN = 0.15  # around the box's silhouette, in its size
+SMOOTHING = 4, 20  # of fine texture: pixels, and levels of colour
+FREE, ON_OBJECT, ON_BACKGROUND = 0, 1, 2
+"""Values of seeds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Which rectangle of a photo is worked on, and at what size.
+
+    Attributes:
+        x, y, width, height: in pixels of the photo's camera.
+        scale: pixels of the part in one of these, at most 1.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+    scale: float
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the part in its own pixels."""
+        return max(1, round(self.width * self.scale)), max(1, round(self.height * self.scale))
+
+    def camera(self, camera: Camera) -> Camera:
+        """The photo's camera, for this part alone."""
+        across, down = self.size
+        sx, sy = across / self.width, down / self.height
+        return Camera(
+            width=across,
+            height=down,
+            fx=camera.fx * sx,
+            fy=camera.fy * sy,
+            cx=(camera.cx - self.x) * sx,
+            cy=(camera.cy - self.y) * sy,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """A photo, as far as it shows a box.
+
+    Attributes:
+        name: of the photo.
+        part: of the photo that is worked on.
+        camera: of that part.
+        world_to_camera: (4, 4).
+        smooth: (H, W, 3) uint8 sRGB of the part, with fine texture removed.
+        near_box: (H, W) pixels in the box's silhouette or just beside it.
+        seeds: (H, W) what the strokes say: `FREE`, `ON_OBJECT` or `ON_BACKGROUND`.
+        given: (H, W) the mask, if the user has one; None: it is to be made.
+    """
+
+    name: str
+    part: Part
+    camera: Camera
+    world_to_camera: Float64
+    smooth: NDArray[np.uint8]
+    near_box: Mask
+    seeds: Seeds
+    given: Mask | None = None
+
+    @property
+    def centre(self) -> Float64:
+        """(3,) camera centre in the world."""
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def is_scribbled(self) -> bool:
+        """Whether there are strokes on it."""
+        return bool(self.seeds.any())
+
+
+def part_around(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> Part | None:
+    """The part of a photo around a box; None if the photo does not show it."""
+    low, high = np.zeros(2), np.array([camera.width, camera.height], dtype=float)
+    if not roi.camera_inside(world_to_camera):
+        polygon = roi.silhouette_polygon(camera, world_to_camera)
+        if polygon is None:
+            return None
+        margin = MARGIN * np.ptp(polygon, axis=0).max() + 2
+        low, high = (
+            np.clip(polygon.min(axis=0) - margin, low, high),
+            np.clip(polygon.max(axis=0) + margin, low, high),
+        )
+    x0, y0 = (math.floor(value) for value in low)
+    x1, y1 = (math.ceil(value) for value in high)
+    if x1 - x0 < 2 or y1 - y0 < 2:
+        return None
+    scale = min(1.0, SIDE / max(x1 - x0, y1 - y0))
+    return Part(x=x0, y=y0, width=x1 - x0, height=y1 - y0, scale=scale)
+
+
+def view_of(
+    photo: PhotoPixels,
+    roi: OrientedBox,
+    part: Part,
+    world_to_camera: Float64,
+    strokes: tuple[Stroke, ...] = (),
+    given: Mask | None = None,
+) -> View:
+    """A part of a photo, ready to be worked on.
+
+    Args:
+        photo: the photo's pixels, and where they are in its file.
+        roi: the box, in the frame of `world_to_camera`.
+        part: of the photo, of `part_around`.
+        world_to_camera: (4, 4).
+        strokes: on the photo, in pixels of its file.
+        given: (H, W) the user's mask at the size of the photo's camera.
+
+    Raises:
+        PhotoError: the photo cannot be decoded.
+    """
+    cv2 = opencv()
+    camera = part.camera(photo.camera)
+    near = roi.scaled(1.0 + MARGIN / 3).silhouette(camera, world_to_camera)
+    cut = (slice(part.y, part.y + part.height), slice(part.x, part.x + part.width))
+    pixels = cv2.resize(photo.pixels()[cut], part.size, interpolation=cv2.INTER_AREA)
+    if given is not None:
+        grey = np.where(given[cut], np.uint8(255), np.uint8(0))
+        given = cv2.resize(grey, part.size, interpolation=cv2.INTER_AREA) >= 128
+    return View(
+        name=photo.name,
+        part=part,
+        camera=camera,
+        world_to_camera=world_to_camera,
+        smooth=cv2.pyrMeanShiftFiltering(pixels, *SMOOTHING),
+        near_box=near,
+        seeds=draw_strokes(photo, part, strokes),
+        given=given,
+    )
+
+
+def draw_strokes(photo: PhotoPixels, part: Part, strokes: tuple[Stroke, ...]) -> Seeds:
+    """(H, W) seeds of the strokes in a part of a photo; the later stroke covers the earlier."""
+    cv2 = opencv()
+    across, down = part.size
+    seeds = np.zeros((down, across), dtype=np.uint8)
+    for stroke in strokes:
+        places, unit = photo.to_camera(stroke.points)
+        local = (places - (part.x, part.y)) * part.scale - 0.5  # OpenCV: centres at integers
+        shift = 4
+        corners = np.round(local * (1 << shift)).astype(np.int32)
+        if len(corners) == 1:
+            corners = np.repeat(corners, 2, axis=0)
+        width = max(1, round(stroke.width * unit * part.scale))
+        value = ON_OBJECT if stroke.kind == OBJECT else ON_BACKGROUND
+        cv2.polylines(seeds, [corners], False, value, width, cv2.LINE_8, shift)
+    return seeds
+
+
+def in_photo(mask: Mask, part: Part, camera: Camera) -> Mask:
+    """A part's mask as one of the whole photo, at its camera's size."""
+    cv2 = opencv()
+    whole = np.zeros((camera.height, camera.width), dtype=bool)
+    grey = np.where(mask, np.uint8(255), np.uint8(0))
+    grown = cv2.resize(grey, (part.width, part.height), interpolation=cv2.INTER_LINEAR)
+    whole[part.y : part.y + part.height, part.x : part.x + part.width] = grown >= 128
+    return whole

@@ -1,0 +1,149 @@
+"""Masks of an object on all photos, from strokes on one."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_engine.context import Context
+from roigs_engine.errors import ConfigError, EngineError, Stopped
+from roigs_engine.formats.made_masks import MADE, made_masks
+from roigs_engine.formats.scribbles import BACKGROUND, OBJECT, Stroke
+
+from .scenes import BOX, BallScene, ball_scene, iou, strokes
+
+pytest.importorskip("cv2")
+
+from roigs_engine.masking.box_masks import BoxMasks, masked_photos
+from roigs_engine.masking.gaussian_votes import GaussianVotes
+from roigs_engine.masking.point_votes import PointVotes
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> BallScene:
+    return ball_scene(tmp_path_factory.mktemp("ball"))
+
+
+def work(ball: BallScene, folder: Path, drawn: dict[str, tuple[Stroke, ...]]) -> BoxMasks:
+    return BoxMasks(scene=ball.scene, roi=BOX, photos=ball.photos, strokes=drawn, folder=folder)
+
+
+def votes(ball: BallScene) -> GaussianVotes:
+    return GaussianVotes(ball.model, BOX, [BOX])
+
+
+def masks(folder: Path) -> dict[str, np.ndarray]:
+    return {
+        p.name.removesuffix(".png"): np.asarray(Image.open(p)) > 0 for p in folder.glob("*.png")
+    }
+
+
+def scores(ball: BallScene, folder: Path) -> list[float]:
+    return [iou(mask, ball.true[name]) for name, mask in masks(folder).items()]
+
+
+def test_one_scribble_gives_the_masks_of_all_photos(ball: BallScene, tmp_path: Path) -> None:
+    knowledge = votes(ball)
+    made = work(ball, tmp_path, {"0.png": strokes(ball.true["0.png"])}).make(knowledge)
+    assert sorted(made) == [f"{k}.png.png" for k in range(6)]
+    assert min(scores(ball, tmp_path)) > 0.9, scores(ball, tmp_path)
+    rows = knowledge.rows()
+    assert float((rows == ball.ball)[: len(rows)].float().mean()) > 0.95
+    assert made_masks(tmp_path).keys() == set(made)
+
+
+def test_without_a_model_points_and_colours_carry_the_masks(
+    ball: BallScene, tmp_path: Path
+) -> None:
+    drawn = {"0.png": strokes(ball.true["0.png"])}
+    work(ball, tmp_path, drawn).make(PointVotes(ball.scene, BOX))
+    assert np.mean(scores(ball, tmp_path)) > 0.85, scores(ball, tmp_path)
+
+
+def test_the_same_strokes_give_the_same_bytes(ball: BallScene, tmp_path: Path) -> None:
+    drawn = {"0.png": strokes(ball.true["0.png"])}
+    for name in ("a", "b"):
+        work(ball, tmp_path / name, drawn).make(votes(ball))
+    for file in (tmp_path / "a").iterdir():
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()
+
+
+def test_strokes_win_in_their_own_photo(ball: BallScene, tmp_path: Path) -> None:
+    """A correction: the person calls the upper part of the ball background in one photo."""
+    true = ball.true["3.png"]
+    rows, columns = np.nonzero(true)
+    low, middle = float(rows.min()), float(columns.mean())
+    line = np.array([[middle - 4, low + 4], [middle + 4, low + 4]])
+    drawn = {
+        "0.png": strokes(ball.true["0.png"]),
+        "3.png": (Stroke(kind=BACKGROUND, width=3.0, points=line),),
+    }
+    work(ball, tmp_path, drawn).make(votes(ball))
+    found = masks(tmp_path)
+    assert not found["3.png"][int(low) + 4, int(middle)]
+    # The other photos disagree, and so does the rest of that one: the correction stays local.
+    assert iou(found["3.png"], true) > 0.8
+    assert min(iou(found[name], ball.true[name]) for name in found if name != "3.png") > 0.9
+    beside = np.array([[3.0, 3.0], [8.0, 3.0]])  # on the table, far from the box
+    drawn["3.png"] = (Stroke(kind=OBJECT, width=3.0, points=beside),)
+    work(ball, tmp_path, drawn).make(votes(ball))
+    again = masks(tmp_path)
+    assert iou(again["3.png"], true) > 0.9 and iou(again["1.png"], ball.true["1.png"]) > 0.9
+
+
+def test_a_persons_masks_are_used_and_stay(ball: BallScene, tmp_path: Path) -> None:
+    drawn = {"0.png": strokes(ball.true["0.png"])}
+    own = tmp_path / "2.png.png"
+    Image.fromarray(ball.true["2.png"]).save(own)
+    before = own.read_bytes()
+    made = work(ball, tmp_path, drawn).make(votes(ball))
+    assert own.read_bytes() == before and own.name not in made
+    # Only a mask, and no stroke at all, is enough.
+    made = work(ball, tmp_path, {}).make(votes(ball))
+    assert len(made) == 5 and min(scores(ball, tmp_path)) > 0.9
+    # What was made and then painted over is a person's too.
+    edited = tmp_path / "4.png.png"
+    Image.fromarray(~ball.true["4.png"]).save(edited)
+    before = edited.read_bytes()
+    assert edited.name not in work(ball, tmp_path, drawn).make(votes(ball))
+    assert edited.read_bytes() == before
+    assert edited.name not in json.loads((tmp_path / MADE).read_text())["masks"]
+
+
+def test_a_stop_changes_no_mask(ball: BallScene, tmp_path: Path) -> None:
+    drawn = {"0.png": strokes(ball.true["0.png"])}
+    calls = 0
+
+    def stop() -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > 12
+
+    with pytest.raises(Stopped):
+        work(ball, tmp_path, drawn).make(votes(ball), Context(should_stop=stop))
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_made_without_strokes_on_the_box(ball: BallScene, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="No stroke lies on box 'ball'"):
+        work(ball, tmp_path, {}).make(votes(ball))
+
+
+def test_without_opencv_one_line_says_what_to_install(
+    ball: BallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(EngineError) as error:
+        work(ball, tmp_path, {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
+    assert "pip install opencv-python-headless" in error.value.hint
+
+
+def test_which_photos_get_masks() -> None:
+    seeing = [str(k) for k in range(9)]
+    assert masked_photos(["7", "8"], seeing, ["3"]) == ["3", "7", "8", "0", "1", "2"]
+    assert masked_photos(seeing, seeing, ["3"]) == ["3", "0", "1", "2", "4", "5", "6", "7", "8"]
