@@ -9,13 +9,17 @@ PRESET_STEPS = {"draft": (2000, 3000), "standard": (6000, 9000), "paper": (20_00
 """Of the scene, and of the boxes."""
 REFINE_SHARE = 0.2
 """Of the boxes' steps, for the joint stage after boxes that were trained one by one."""
+CUTOUT_SHARE = 0.6
+"""Of the boxes' steps, for the stage that cuts objects out, which only masks of objects bring."""
 PAPER = "paper"
 
 
-def training_steps(preset: str, strategy: str, factor: float, boxes: int) -> int:
-    """The steps of all stages."""
+def training_steps(
+    preset: str, strategy: str, factor: float, boxes: int, *, masks: bool = False
+) -> int:
+    """The steps of all stages; `masks`: whether there are masks of objects."""
     scene, roi = (max(1, round(steps * factor)) for steps in PRESET_STEPS[preset])
     if strategy == "joint":
-        return scene + roi
+        return scene + roi + (max(1, round(CUTOUT_SHARE * roi)) if masks else 0)
     refine = 0 if preset == PAPER else round(REFINE_SHARE * roi)
     return scene + boxes * (roi - refine) + refine

@@ -35,6 +35,12 @@ def of_box(root: Path, roi: bpy.types.Object) -> Path:
     return root / rois.file_name(roi)
 
 
+def are_there(scene: bpy.types.Scene, run: Path) -> bool:
+    """Whether any box has masks that training will use."""
+    root = folder(scene, run)
+    return any(os.path.isdir(of_box(root, roi)) for roi in lookup.rois(scene))
+
+
 def file(root: Path, roi: bpy.types.Object, photo: str) -> Path:
     """The mask of a photo, whether it is there or not."""
     return of_box(root, roi) / f"{photo}.png"

@@ -13,7 +13,7 @@ from ..jobs import current, estimate_job, run_folders
 from ..jobs.spec import ESTIMATING, TRAINING
 from ..operators.train import EstimateTime, ShowLog, TrainRoi
 from ..properties import scene_props
-from ..scene import lookup
+from ..scene import lookup, masks
 from . import layout as show
 from .layout import SidebarPanel
 
@@ -51,7 +51,8 @@ def _draw_length(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """How many steps all boxes take, and how long, if that was estimated."""
     props = scene_props(scene)
     boxes = max(1, len(lookup.rois(scene)))
-    steps = training_steps(props.preset, props.strategy, props.steps_factor, boxes)
+    cut_out = masks.are_there(scene, run_folders.run_folder(scene))
+    steps = training_steps(props.preset, props.strategy, props.steps_factor, boxes, masks=cut_out)
     if time := estimate_job.known(scene):
         show.say(layout, f"{steps:,} steps, {time}", "TIME")
         return

@@ -25,7 +25,7 @@ def test_steps_are_the_engines(preset: str, strategy: str, factor: float) -> Non
         add_training_options,
         run_config,
     )
-    from roigs_engine.run.stage_configs import object_stage
+    from roigs_engine.run.stage_configs import cutout_stage, object_stage
 
     parser = argparse.ArgumentParser()
     add_selection_options(parser)
@@ -33,9 +33,10 @@ def test_steps_are_the_engines(preset: str, strategy: str, factor: float) -> Non
     add_evaluation_option(parser)
     options = ["--preset", preset, "--strategy", strategy, "--steps-factor", f"{factor:.5g}"]
     config = run_config(parser.parse_args(options))
-    boxes = 3
+    boxes, cutout = 3, 0
     if strategy == "joint":
-        steps = config.scene.steps + config.roi.steps
+        steps, cutout = config.scene.steps + config.roi.steps, cutout_stage(config).steps
     else:
         steps = config.scene.steps + boxes * object_stage(config).steps + config.refine_steps
     assert training_steps(preset, strategy, factor, boxes) == steps
+    assert training_steps(preset, strategy, factor, boxes, masks=True) == steps + cutout
