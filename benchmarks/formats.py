@@ -20,7 +20,7 @@ from torch import Tensor
 
 from benchmarks.markdown import table
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.commands.convert import turned
+from roigs_engine.commands.turning import turned
 from roigs_engine.exchange import axes, formats
 from roigs_engine.exchange.arrays import Arrays
 from roigs_engine.formats.splat_ply import read_ply

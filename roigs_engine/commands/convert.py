@@ -24,7 +24,8 @@ from .page_options import (
     refuse_page_options,
 )
 from .placed_models import HINT, photo_poses, placed_models
-from .run_scene import up_in_run
+from .streamed import STREAMED, write_streamed
+from .turning import shortened, turned, warn_of_axes
 from .values import PATH, integer
 
 if TYPE_CHECKING:
@@ -58,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=PATH,
         metavar="OUT",
         help="file to write; the end of its name says how: as above, or .usda, .usdz;"
-        " .html: a web page to send, with the viewer inside",
+        " .html: a web page to send, with the viewer inside; DIR/lod-meta.json: a run's levels of"
+        " detail, for PlayCanvas",
     )
     parser.add_argument(
         "--up",
@@ -84,8 +86,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the models, make them one, and write it."""
     from ..exchange import formats
 
-    target = formats.format_of(args.out)
     refuse_page_options(args)
+    if args.out.name == STREAMED:
+        return write_streamed(args, console)
+    target = formats.format_of(args.out)
     listed = args.source.suffix.lower() == LIST
     home = np.eye(4) if listed else _home(args, args.source)
     before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
@@ -94,7 +98,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if poses is not None:
         matrix = page_turn(poses, args.up or target.up) @ home
     elif not listed and args.from_up is None:
-        _warn_of_axes(args.source, before, console)
+        warn_of_axes(args.source, before, console)
     from_home = matrix @ home.T
     if listed:
         arrays, poses = _placed(args, matrix)
@@ -105,7 +109,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         there = len(arrays["means"])
         console.context.check_cancelled()
         arrays = turned(arrays, matrix)
-    arrays = _shortened(arrays, args)
+    arrays = shortened(arrays, args)
     console.context.check_cancelled()
     if target.suffix == PAGE:
         known = None if listed or poses is None else from_home
@@ -117,16 +121,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     left = f" ({there - written:,} left out)" if written < there else ""
     console.print(f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
-
-
-def _warn_of_axes(source: Path, before: str, console: Console) -> None:
-    """Say so if a run's model would lie on its side: some COLMAP models have another axis up."""
-    up = up_in_run(source)
-    if up not in (None, before):
-        console.context.warn(
-            f"In this model, {up} points up, and not {before}, so it lies on its side now."
-            f" Choose {up} as its axis that points up (--from-up={up})."
-        )
 
 
 def _home(args: argparse.Namespace, path: Path) -> Float64:
@@ -144,13 +138,6 @@ def _home(args: argparse.Namespace, path: Path) -> Float64:
     return turn(args.from_up or form.up, up)
 
 
-def _shortened(arrays: Arrays, args: argparse.Namespace) -> Arrays:
-    """With the SH that were asked for."""
-    if args.sh_degree is None:
-        return arrays
-    return {**arrays, "sh": arrays["sh"][:, : (args.sh_degree + 1) ** 2]}
-
-
 def _before(args: argparse.Namespace, up: str, known: Float64 | None) -> Arrays | None:
     """The model of `--before`, as the first one is shown; `known` turns the scene upright."""
     if args.before is None:
@@ -163,7 +150,7 @@ def _before(args: argparse.Namespace, up: str, known: Float64 | None) -> Arrays 
         matrix = turn(args.from_up or formats.format_of(args.before).up, args.up or up)
     else:
         matrix = known @ home
-    return _shortened(turned(_cropped(formats.read(args.before), args, home), matrix), args)
+    return shortened(turned(_cropped(formats.read(args.before), args, home), matrix), args)
 
 
 def _cropped(arrays: Arrays, args: argparse.Namespace, home: Float64) -> Arrays:
@@ -177,23 +164,6 @@ def _cropped(arrays: Arrays, args: argparse.Namespace, home: Float64) -> Arrays:
     if not inside.any():
         raise RoiError("The boxes hold no Gaussian.", "Are they from the same scene?")
     return {name: values[inside] for name, values in arrays.items()}
-
-
-def turned(arrays: Arrays, matrix: Float64) -> Arrays:
-    """The model after a rotation; bit for bit the same if that changes nothing."""
-    from ..exchange.moved import moved
-
-    return arrays if (matrix == np.eye(4)).all() else moved(_drawable(arrays), matrix)
-
-
-def _drawable(arrays: Arrays) -> Arrays:
-    """The Gaussians that can be turned."""
-    from ..exchange.arrays import usable
-
-    arrays = usable(arrays)
-    if not len(arrays["means"]):
-        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
-    return arrays
 
 
 def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 | None]:

@@ -6,10 +6,10 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
-from ..formats.run_files import LEVELS_FILE, RESULT
 from ..formats.text import counted
 from .console import Console
 from .options import add_device_option, add_size_options, context_on_device, load_scene
+from .run_scene import levelled_run
 from .values import NAME, PATH, Number
 
 if TYPE_CHECKING:
@@ -102,12 +102,7 @@ def _levels(args: argparse.Namespace, frame: LocalFrame, device: torch.device) -
     """The levels beside the PLY."""
     from ..levels.drawn import LevelledResult
 
-    folder = args.ply.absolute().parent
-    if args.ply.name != RESULT or not (folder / LEVELS_FILE).is_file():
-        raise ConfigError(
-            f"{args.ply} has no levels of detail.",
-            f"Make them with `levels`, and give the {RESULT} of that run.",
-        )
+    folder = levelled_run(args.ply)
     return LevelledResult(folder, frame, quality=args.quality, device=device)
 
 

@@ -12,7 +12,16 @@ from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
 from ..formats.files import read_json
-from ..formats.run_files import BACKGROUND, COARSE, FINE, MANIFEST, PROJECT, RESULT, SETTINGS
+from ..formats.run_files import (
+    BACKGROUND,
+    COARSE,
+    FINE,
+    LEVELS_FILE,
+    MANIFEST,
+    PROJECT,
+    RESULT,
+    SETTINGS,
+)
 from ..formats.upright import levelled
 
 if TYPE_CHECKING:
@@ -27,6 +36,21 @@ def scene_of_run(folder: Path) -> SfmScene | None:
         with suppress(EngineError):
             return load_colmap(place, pixels=False)
     return None
+
+
+def levelled_run(result: Path) -> Path:
+    """The run folder of a result that has levels of detail.
+
+    Raises:
+        ConfigError: it is no run's result, or has none.
+    """
+    folder = result.absolute().parent
+    if result.name != RESULT or not (folder / LEVELS_FILE).is_file():
+        raise ConfigError(
+            f"{result} has no levels of detail.",
+            f"Make them with `levels`, and give the {RESULT} of that run.",
+        )
+    return folder
 
 
 def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmScene:

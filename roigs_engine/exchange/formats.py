@@ -87,17 +87,23 @@ def write(path: Path, arrays: Arrays, **more: Any) -> int:
     if not form.module:
         write_ply(path, arrays)
         return len(arrays["means"])
+    arrays = storable(arrays, form.title)
+    writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
+    return writer(path, arrays, **more)
+
+
+def storable(arrays: Arrays, title: str) -> Arrays:
+    """The Gaussians that can be drawn; ConfigError if there are none, or if they are far away."""
     arrays = usable(arrays)
     if not len(arrays["means"]):
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     means = arrays["means"].astype(np.float64)
     if np.abs(np.median(means, axis=0)).max() > FAR * extent(means) > 0:
         raise ConfigError(
-            f"The model lies too far from the origin for {form.title}.",
+            f"The model lies too far from the origin for {title}.",
             "Move it to the origin, or write a plain PLY.",
         )
-    writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
-    return writer(path, arrays, **more)
+    return arrays
 
 
 def read(path: Path) -> Arrays:

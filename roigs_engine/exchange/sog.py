@@ -41,11 +41,24 @@ Bytes = NDArray[np.uint8]
 
 
 def write(path: Path, arrays: Arrays) -> int:
-    """Write Gaussians, those that are near one another together; returns how many.
+    """Write Gaussians; returns how many.
+
+    Raises:
+        As `files_of`; EngineError also if the file cannot be written.
+    """
+    files = files_of(arrays)
+    with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
+        for name, data in files.items():
+            packed.writestr(name, data)
+    return len(arrays["means"])
+
+
+def files_of(arrays: Arrays) -> dict[str, bytes]:
+    """Name -> content of the files of a SOG, `meta.json` first; near Gaussians are together.
 
     Raises:
         ConfigError: the model is too small, or too far from the origin, for its positions.
-        EngineError: Pillow or scikit-learn is missing, or the file cannot be written.
+        EngineError: Pillow or scikit-learn is missing.
     """
     _refuse_coarse(arrays["means"].astype(np.float64))
     arrays = in_morton_order(arrays)
@@ -83,11 +96,8 @@ def write(path: Path, arrays: Arrays) -> int:
             "codebook": codes,
             "files": ["shN_centroids.webp", "shN_labels.webp"],
         }
-    with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
-        packed.writestr("meta.json", json.dumps(meta))
-        for name, picture in pictures.items():
-            packed.writestr(name, _webp(picture))
-    return count
+    meta_json = json.dumps(meta).encode()
+    return {"meta.json": meta_json} | {name: _webp(data) for name, data in pictures.items()}
 
 
 def _refuse_coarse(means: Float64) -> None:
