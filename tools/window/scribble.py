@@ -29,6 +29,9 @@ AROUND = [
 ]
 """Strokes on the first photo, in its pixels."""
 
+SIDE = 240
+"""Of the photos that are trained on; pixels."""
+
 OVERLAY = addon("viewport.photo_overlay")
 STROKES = "sum(len(__import__('json').loads(s.strokes)) for s in BOX.roigs.scribbles)"
 BOX = "bpy.context.scene.objects['vase']"
@@ -153,6 +156,28 @@ def story(blender: Blender, masks: Path, shot: Callable[[str], None]) -> None:
     shot("13-corrected")
 
 
+def train(blender: Blender, run: Path, shot: Callable[[str], None]) -> None:
+    """Train on the masks, and look at the vase without the table under it."""
+    blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
+    blender.ask(f"bpy.context.scene.roigs.max_side = {SIDE}")
+    blender.pause(2.0)
+    blender.click(blender.find("active_only=True", x=0.7))
+    blender.until(f"{BUSY}", 60)
+    blender.until(f"not {BUSY}", 1500)
+    check(f"trained: {blender.ask(STATE + '.outcome')}", (run / "rois/vase.ply").is_file())
+    stages = sorted(path.parent.name for path in run.glob("*/stage.json"))
+    check(f"stages: {', '.join(stages)}", "cutout" in stages)
+    blender.until("bpy.data.objects.get('vase Gaussians') is not None", 60)
+    blender.ask(
+        "for item in bpy.data.objects:\n"
+        "    if item.name != 'vase Gaussians' and item.type in ('MESH', 'CAMERA', 'EMPTY'):\n"
+        "        item.hide_set(True)\n"
+        "call('view3d.view_all')\n"
+    )
+    blender.pause(5.0)
+    shot("14-alone")
+
+
 def main() -> int:
     """Do it, with pictures."""
     options = parser(__doc__)
@@ -180,6 +205,7 @@ def main() -> int:
             blender.ask(f"bpy.context.scene.roigs.active_roi = {BOX}")
             blender.pause(2.0)
             story(blender, scene / "masks", shot)
+            train(blender, folder / "trained", shot)
         except Exception:
             blender.screen.picture(given.out / "failed.png")
             raise
