@@ -43,6 +43,7 @@ MODULES = (
     "operators.photos",
     "operators.train",
     "operators.results",
+    "operators.levels",
     "operators.run_folder",
     "operators.export",
     "operators.import_gaussians",
@@ -64,6 +65,7 @@ MODULES = (
     "ui.result",
     "ui.look",
     "ui.clean_up",
+    "ui.levels",
 )
 
 

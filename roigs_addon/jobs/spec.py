@@ -10,6 +10,7 @@ RECONSTRUCTING, IMPORTING, REFINING = "Reconstructing", "Importing", "Refining"
 SELECTING, ESTIMATING = "Selecting", "Estimating"
 TRAINING, EXPORTING = "Training", "Exporting"
 IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
+LEVELS = "Making Levels"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on's preferences"}
