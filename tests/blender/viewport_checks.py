@@ -374,7 +374,8 @@ def check_levels(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
     for size, number in ((0.3, 1), (0.1, 2)):
         alone = splats("alone", FOLDER / "run" / "levels" / str(number) / "rois" / "thing.ply")
         got = glance(alone, size, Painter(), wait=True)
-        assert (whole[size] == got).all() and psnr(got, full[size]) < 40
+        assert np.abs(whole[size] - got).max() < 1e-3, np.abs(whole[size] - got).max()
+        assert psnr(got, full[size]) < 40, psnr(got, full[size])
         bpy.data.objects.remove(alone)
     # Both are there in the middle of a fade; beside a switch, little changes.
     middle, sizes = glance(item, 0.5 / 1.2**0.5, painter, wait=True), (0.5001, 0.4999)
