@@ -35,6 +35,7 @@ ROOMS = (
     "exchange",
     "training",
     "evaluation",
+    "levels",
     "run",
     "commands",
     "cli",

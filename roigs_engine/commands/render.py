@@ -6,12 +6,19 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
+from ..formats.run_files import LEVELS_FILE, RESULT
 from ..formats.text import counted
 from .console import Console
 from .options import add_device_option, add_size_options, context_on_device, load_scene
-from .values import NAME, PATH
+from .values import NAME, PATH, Number
 
 if TYPE_CHECKING:
+    import torch
+
+    from ..levels.drawn import LevelledResult
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..model.scene import Camera, Float64
     from ..rasterize.camera_path import CameraPath
 
 HELP = "render a PLY from the cameras of a COLMAP model or along a camera path"
@@ -38,6 +45,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="render only the camera of this name; repeatable",
     )
+    parser.add_argument(
+        "--levels",
+        action="store_true",
+        help="draw the result of a run in its levels of detail, as its levels.json says",
+    )
+    parser.add_argument(
+        "--quality",
+        type=Number(low=0.01, high=100),
+        default=1.0,
+        metavar="Q",
+        help="with --levels: how many times finer they shall be (default: %(default)s)",
+    )
     add_size_options(parser.add_argument_group("scene"))
     add_device_option(parser)
     parser.add_argument(
@@ -54,9 +73,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     if args.path and args.images:
         raise ConfigError("--images has no meaning with --path.", "Leave it out.")
-    gaussians, frame = Gaussians.load_framed(args.ply)
+    whole, frame = Gaussians.load_framed(args.ply)
     context = context_on_device(args, console)
-    gaussians = gaussians.to(torch.device(context.device))
+    device = torch.device(context.device)
+    whole = whole.to(device)
+    levels = _levels(args, frame, device) if args.levels else None
     cameras = _cameras(args, console)
     unknown = sorted(set(args.name) - {name for name, _, _ in cameras})
     if unknown:
@@ -68,9 +89,26 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if args.name:
         cameras = [camera for camera in cameras if camera[0] in args.name]
     local = [(name, camera, frame.transform(pose)) for name, camera, pose in cameras]
-    written = render_sequence(gaussians, local, args.out, context)
+
+    def drawn(camera: Camera, world_to_camera: Float64) -> Gaussians:
+        return whole if levels is None else levels.gaussians(camera, world_to_camera)
+
+    written = render_sequence(drawn, local, args.out, context)
     console.print(f"{counted(len(written), 'picture')} in {args.out}")
     return {"pictures": str(args.out)}
+
+
+def _levels(args: argparse.Namespace, frame: LocalFrame, device: torch.device) -> LevelledResult:
+    """The levels beside the PLY."""
+    from ..levels.drawn import LevelledResult
+
+    folder = args.ply.absolute().parent
+    if args.ply.name != RESULT or not (folder / LEVELS_FILE).is_file():
+        raise ConfigError(
+            f"{args.ply} has no levels of detail.",
+            f"Make them with `levels`, and give the {RESULT} of that run.",
+        )
+    return LevelledResult(folder, frame, quality=args.quality, device=device)
 
 
 def _cameras(args: argparse.Namespace, console: Console) -> CameraPath:

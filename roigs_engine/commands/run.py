@@ -69,6 +69,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         write_crops(evaluation, models, scene, rois, args.run_dir, context=context)
         pictures = comparisons(evaluation, models, scene, rois, context=context)
         write_page(evaluation, pictures, args.run_dir)
+        train.levels_of(opened, args, context)
     console.print(format_markdown(evaluation))
     places = {
         "report": run_files.REPORT,

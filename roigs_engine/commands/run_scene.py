@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
 from ..formats.files import read_json
-from ..formats.run_files import BACKGROUND, COARSE, FINE, PROJECT, RESULT, SETTINGS
+from ..formats.run_files import BACKGROUND, COARSE, FINE, MANIFEST, PROJECT, RESULT, SETTINGS
 from ..formats.upright import levelled
 
 if TYPE_CHECKING:
@@ -25,6 +26,46 @@ def scene_of_run(folder: Path) -> SfmScene | None:
     for place in _places(folder):
         with suppress(EngineError):
             return load_colmap(place, pixels=False)
+    return None
+
+
+def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmScene:
+    """The cameras that a run was trained with, at its size of photos.
+
+    Args:
+        folder: of the run.
+        scene: where its scene is; None: where it was.
+        context: receives messages.
+
+    Raises:
+        ConfigError: the scene is not where it was.
+        SceneError: it cannot be used.
+    """
+    from ..colmap.project import load_colmap
+
+    options: dict[str, Any] = {}
+    with suppress(ConfigError):
+        options = dict(read_json(folder / SETTINGS, ConfigError))
+    for place in [scene] if scene else _places(folder):
+        if scene or place.is_dir():
+            images = None if scene else options.get("images")
+            return load_colmap(
+                place,
+                images=images,
+                max_side=_longest_side(folder),
+                pixels=False,
+                context=context,
+            )
+    raise ConfigError(
+        f"The scene of {folder} is not where it was.", "Give its folder with --scene."
+    )
+
+
+def _longest_side(folder: Path) -> int | None:
+    """The longest side of the photos that a run was trained on, pixels; None: not known."""
+    with suppress(ConfigError, KeyError, TypeError, ValueError):
+        sizes = read_json(folder / MANIFEST, ConfigError)["sizes"]
+        return max(int(side) for size in sizes for side in size.split("x"))
     return None
 
 

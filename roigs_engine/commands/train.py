@@ -38,7 +38,7 @@ from .options import (
 )
 from .options_file import settings
 from .out_folder import refuse_inputs, refuse_run_files
-from .values import PATH, Number
+from .values import PATH, Number, integer
 
 if TYPE_CHECKING:
     from ..model.roi import OrientedBox
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from ..run.definition import Run
 
 MAX_SECONDS = 1e9
+MOST_LEVELS = 8
 MAX_MEGABYTES = 1e9
 HELP = "train the scene and its boxes, and write one PLY"
 EXAMPLES = """\
@@ -71,6 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of ROI.json files with the photos of each box, as `select --out` writes them;"
         " --method selects the photos of boxes without a file",
+    )
+    parser.add_argument(
+        "--levels",
+        type=integer(2, MOST_LEVELS),
+        metavar="N",
+        help="make the result's levels of detail at the end, as `levels` does: N of them",
     )
     parser.add_argument(
         "--update",
@@ -106,9 +113,19 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
     with opened_run(args, console) as (run, context):
         train_opened(run, (), context, update=args.update, preview_seconds=args.preview_seconds)
+        levels_of(run, args, context)
     result = args.run_dir / run_files.RESULT
     console.context.info(f"The result is {result}.")
     return {"result": str(result), "rois": str(args.run_dir / run_files.FINE)}
+
+
+def levels_of(run: Run, args: argparse.Namespace, context: Context) -> None:
+    """Make the levels of a trained run, if they are asked for."""
+    from ..levels.make import make_levels
+
+    if args.levels:
+        images = run.scene.images
+        make_levels(run.folder, images, run.frame, levels=args.levels, context=context)
 
 
 @contextmanager

@@ -56,6 +56,7 @@ class StageData:
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
         points: (P, 3) of the scene, world units; used with `config.min_views`.
+        backgrounds: (P,) grey behind all Gaussians in each photo, from 0 to 1; None: black.
         seed: for the positions of split Gaussians.
         device: where to train; devices differ only in rounding.
     """
@@ -68,6 +69,7 @@ class StageData:
     budgets: Sequence[BoxBudget] | None = None
     masks: RoiMasks | None = None
     points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
+    backgrounds: Tensor | None = None
     seed: int = 0
     device: torch.device = CPU
 
@@ -199,6 +201,7 @@ class Trainer:
         active = None if mask is None else mask.pixels
         if counted is not None:
             active = counted if active is None else active.to(counted.device) & counted
+        greys = self.data.backgrounds
         return rasterize(
             p.means,
             p.quats,
@@ -211,6 +214,7 @@ class Trainer:
             camera.height,
             sh_degree=self.config.degree(self.step),
             raw=True,
+            background=None if greys is None else greys[index].expand(3).to(p.means),
             with_max_weight=self._density.needs_max_weight,
             mask=active,
             backward_step=self._optimizer.backward_step,

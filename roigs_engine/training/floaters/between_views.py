@@ -45,7 +45,7 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
     Returns:
         At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
     """
-    poses = [*_spread(_poses_between(images)), *_spread(_poses_beside(images))]
+    poses = [*_spread(poses_between(images)), *_spread(_poses_beside(images))]
     centres = [image.centre for image in images]
     centres += [-pose[:3, :3].T @ pose[:3, 3] for _, pose in poses]
     far = reach(np.array(centres), points)
@@ -93,7 +93,7 @@ def _neighbours(images: Sequence[PosedImage]) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _poses_between(images: Sequence[PosedImage]) -> Poses:
+def poses_between(images: Sequence[PosedImage]) -> Poses:
     """Positions of two photos, and world_to_camera on the way from the first to the second."""
     pairs = _neighbours(images)
     shares = (0.5,) if len(pairs) * 3 > MOST_VIEWS else (0.25, 0.5, 0.75)

@@ -9,6 +9,7 @@ import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
+from roigs_engine.formats.levels import read_ladders
 from tests.engine.commands.command_line import BOX
 from tests.engine.synthetic_colmap import Project, write_project
 
@@ -81,3 +82,8 @@ def test_numbers_that_no_run_can_have(
         assert main(["train", *arguments(project, tmp_path / "run", option, "-1")]) == 2
         assert option in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_levels_of_detail_at_the_end(project: Project, tmp_path: Path) -> None:
+    assert main(["train", *arguments(project, tmp_path, "--levels", "2")]) == 0
+    assert "" in read_ladders(tmp_path)

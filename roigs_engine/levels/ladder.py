@@ -1,0 +1,138 @@
+"""One level: the Gaussians that contribute most, trained to look like the whole part from afar."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..context import QUIET, Context
+from ..cuda.device import CPU
+from ..cuda.library import has_blending_weights
+from ..model.gaussians import Gaussians
+from ..model.scene import PosedImage
+from ..rasterize.inputs import MAX_SLOPE
+from ..rasterize.view import rasterize_view
+from ..training.config import TrainConfig
+from ..training.photo_order import shuffled
+from ..training.trainer import StageData, Trainer
+from .parts import Part, View
+from .teacher import BLACK, WHITE, TeacherPictures, views_at
+
+STEPS = 500
+LEAST = 64  # Gaussians of a level
+
+
+def coarseness(level: int) -> float:
+    """How many times coarser than its photos a view shows a part when level `level` is made for it.
+
+    Half the Gaussians serve 4^(1/3) times the distance: an eighth of them 4 times.
+    """
+    return float(4 ** (level / 3))
+
+
+def count_at(level: int, whole: int) -> int:
+    """Number of Gaussians of a level."""
+    return max(LEAST, whole >> level)
+
+
+def make_level(
+    part: Part,
+    start: Gaussians,
+    views: list[View],
+    level: int,
+    *,
+    steps: int = STEPS,
+    context: Context = QUIET,
+) -> Gaussians | None:
+    """A level of a part; None if it is stopped, or no view shows the part so coarsely.
+
+    Args:
+        part: the whole of it.
+        start: the level before, or the whole.
+        views: that show the part.
+        level: from 1.
+        steps: to train for.
+        context: gives the device; receives progress.
+
+    Raises:
+        Stopped: on request.
+    """
+    coarser = coarseness(level)
+    small = views_at(part, views, coarser)
+    if not small:
+        return None
+    weights = contributions(start, small, context)
+    kept = weights.topk(min(count_at(level, len(part.gaussians)), len(start))).indices.sort().values
+    backgrounds = [(BLACK, WHITE)[k % 2] for k in range(len(small))]
+    config = TrainConfig(
+        steps=steps,
+        sh_degree=int(np.sqrt(start.sh.shape[1])) - 1,
+        sh_start=3,
+        lr_shN=1.25e-3,
+        lr_scales=0.01,
+        densify_until=0,
+        densify_from=0,
+        reset_every=0,
+        prune_opacity=0.0,
+        average_steps=steps // 5,
+    )
+    data = StageData(
+        images=[_image(view, k) for k, view in enumerate(small)],
+        photos=TeacherPictures(part, small, backgrounds, coarser, context),
+        photo_at=shuffled(range(len(small)), 0),
+        extent=_extent(part),
+        backgrounds=torch.tensor(backgrounds),
+        device=torch.device(context.device),
+    )
+    trainer = Trainer(start.rows(kept), data, config)
+    name = f"level {level} of {part.box or 'surroundings'}"
+    if not trainer.run(context, stage=name):
+        context.check_cancelled()
+        return None
+    return trainer.gaussians.detached().to(CPU)
+
+
+@torch.no_grad()
+def contributions(gaussians: Gaussians, views: list[View], context: Context = QUIET) -> Tensor:
+    """(N,) how much each Gaussian contributes to the views, on the CPU.
+
+    The product of its largest blending weight and the root of their sum: what is bright in one view
+    counts, and what fills many.
+    """
+    device = torch.device(context.device)
+    model = gaussians.to(device if has_blending_weights(device) else CPU)
+    most, total = (model.means.new_zeros(len(model)) for _ in range(2))
+    for camera, pose in views:
+        context.check_cancelled()
+        output = rasterize_view(
+            model,
+            camera,
+            pose,
+            sh_degree=0,  # colours do not matter
+            max_slope=MAX_SLOPE,
+            with_max_weight=True,
+            with_weight_sum=True,
+        )
+        assert output.weight_sum is not None and output.max_weight is not None
+        most, total = torch.maximum(most, output.max_weight), total + output.weight_sum
+    return (most * total.sqrt()).cpu()
+
+
+def _extent(part: Part) -> float:
+    """Radius of the part, for the learning rate of positions."""
+    return float(np.linalg.norm(part.probes - part.probes.mean(axis=0), axis=1).max())
+
+
+def _image(view: View, number: int) -> PosedImage:
+    camera, pose = view
+    nowhere = np.zeros(0, dtype=np.int64)
+    return PosedImage(
+        name=f"view {number}",
+        path=Path(),  # its pixels are drawn
+        camera=camera,
+        world_to_camera=pose,
+        point_indices=nowhere,
+    )

@@ -1,0 +1,99 @@
+"""The parts of a result, each with its own ladder of levels: a box, or the surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..errors import RunFolderError
+from ..formats import run_files
+from ..formats.files import matching
+from ..formats.levels import rate_in_view
+from ..model.gaussians import Gaussians
+from ..model.local_frame import LocalFrame
+from ..model.scene import Camera, Float64, PosedImage
+
+PROBES = 256
+CAPTURE = 0.75
+"""A part's rate is this quantile of its photos' rates: nearer photos hold what the others lack."""
+
+View = tuple[Camera, Float64]
+"""A camera and its world_to_camera."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """A part of a result.
+
+    Attributes:
+        box: its name; empty: the surroundings.
+        ply: of all its Gaussians, relative to the run folder.
+        gaussians: in the frame.
+        probes: (P, 3) points in the frame that stand for it.
+        rate: how finely its photos show it, pixels per unit of the frame.
+    """
+
+    box: str
+    ply: str
+    gaussians: Gaussians
+    probes: Float64
+    rate: float
+
+
+def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) -> list[Part]:
+    """The parts of a run's result that have Gaussians, and that a photo shows.
+
+    Args:
+        folder: of the run.
+        images: its photos, in the frame.
+        frame: to compute in.
+
+    Raises:
+        RunFolderError: there is no result, or a file is damaged.
+    """
+    files = {"": folder / run_files.BACKGROUND}
+    files |= {path.stem: path for path in matching(folder / run_files.FINE, "*.ply")}
+    if not files[""].is_file():
+        raise RunFolderError(f"{folder} has no result.", "Train first, or give a run folder.")
+    parts = []
+    for box, path in sorted(files.items()):
+        gaussians = Gaussians.load_ply(path, frame)
+        if not len(gaussians):
+            continue
+        probes = _probes(gaussians)
+        rates = [rate_of(probes, (image.camera, image.world_to_camera)) for image in images]
+        seen = [rate for rate in rates if rate > 0]
+        if seen:
+            rate = float(np.quantile(seen, CAPTURE))
+            ply = path.relative_to(folder).as_posix()
+            parts.append(Part(box=box, ply=ply, gaussians=gaussians, probes=probes, rate=rate))
+    return parts
+
+
+def rate_of(probes: Float64, view: View) -> float:
+    """How finely a view shows the probes, see `formats.levels.rate_in_view`."""
+    camera, pose = view
+    return rate_in_view(probes, clip_matrix(camera) @ pose, camera.fx)
+
+
+def clip_matrix(camera: Camera) -> Float64:
+    """(4, 4) from the camera's frame to clip space, with w the depth."""
+    c, matrix = camera, np.zeros((4, 4))
+    matrix[0, 0], matrix[0, 2] = 2 * c.fx / c.width, 2 * c.cx / c.width - 1
+    matrix[1, 1], matrix[1, 2] = 2 * c.fy / c.height, 2 * c.cy / c.height - 1
+    matrix[2, 2] = matrix[3, 2] = 1.0
+    return matrix
+
+
+def _probes(gaussians: Gaussians) -> Float64:
+    """Some of its Gaussians, large and opaque ones more likely: they fill more of a picture."""
+    areas = torch.topk(gaussians.log_scales, 2, dim=1).values.sum(dim=1).exp()
+    weights = (areas * torch.sigmoid(gaussians.logit_opacities)).double().numpy()
+    weights = np.minimum(weights, np.quantile(weights, 0.99))
+    shares, count = weights / weights.sum(), min(PROBES, int((weights > 0).sum()))
+    chosen = np.random.default_rng(0).choice(len(shares), count, replace=False, p=shares)
+    return gaussians.means.numpy()[np.sort(chosen)].astype(np.float64)

@@ -1,0 +1,98 @@
+"""`levels`: levels of detail of a run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from roigs_engine.cli import main
+from roigs_engine.formats.levels import read_ladders
+from roigs_engine.model.gaussians import Gaussians
+from tests.engine.commands.command_line import refused
+from tests.engine.synthetic_colmap import write_project
+
+NAMES = ["a.png", "b.png", "c.png", "d.png"]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run folder with a box, and the scene that it knows."""
+    scene = write_project(tmp_path / "scene", names=NAMES).folder
+    folder = tmp_path / "run"
+    rng = np.random.default_rng(1)
+    for name, size in (("rois/thing.ply", 0.3), ("background.ply", 0.6)):
+        places = rng.uniform(-size, size, (400, 3))
+        model = Gaussians.from_points(places, rng.integers(0, 256, places.shape).astype(np.uint8))
+        model.save_ply(folder / name)
+    (folder / "manifest.json").write_text("{}")
+    (folder / "settings.json").write_text(json.dumps({"scene": str(scene)}))
+    return folder
+
+
+def words(run: Path, *more: str) -> list[str]:
+    return ["levels", str(run), "--levels", "2", "--steps", "2", "--device", "cpu", *more]
+
+
+def test_the_scene_of_the_run_is_found(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words(run)) == 0
+    said = capsys.readouterr().out
+    assert "| thing | 400 |" in said and "| surroundings | 400 |" in said
+    assert set(read_ladders(run)) == {"", "thing"}
+    assert len(Gaussians.load_ply(run / "levels/1/rois/thing.ply")) == 200
+
+
+def test_a_moved_scene_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    moved = (run.parent / "scene").rename(run.parent / "moved")
+    line = refused(capsys, *words(run))
+    assert "is not where it was" in line and "--scene" in line
+    assert main(words(run, "--scene", str(moved))) == 0
+
+
+def test_bad_input_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "is not a run folder" in refused(capsys, *words(run.parent))
+    (run / "background.ply").rename(run / "kept")
+    assert "has no result" in refused(capsys, *words(run))
+    (run / "background.ply").write_bytes(b"ply\n")
+    assert "background.ply" in refused(capsys, *words(run))
+    (run / "kept").replace(run / "background.ply")
+    (run / "levels.json").write_text("{")  # replaced
+    (run / "levels").mkdir()
+    (run / "levels/made.json").write_text("[]")
+    assert main(words(run)) == 0
+    capsys.readouterr()
+    (run / "levels/1").rename(run.parent / "elsewhere")
+    (run / "levels/1").symlink_to(run.parent / "elsewhere")
+    assert "link" in refused(capsys, *words(run))
+
+
+def test_render_draws_what_a_view_needs(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = str(run.parent / "scene")
+    result = run / "result.ply"
+    parts = [Gaussians.load_ply(run / name) for name in ("background.ply", "rois/thing.ply")]
+    Gaussians.concatenate(parts).save_ply(result)
+    line = ["render", str(result), "--scene", scene, "--device", "cpu", "--out"]
+    assert "has no levels of detail" in refused(capsys, *line, tmp_path / "a", "--levels")
+    assert main(words(run)) == 0
+    (run / "levels/1/rois/thing.ply").write_bytes(b"")  # not needed from near
+    record = json.loads((run / "levels.json").read_text())
+    for part in record["parts"]:
+        path = f"levels/1/{part['levels'][0]['ply']}"
+        part["levels"][1:] = [{"ply": path, "gaussians": 1, "farther": 9.0, "measured": {}}]
+    (run / "levels.json").write_text(json.dumps(record))
+    capsys.readouterr()
+    assert main([*line, str(tmp_path / "near"), "--levels"]) == 0
+    assert main([*line, str(tmp_path / "whole")]) == 0
+    made = [sorted((tmp_path / folder).iterdir()) for folder in ("near", "whole")]
+    assert len(made[0]) == len(NAMES)
+    for pair in zip(*made, strict=True):
+        near, whole = (np.asarray(Image.open(path)) for path in pair)
+        np.testing.assert_allclose(near, whole, atol=1)
+    capsys.readouterr()
+    far = refused(capsys, *line, tmp_path / "far", "--levels", "--quality", "0.01")
+    assert "thing.ply" in far
