@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from typing import Any
@@ -53,7 +54,7 @@ def frame_request(
     models = []
     for item, model in whole:
         detail = ladders.of(item, scene)
-        if detail is None:
+        if detail is None or not all(map(os.path.isfile, detail.files)):
             models.append(model)
             continue
         drawn = detail.shown(np.array(model["matrix"]), to_clip, focal)

@@ -7,7 +7,7 @@ the file as it is there: Gaussians that were edited are drawn whole.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -22,6 +22,7 @@ ABOVE = {"RESULT": 1, "ROI": 2}
 """Level of an object -> how many folders its file is below the run folder."""
 
 STALE = "The levels of detail are older than the result: they are not used. Make them again"
+MISSING = "A level of detail is missing ({}): its object is drawn whole. Make the levels again"
 
 MOST_FOLDERS = 16
 """Whose lists are remembered."""
@@ -32,7 +33,7 @@ class Detail:
     """The levels of an object.
 
     Attributes:
-        ladder: of its part; only levels whose files are there.
+        ladder: of its part.
         files: of the levels, the object's own one first.
         quality: as `levels.shown_levels` has it; None: the object is always drawn whole.
     """
@@ -86,17 +87,13 @@ def of(
         return None
     folder, found = listed
     ladder = found.ladders.get(os.path.normpath(props.ply))
-    if ladder is None or _modified(props.ply) > found.key[0]:
-        return None
-    first, *others = ladder.levels
-    there = [level for level in others if os.path.isfile(folder / level.ply)]
-    if not there:
+    if ladder is None or len(ladder.levels) == 1 or _modified(props.ply) > found.key[0]:
         return None
     # In edit mode, what is edited is what is seen.
     settings, whole = scene_props(scene), whole or props.whole or item.mode != "OBJECT"
     return Detail(
-        ladder=replace(ladder, levels=(first, *there)),
-        files=(props.ply, *(str(folder / level.ply) for level in there)),
+        ladder=ladder,
+        files=(props.ply, *(str(folder / level.ply) for level in ladder.levels[1:])),
         quality=settings.level_quality if settings.use_levels and not whole else None,
     )
 
@@ -113,11 +110,15 @@ def problem(scene: bpy.types.Scene) -> str:
         listed = None if props.parked else _list_of(item)
         if listed is None:
             continue
-        found = listed[1]
+        folder, found = listed
         if found.problem:
             return found.problem
-        if os.path.normpath(props.ply) in found.ladders and _modified(props.ply) > found.key[0]:
+        ladder = found.ladders.get(os.path.normpath(props.ply))
+        if ladder is not None and _modified(props.ply) > found.key[0]:
             return STALE
+        for level in ladder.levels[1:] if ladder is not None else ():
+            if not os.path.isfile(folder / level.ply):
+                return MISSING.format(folder / level.ply)
     return ""
 
 

@@ -105,7 +105,7 @@ def _levels(item: bpy.types.Object, scene: bpy.types.Scene | None) -> Levels | N
         return None
     try:
         return Levels(detail, tuple(map(FileKey.of, detail.files)))
-    except OSError:  # removed just now
+    except OSError:  # one is missing: the object is drawn whole
         return None
 
 

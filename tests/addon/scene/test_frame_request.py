@@ -65,6 +65,8 @@ def test_levels_of_detail(blender: ModuleType, seen) -> None:
     scene.roigs.use_levels = True
     scene.objects["Background"].roigs.whole = True
     assert asked(blender, scene) == {"background.ply": 1.0, "levels/2/rois/thing.ply": 1.0}
+    (folder / "levels" / "1" / "rois" / "thing.ply").unlink()
+    assert asked(blender, scene) == first
 
 
 def test_the_size_of_the_render_decides_not_its_region(blender: ModuleType, seen) -> None:

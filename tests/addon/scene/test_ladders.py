@@ -95,13 +95,22 @@ def test_damage_is_one_line(levelled) -> None:
     assert not files(scene, "Background") and not ladders.problem(scene)
 
 
-def test_a_level_without_a_file_is_left_out(levelled) -> None:
+def test_with_a_level_missing_the_object_is_whole(blender: ModuleType, levelled) -> None:
+    from roigs_addon.scene import ladders
+    from roigs_addon.viewport.objects import marked
+
     scene, folder = levelled
+    names = ("Background", "thing Gaussians")
+
+    def levels() -> list[bool]:
+        found = marked([scene.objects[name] for name in names], scene=scene)
+        return [item.levels is not None for item in found]
+
+    assert levels() == [True, True]
     (folder / "levels" / "2" / "background.ply").unlink()
-    assert files(scene, "Background") == ["background.ply", "levels/1/background.ply"]
-    assert drawn(scene) == {1: 1.0}
-    (folder / "levels" / "1" / "background.ply").unlink()
-    assert not files(scene, "Background")
+    assert levels() == [False, True]
+    told = ladders.problem(scene)
+    assert "is missing" in told and "background.ply" in told and "Make the levels again" in told
 
 
 def test_edited_gaussians_are_whole(blender: ModuleType, levelled) -> None:
