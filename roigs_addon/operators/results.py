@@ -134,6 +134,7 @@ class SetDetail(bpy.types.Operator):
         except AddonError as error:
             return failed(self, error)
         _select_shown(context)
+        redraw()  # Blender does not see that another level is drawn
         return {"FINISHED"}
 
 

@@ -33,8 +33,8 @@ from .layout import SidebarPanel
 
 Objects = list[bpy.types.Object]
 
-NAME_SHARE = {False: 0.52, True: 0.4}
-"""Of a row, by whether the object has levels of detail; copies differ in the end of their names."""
+NAME_SHARE = {2: 0.45, 3: 0.34}
+"""Of a row, by the number of buttons beside it; copies differ in the end of their names."""
 NAMED = 2
 """Missing files that are named."""
 TRUE_COLOURS = ("Standard", "Raw")
@@ -110,12 +110,12 @@ def _draw_objects(
             if ladders.of(item, scene) is None:
                 _draw_name(row, item, item.name)
             else:
-                split = row.split(factor=NAME_SHARE[True], align=True)
+                split = row.split(factor=NAME_SHARE[2], align=True)
                 _draw_name(split, item, item.name)
                 row = split.row(align=True)
-                whole = object_props(item).whole
-                _detail_button(row, item, "Auto", pressed=not whole, auto=True)
-                _detail_button(row, item, "Full", pressed=whole)
+                whole, buttons = object_props(item).whole, _side_by_side(row, 2)
+                _detail_button(buttons, item, "Auto", pressed=not whole, auto=True)
+                _detail_button(buttons, item, "Full", pressed=whole)
             row.prop(item, "hide_viewport", text="", emboss=False)
     for pair in detail.pairs(scene):
         if pair.shown is not None:
@@ -130,16 +130,21 @@ def _draw_pair(
     assert shown is not None
     props = object_props(shown)
     own = shown.name != splats.object_name(props.level, props.roi)  # a copy, or renamed
-    split = row.split(factor=NAME_SHARE[levels], align=True)
+    split = row.split(factor=NAME_SHARE[2 + levels], align=True)
     _draw_name(split, shown, shown.name if own else names.get(props.roi, props.roi))
     row = split.row(align=True)
-    fine = shown == pair.fine
+    fine, buttons = shown == pair.fine, _side_by_side(row, 2 + levels)
     whole = fine and (props.whole or not levels)
     if levels:
-        _detail_button(row, shown, "Auto", pressed=fine and not whole, auto=True)
-    _detail_button(row, shown, "Fine", pressed=whole)
-    _detail_button(row, shown, "Coarse", pressed=not fine, fine=False)
+        _detail_button(buttons, shown, "Auto", pressed=fine and not whole, auto=True)
+    _detail_button(buttons, shown, "Fine", pressed=whole)
+    _detail_button(buttons, shown, "Coarse", pressed=not fine, fine=False)
     row.prop(shown, "hide_viewport", text="", emboss=False)
+
+
+def _side_by_side(row: bpy.types.UILayout, count: int) -> bpy.types.UILayout:
+    """A place for buttons of one width; in a row, Blender leaves some out at some widths."""
+    return row.grid_flow(row_major=True, columns=count, even_columns=True, align=True)
 
 
 def _detail_button(

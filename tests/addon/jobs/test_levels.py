@@ -11,6 +11,7 @@ import pytest
 from tests.addon.fake_engine import fake
 from tests.addon.levels_cases import FAR, make_levels
 from tests.addon.scene.test_compared import two  # noqa: F401 - a fixture
+from tests.addon.scenes import ready
 
 pytestmark = pytest.mark.blender
 
@@ -78,3 +79,14 @@ def test_without_a_result_there_is_nothing_to_do(blender: ModuleType, run) -> No
     for path in (*folder.glob("*.ply"), *folder.glob("rois/*.ply")):
         path.unlink()
     assert not blender.ops.roigs.make_levels.poll()
+
+
+def test_levels_of_a_training(
+    blender: ModuleType, engine: object, project: Path, tmp_path: Path
+) -> None:
+    from roigs_addon.scene import ladders
+
+    scene = ready(blender, project, tmp_path / "run")
+    blender.ops.roigs.train_roi()
+    assert blender.ops.roigs.make_levels() == {"FINISHED"}
+    assert ladders.there_are_some(scene) and not ladders.problem(scene)
