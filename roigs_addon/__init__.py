@@ -45,6 +45,7 @@ MODULES = (
     "operators.masks",
     "operators.train",
     "operators.results",
+    "operators.levels",
     "operators.run_folder",
     "operators.export",
     "operators.import_gaussians",
@@ -67,6 +68,7 @@ MODULES = (
     "ui.result",
     "ui.look",
     "ui.clean_up",
+    "ui.levels",
 )
 
 

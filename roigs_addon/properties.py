@@ -158,6 +158,7 @@ class RoigsObject(bpy.types.PropertyGroup):
         description="Gaussians: not in the result that is shown; how they were seen before"
     )
     off: BoolProperty(description="Gaussians: the other of Coarse and Fine is shown")
+    whole: BoolProperty(description="Gaussians: all are drawn, whatever the levels of detail")
     pair: StringProperty(description="Gaussians: same text as of the other of Coarse and Fine")
     waits: BoolProperty(description="Gaussians: hidden while a preview is shown")
     aside: CollectionProperty(
@@ -326,6 +327,20 @@ class RoigsScene(bpy.types.PropertyGroup):
     has_floor: BoolProperty(description="Whether the floor was put at z = 0")
     placement_key: StringProperty(description="Where the root stood then")
     compared: StringProperty(description="Folder of the earlier result that was shown last")
+    use_levels: BoolProperty(
+        name="Levels of Detail",
+        default=True,
+        description="Draw fewer Gaussians of what is far away, in the 3D view and in renders",
+    )
+    level_quality: FloatProperty(
+        name="Quality",
+        default=1.0,
+        min=0.25,
+        max=4.0,
+        precision=2,
+        description="A higher value keeps finer levels longer; 1 shows a coarser one where the"
+        " difference is hardly visible",
+    )
 
 
 def scene_props(scene: bpy.types.Scene) -> RoigsScene:

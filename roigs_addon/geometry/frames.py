@@ -76,6 +76,21 @@ def intrinsics_from_lens(lens: Lens, width: int, height: int) -> Intrinsics:
     )
 
 
+def clip_matrix(k: Intrinsics) -> Matrix:
+    """(4, 4) from a camera's frame, OpenCV axes, to a clip space that ends at the picture's edges.
+
+    A point is in the picture if |x| and |y| are at most w; w is its depth.
+    """
+    return np.array(
+        [
+            [2 * k.fx / k.width, 0, 2 * k.cx / k.width - 1, 0],
+            [0, 2 * k.fy / k.height, 2 * k.cy / k.height - 1, 0],
+            [0, 0, 1, 0],
+            [0, 0, 1, 0],
+        ]
+    )
+
+
 def camera_matrix(world_to_camera: Matrix) -> Matrix:
     """A Blender camera's matrix in the COLMAP frame (that is, below the root) from its pose."""
     return np.linalg.inv(world_to_camera) @ FLIP

@@ -11,6 +11,7 @@ SELECTING, ESTIMATING = "Selecting", "Estimating"
 TRAINING, EXPORTING = "Training", "Exporting"
 IMPORTING_GAUSSIANS, FLOATERS = "Importing Gaussians", "Finding Floaters"
 MASKING = "Making Masks"
+LEVELS = "Making Levels"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
 PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on's preferences"}

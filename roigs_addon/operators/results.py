@@ -94,29 +94,47 @@ class DeleteResult(bpy.types.Operator):
 
 
 class SetDetail(bpy.types.Operator):
-    """Show this box refined, or as the whole-scene model has it"""
+    """Show this box with levels of detail, refined, or as the whole-scene model has it"""
 
     bl_idname = "roigs.set_detail"
-    bl_label = "Coarse or Fine"
+    bl_label = "Auto, Fine or Coarse"
     bl_options = {"REGISTER", "UNDO"}
 
     roi: StringProperty(description="Name of the box", options=FRESH)
     name: StringProperty(description="Name of an object; empty: all of the box", options=FRESH)
     fine: BoolProperty(default=True, options=FRESH)
+    auto: BoolProperty(
+        description="Fewer Gaussians from far away; otherwise all of them", options=FRESH
+    )
+
+    @classmethod
+    def description(
+        cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties
+    ) -> str:
+        """What the button does."""
+        if not properties.fine:
+            return "Show this box as the whole-scene model has it"
+        if properties.auto:
+            return "Draw fewer Gaussians from far away: levels of detail"
+        return "Always draw all Gaussians"
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Hide one, show the other."""
         scene = scene_of(context)
         try:
+            for item in lookup.splats(scene):
+                if object_props(item).level == "RESULT" and item.name == self.name:
+                    detail.set_auto(scene, item, self.auto)
             for pair in detail.pairs(scene):
                 items = [item for item in (pair.fine, pair.coarse) if item is not None]
                 of_box = any(object_props(item).roi == self.roi for item in items)
                 named = any(item.name == self.name for item in items)
                 if named if self.name else of_box:
-                    detail.set_detail(scene, pair, self.fine)
+                    detail.set_detail(scene, pair, self.fine, auto=self.auto)
         except AddonError as error:
             return failed(self, error)
         _select_shown(context)
+        redraw()  # Blender does not see that another level is drawn
         return {"FINISHED"}
 
 

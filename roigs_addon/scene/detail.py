@@ -1,7 +1,8 @@
 """Coarse or Fine: a box is shown by one of two objects, as the whole-scene model has it or refined.
 
 The other one is switched off, by the properties that Alt-H leaves alone. A copy gets a second
-object of its own when it is needed.
+object of its own when it is needed. The refined one has levels of detail, if they were made
+(`ladders`): they are chosen automatically, or it is always whole.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from mathutils import Matrix
 from ..errors import AddonError
 from ..geometry import frames
 from ..properties import RoigsObject, object_props
-from . import edits, lookup
+from . import edits, ladders, lookup
 
 FINE, COARSE = "ROI", "SCENE"
 
@@ -50,8 +51,13 @@ def pairs(scene: bpy.types.Scene) -> list[Pair]:
     ]
 
 
-def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool) -> None:
+def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool, *, auto: bool | None = None) -> None:
     """Show a box refined, or as the whole-scene model has it, where it is shown now.
+
+    Args:
+        scene, pair: what.
+        fine: refined.
+        auto: whether its level of detail is then chosen automatically; None: as before.
 
     Raises:
         AddonError: the result has no such model of the box.
@@ -61,6 +67,8 @@ def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool) -> None:
         target = _made(scene, other, FINE if fine else COARSE)
     if target is None:
         return
+    if fine and auto is not None:
+        set_auto(scene, target, auto)
     seen = other if other is not None and not object_props(other).off else None
     if object_props(target).off:
         object_props(target).off = False
@@ -70,6 +78,14 @@ def set_detail(scene: bpy.types.Scene, pair: Pair, fine: bool) -> None:
             _stand(target, seen)
     if seen is not None:
         switch_off(seen)
+
+
+def set_auto(scene: bpy.types.Scene, item: bpy.types.Object, auto: bool) -> None:
+    """Choose an object's level of detail automatically, or draw all of it.
+
+    Without levels there is nothing to choose: levels that are made later are used.
+    """
+    object_props(item).whole = not auto and ladders.of(item, scene) is not None
 
 
 def switch_off(item: bpy.types.Object) -> None:

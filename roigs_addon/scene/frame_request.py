@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from typing import Any
@@ -13,7 +14,10 @@ from ..blender import camera_of
 from ..errors import AddonError
 from ..geometry import frames
 from ..properties import object_props
-from . import cameras, edits, look, lookup
+from . import cameras, edits, ladders, look, lookup
+
+Model = dict[str, Any]
+"""Of a request: a file, where it stands, and how it looks."""
 
 
 def frame_request(
@@ -31,8 +35,8 @@ def frame_request(
         AddonError: the camera is of a kind that the engine cannot render, or something stands
             nowhere.
     """
-    models = models_of(shown(scene), depsgraph)
-    if not models or scene.camera is None:
+    whole = [*_models(shown(scene), depsgraph)]
+    if not whole or scene.camera is None:
         return None
     camera = scene.camera.evaluated_get(depsgraph)
     # Blender lets any object be the camera.
@@ -41,31 +45,45 @@ def frame_request(
     matrix = lookup.stands(scene.camera, depsgraph)
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise AddonError("The render lacks the Gaussians: a scale of the camera is zero.")
-    whole = cameras.intrinsics_of(
+    lens = cameras.intrinsics_of(
         camera_of(camera), scene.render, *cameras.render_size(scene.render)
     )
-    left, top, width, height = picture(scene.render)
-    lens = replace(whole, width=width, height=height, cx=whole.cx - left, cy=whole.cy - top)
     pose = frames.world_to_camera(matrix, np.eye(4))
+    # Of the whole picture: a region of it looks the same.
+    to_clip, focal = frames.clip_matrix(lens) @ pose, max(lens.fx, lens.fy)
+    models = []
+    for item, model in whole:
+        detail = ladders.of(item, scene)
+        if detail is None or not all(map(os.path.isfile, detail.files)):
+            models.append(model)
+            continue
+        drawn = detail.shown(np.array(model["matrix"]), to_clip, focal)
+        models += [{**model, "ply": detail.files[k], "opacity": f} for k, f in drawn.items()]
+    left, top, width, height = picture(scene.render)
+    lens = replace(lens, width=width, height=height, cx=lens.cx - left, cy=lens.cy - top)
     record = {"name": str(scene.frame_current), **asdict(lens), "world_to_camera": pose.tolist()}
     return {"camera": record, "models": models, "out": out}
 
 
-def models_of(
-    items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
-) -> list[dict[str, Any]]:
+def models_of(items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[Model]:
     """The objects that are not hidden in renders, with their edits, looks and where they stand.
+
+    They are whole, not at a level of detail.
 
     Raises:
         AddonError: one of them stands nowhere.
     """
-    models = []
+    return [model for _, model in _models(items, depsgraph)]
+
+
+def _models(
+    items: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
+) -> Iterator[tuple[bpy.types.Object, Model]]:
     for item, moved, matrix in standing(items, depsgraph):
         edits.look_again(item)
         if ply := edits.file_of(item):
             placed = matrix @ edits.frame_of(item)
-            models.append({"ply": ply, "matrix": placed.tolist(), "gains": look.gains(moved)})
-    return models
+            yield item, {"ply": ply, "matrix": placed.tolist(), "gains": look.gains(moved)}
 
 
 def standing(

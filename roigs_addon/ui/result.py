@@ -26,13 +26,15 @@ from ..operators.results import (
 )
 from ..operators.run_folder import CleanUp, CompareResults
 from ..properties import object_props, scene_props
-from ..scene import compared, compositor, detail, lookup, native_splats, splats
+from ..scene import compared, compositor, detail, ladders, lookup, native_splats, splats
 from ..shared import text
 from . import layout as show
 from .layout import SidebarPanel
 
 Objects = list[bpy.types.Object]
 
+NAME_SHARE = {2: 0.45, 3: 0.34}
+"""Of a row, by the number of buttons beside it; copies differ in the end of their names."""
 NAMED = 2
 """Missing files that are named."""
 TRUE_COLOURS = ("Standard", "Raw")
@@ -105,26 +107,57 @@ def _draw_objects(
         props = object_props(item)
         if props.level in ("RESULT", "IMPORTED") and not props.parked:
             row = layout.row(align=True)
-            _draw_name(row, item, item.name)
+            if ladders.of(item, scene) is None:
+                _draw_name(row, item, item.name)
+            else:
+                split = row.split(factor=NAME_SHARE[2], align=True)
+                _draw_name(split, item, item.name)
+                row = split.row(align=True)
+                whole, buttons = object_props(item).whole, _side_by_side(row, 2)
+                _detail_button(buttons, item, "Auto", pressed=not whole, auto=True)
+                _detail_button(buttons, item, "Full", pressed=whole)
             row.prop(item, "hide_viewport", text="", emboss=False)
     for pair in detail.pairs(scene):
         if pair.shown is not None:
-            _draw_pair(layout.row(align=True), pair, pair.shown, names)
+            levels = pair.fine is not None and ladders.of(pair.fine, scene) is not None
+            _draw_pair(layout.row(align=True), pair, names, levels=levels)
 
 
 def _draw_pair(
-    row: bpy.types.UILayout, pair: detail.Pair, shown: bpy.types.Object, names: dict[str, str]
+    row: bpy.types.UILayout, pair: detail.Pair, names: dict[str, str], *, levels: bool
 ) -> None:
+    shown = pair.shown
+    assert shown is not None
     props = object_props(shown)
     own = shown.name != splats.object_name(props.level, props.roi)  # a copy, or renamed
-    split = row.split(factor=0.52, align=True)  # copies differ in the end of their names
+    split = row.split(factor=NAME_SHARE[2 + levels], align=True)
     _draw_name(split, shown, shown.name if own else names.get(props.roi, props.roi))
     row = split.row(align=True)
-    for label, fine in (("Coarse", False), ("Fine", True)):
-        depress = (shown == pair.fine) == fine
-        button = row.operator(SetDetail.bl_idname, text=label, depress=depress)
-        button.name, button.fine = shown.name, fine
+    fine, buttons = shown == pair.fine, _side_by_side(row, 2 + levels)
+    whole = fine and (props.whole or not levels)
+    if levels:
+        _detail_button(buttons, shown, "Auto", pressed=fine and not whole, auto=True)
+    _detail_button(buttons, shown, "Fine", pressed=whole)
+    _detail_button(buttons, shown, "Coarse", pressed=not fine, fine=False)
     row.prop(shown, "hide_viewport", text="", emboss=False)
+
+
+def _side_by_side(row: bpy.types.UILayout, count: int) -> bpy.types.UILayout:
+    """A place for buttons of one width; in a row, Blender leaves some out at some widths."""
+    return row.grid_flow(row_major=True, columns=count, even_columns=True, align=True)
+
+
+def _detail_button(
+    row: bpy.types.UILayout,
+    item: bpy.types.Object,
+    label: str,
+    *,
+    pressed: bool,
+    fine: bool = True,
+    auto: bool = False,
+) -> None:
+    button = row.operator(SetDetail.bl_idname, text=label, depress=pressed)
+    button.name, button.fine, button.auto = item.name, fine, auto
 
 
 def _draw_name(row: bpy.types.UILayout, item: bpy.types.Object, name: str) -> None:

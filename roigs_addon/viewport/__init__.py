@@ -5,6 +5,8 @@
 | `sorting` | back-to-front order |
 | `packing` | several clouds as one set of texel arrays |
 | `objects` | which objects are drawn |
+| `placed` | those on the GPU: in which order, and how |
+| `levels_in_view` | at which levels of detail |
 | `view` | from where; where in it the camera's picture is |
 | `shaders` | the GPU programs, from `shaders/` |
 | `targets` | images on the GPU: the splats' own, and the scene's depth |

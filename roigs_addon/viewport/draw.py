@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender import region_of, region_view_of
-from ..windows import Timer, redraw
+from ..windows import Timer, redraw, redraw_sidebars
 from . import targets
 from .handler import ViewHandler
 from .objects import are_edited, splat_objects, surfaces_are_visible
@@ -38,6 +38,14 @@ def problems() -> dict[str, str]:
     return {**own, **(_painter.problems if _painter else {})}
 
 
+def counts(area: bpy.types.Area | None) -> tuple[int, int] | None:
+    """How many Gaussians a 3D view draws, and how many it would without levels of detail."""
+    if _painter is None or area is None:
+        return None
+    keys = (region.as_pointer() for region in area.regions if region.type == "WINDOW")
+    return next((_painter.counts[key] for key in keys if key in _painter.counts), None)
+
+
 def _draw_region(context: bpy.types.Context) -> None:
     region, data = region_of(context), region_view_of(context)
     objects = splat_objects(context)
@@ -48,6 +56,7 @@ def _draw_region(context: bpy.types.Context) -> None:
     size = (region.width, region.height)
     frame = camera_frame(context, data.window_matrix, size)
     depth = targets.bound_depth(*size) if surfaces_are_visible(context) else None
+    before = painter().counts.get(region.as_pointer())
     coarse = painter().draw(
         objects,
         View(data.view_matrix, data.window_matrix, size, frame),
@@ -60,6 +69,8 @@ def _draw_region(context: bpy.types.Context) -> None:
     if coarse:
         moving.stop()
         moving.start()
+    if painter().counts.get(region.as_pointer()) != before:
+        counted.start()
     if painter().pending(region.as_pointer()):
         timer.start()
 
@@ -85,6 +96,15 @@ def _rest() -> bool:
 moving = Timer(_rest, REST)
 """Runs until a view that was drawn coarsely has not changed for a while; then draws it in full."""
 
+
+def _say() -> bool:
+    redraw_sidebars()
+    return False
+
+
+counted = Timer(_say, REST)
+"""Has the panel say how many Gaussians are drawn, after that has changed."""
+
 _handler = ViewHandler(_draw_region, "Gaussians cannot be drawn here")
 
 
@@ -99,6 +119,7 @@ def unregister() -> None:
     _handler.stop()
     timer.stop()
     moving.stop()
+    counted.stop()
     if _painter is not None:
         _painter.close()
         _painter = None

@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..blender import view_layer_of
 from ..properties import object_props
-from ..scene import edits, look
+from ..scene import edits, ladders, look
 
 SURFACES = frozenset(
     {
@@ -30,6 +30,20 @@ class FileKey:
     modified: int  # ns
     size: int
 
+    @classmethod
+    def of(cls, path: str) -> FileKey:
+        """A file as it is now; raises OSError."""
+        state = os.stat(path)
+        return cls(path, state.st_mtime_ns, state.st_size)
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """The levels of detail of an object, and their files as they are now."""
+
+    detail: ladders.Detail
+    files: tuple[FileKey, ...]
+
 
 @dataclass(frozen=True)
 class SplatObject:
@@ -39,6 +53,8 @@ class SplatObject:
     matrix: Matrix  # the file's frame -> world
     visible: bool
     gains: look.Gains
+    opacity: float = 1.0
+    levels: Levels | None = None
 
 
 def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
@@ -46,13 +62,21 @@ def splat_objects(context: bpy.types.Context) -> list[SplatObject]:
 
     Those that another window shows also belong to the set on the GPU.
     """
-    return marked(bpy.data.objects, context.space_data)
+    return marked(bpy.data.objects, context.space_data, context.scene)
 
 
 def marked(
-    objects: Iterable[bpy.types.Object], space: bpy.types.Space | None = None
+    objects: Iterable[bpy.types.Object],
+    space: bpy.types.Space | None = None,
+    scene: bpy.types.Scene | None = None,
 ) -> list[SplatObject]:
-    """Those of `objects` that stand for an existing PLY; visible in `space`, if it is given."""
+    """Those of `objects` that stand for an existing PLY.
+
+    Args:
+        objects: to look through.
+        space: in which they are visible or not; None: anywhere.
+        scene: whose settings say how levels of detail are chosen; None: objects have none.
+    """
     found = []
     for item in objects:
         props = object_props(item)
@@ -60,18 +84,29 @@ def marked(
         if not path:
             continue
         try:
-            state = os.stat(path)
+            file = FileKey.of(path)
         except OSError:
             continue
         found.append(
             SplatObject(
-                FileKey(path, state.st_mtime_ns, state.st_size),
+                file,
                 item.matrix_world @ Matrix(edits.frame_of(item).tolist()),
                 not props.as_points and seen(item, space),
                 look.gains(item),
+                levels=_levels(item, scene),
             )
         )
     return found
+
+
+def _levels(item: bpy.types.Object, scene: bpy.types.Scene | None) -> Levels | None:
+    detail = ladders.of(item, scene)
+    if detail is None:
+        return None
+    try:
+        return Levels(detail, tuple(map(FileKey.of, detail.files)))
+    except OSError:  # one is missing: the object is drawn whole
+        return None
 
 
 def are_edited(context: bpy.types.Context) -> bool:

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..geometry.splat_cloud import SplatCloud, read_splats
 from ..worker import Worker
 from . import pace, shaders, targets
+from .levels_in_view import InView
 from .objects import FileKey, SplatObject
 from .packing import PackedSet, pack, pack_order
-from .sorting import Segment, SortingView, back_to_front
+from .placed import Files, object_texels, sorting_view
+from .sorting import SortingView, back_to_front
 from .view import Frame, View, whole
 
-Files = tuple[FileKey, ...]
 Float32 = NDArray[np.float32]
-
-NEAR = 0.01
-"""Gaussians nearer to the eye than this (units of their object) are not drawn, as in the engine."""
 
 VIEWS = 8
 """How many viewports keep an order of their own."""
@@ -65,6 +63,13 @@ class Order:
     count: int
     texture: gpu.types.GPUTexture
 
+    @property
+    def files(self) -> Files:
+        """Of the objects in the order."""
+        there = {(segment.start, segment.stop) for segment in self.view.segments}
+        of_set = zip(self.gaussians.files, self.gaussians.ranges, strict=True)
+        return tuple(file for file, range_ in of_set if range_ in there)
+
     @classmethod
     def upload(cls, gaussians: GpuSet, view: SortingView, count: int, texels: Float32) -> Order:
         """Copy an order's texels to the GPU."""
@@ -93,11 +98,14 @@ class Painter:
 
     def __init__(self) -> None:
         self.problems: dict[str, str] = {}  # path -> why it cannot be drawn
+        self.counts: dict[Hashable, tuple[int, int]] = {}  # viewport -> Gaussians, drawn and all
         self._reader, self._sorter = Worker("splat reader"), Worker("splat sorter")
         self._set: GpuSet | None = None
         self._asked: Files = ()
         self._clouds: dict[FileKey, SplatCloud] = {}
         self._broken: set[FileKey] = set()
+        # Whether the GPU holds nothing that is hidden, and one level of each object.
+        self._lean = False
         self._orders: OrderedDict[Hashable, Order] = OrderedDict()
         self._pictures: dict[Hashable, Picture] = {}
         self._tools: Tools | None = None
@@ -129,14 +137,20 @@ class Painter:
             rested: whether a coarse picture of the same shall be replaced by a full one.
             wait: whether to wait for files and sorting, and draw in full.
         """
-        self._update_set(objects, wait)
-        order = self._update_order(objects, view.matrix, key, wait)
+        seen = InView.of(objects, view, fade=not self._lean)
+        if not self._update_set(seen.wanted(), wait):
+            seen = InView.of(objects, view, fade=False)
+            self._update_set(seen.wanted(), wait)
+        order = self._update_order(seen, view.matrix, key, wait)
         if order is None or not order.count:
             return False
         tools = self._tools = self._tools or Tools()
         depth = depth or tools.no_depth
         before = self._pictures.get(key)
-        picture = self._update_picture(order, objects, view, key, depth, rested=rested, wait=wait)
+        drawn = order.gaussians
+        self.counts[key] = seen.counts(drawn.files, drawn.ranges, order.files)
+        there = seen.among(order.files)
+        picture = self._update_picture(order, there, view, key, depth, rested=rested, wait=wait)
         shader = tools.composite
         shader.bind()
         shader.uniform_int("origin", targets.viewport_origin())
@@ -163,8 +177,8 @@ class Painter:
     def forget(self) -> None:
         """Free everything that belongs to files, when no object needs any."""
         self._reader.forget("set")
-        self._set, self._asked = None, ()
-        self._clouds, self._broken, self.problems = {}, set(), {}
+        self._set, self._asked, self._lean = None, (), False
+        self._clouds, self._broken, self.problems, self.counts = {}, set(), {}, {}
         self._orders.clear()
         self._pictures.clear()
 
@@ -175,18 +189,19 @@ class Painter:
         self._sorter.close()
         self._tools = None
 
-    def _update_set(self, objects: Sequence[SplatObject], wait: bool) -> None:
-        """Have the visible objects' files on the GPU; those of hidden objects may stay."""
+    def _update_set(self, objects: Sequence[SplatObject], wait: bool) -> bool:
+        """Have the visible objects' files on the GPU; those of hidden objects may stay.
+
+        False if they would not fit there unless it becomes lean, which it is then.
+        """
         there = self._set.files if self._set else ()
-        files = tuple(
-            item.file
-            for item in objects
-            if (item.visible or item.file in there) and item.file not in self._broken
-        )
+        # What another viewport has asked for is not dropped before it has come.
+        held = Counter(there) | Counter(self._asked) if not self._lean else Counter()
+        files = needed([item for item in objects if item.file not in self._broken], held)
         if wait and files != there:
             self._reader.forget("set")
-            self._take_set(*read_set(files, self._clouds))
-        elif not wait and files != self._asked:
+            return self._take_set(*read_set(files, self._clouds))
+        if not wait and files != self._asked:
             self._asked = files
             known = dict(self._clouds)
             self._reader.submit("set", lambda: read_set(files, known))
@@ -194,7 +209,8 @@ class Painter:
         if outcome is not None:
             if outcome.error:
                 raise outcome.error
-            self._take_set(*outcome.value)
+            return self._take_set(*outcome.value)
+        return True
 
     def _take_set(
         self,
@@ -202,8 +218,12 @@ class Painter:
         packed: PackedSet,
         clouds: dict[FileKey, SplatCloud],
         problems: dict[FileKey, str],
-    ) -> None:
-        if packed.rows > gpu.capabilities.max_texture_size_get():
+    ) -> bool:
+        too_many = packed.rows > most_rows()
+        if too_many and not self._lean:
+            self._lean, self._asked = True, ()
+            return False
+        if too_many:
             text = f"{len(packed)} Gaussians are more than fit into this GPU's textures."
             problems = {**problems, **dict.fromkeys(files, text)}
             files, packed, clouds = (), pack([]), {}
@@ -212,10 +232,9 @@ class Painter:
         self._broken |= problems.keys()
         self.problems = {key.path: text for key, text in problems.items()}
         self._asked = files
+        return True
 
-    def _update_order(
-        self, objects: Sequence[SplatObject], view: Matrix, key: Hashable, wait: bool
-    ) -> Order | None:
+    def _update_order(self, seen: InView, view: Matrix, key: Hashable, wait: bool) -> Order | None:
         """The newest order of a viewport; if it is not good enough, a better one is requested."""
         gaussians = self._set
         outcome = None if wait else self._sorter.take(key)
@@ -226,7 +245,9 @@ class Painter:
             if gaussians is not None and means is gaussians.means:
                 self._orders[key] = Order.upload(gaussians, *order)
         if gaussians is not None:
-            wanted = sorting_view(gaussians, objects, view)
+            there = gaussians.files
+            objects = seen.among(there)
+            wanted = sorting_view(there, gaussians.ranges, gaussians.extent, objects, view)
             held = self._orders.get(key)
             good = held and held.gaussians is gaussians and not held.view.differs(wanted)
             # The thread gets no GPU objects: it might be the last to drop one, and free it there.
@@ -241,6 +262,7 @@ class Painter:
             old, _ = self._orders.popitem(last=False)
             self._sorter.forget(old)
             self._pictures.pop(old, None)
+            self.counts.pop(old, None)
         return self._orders.get(key)
 
     def _update_picture(
@@ -333,6 +355,24 @@ class Tools:
         return self._splat[depth]
 
 
+def most_rows() -> int:
+    """Of a texture on this GPU."""
+    return gpu.capabilities.max_texture_size_get()
+
+
+def needed(objects: Sequence[SplatObject], held: Counter[FileKey]) -> Files:
+    """The files to have on the GPU: one entry per object that is visible, and `held` ones.
+
+    Those of one file follow one another, so what is visible alone does not change their order.
+    """
+    every = Counter(item.file for item in objects)
+    visible = Counter(item.file for item in objects if item.visible)
+    files: list[FileKey] = []
+    for file, most in every.items():
+        files += [file] * min(most, max(visible[file], held[file]))
+    return tuple(files)
+
+
 def read_set(
     files: Files, known: dict[FileKey, SplatCloud]
 ) -> tuple[Files, PackedSet, dict[FileKey, SplatCloud], dict[FileKey, str]]:
@@ -356,50 +396,3 @@ def sort_means(means: Float32, view: SortingView) -> tuple[Float32, SortingView,
     """The arguments, the number of Gaussians in the order, and its texels."""
     order = back_to_front(means, view)
     return means, view, len(order), pack_order(order)
-
-
-def objects_of(files: Files, objects: Sequence[SplatObject]) -> list[SplatObject | None]:
-    """For each file of a set the object that stands for it.
-
-    They are matched by path, in order: while a changed file is being read, the Gaussians of its
-    last state still belong to the object.
-    """
-    by_path: dict[str, list[SplatObject]] = {}
-    for item in objects:
-        by_path.setdefault(item.file.path, []).append(item)
-    return [by_path[f.path].pop(0) if by_path.get(f.path) else None for f in files]
-
-
-def sorting_view(gaussians: GpuSet, objects: Sequence[SplatObject], view: Matrix) -> SortingView:
-    """Depth along the camera's axis, for the visible objects."""
-    segments = []
-    for range_, item in zip(gaussians.ranges, objects_of(gaussians.files, objects), strict=True):
-        if item is not None and item.visible:
-            row = np.array((view @ item.matrix)[2])
-            segments.append(Segment(*range_, axis=-row[:3], offset=float(-row[3])))
-    return SortingView(tuple(segments), gaussians.extent)
-
-
-def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> Float32:
-    """(objects, 5, 4): how each object is drawn.
-
-    Object -> camera as three rows; eye or direction of sight, least depth; gains.
-    """
-    texels = np.zeros((max(1, len(files)), 5, 4), np.float32)
-    texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
-    perspective = view.projection[3][3] == 0.0
-    for texel, item in zip(texels, objects_of(files, objects), strict=False):
-        if item is None or not item.visible:
-            continue
-        matrix = view.matrix @ item.matrix
-        scale = abs(matrix.to_3x3().determinant()) ** (1 / 3)
-        if not scale:
-            continue
-        back = matrix.inverted()
-        texel[:3], texel[4, :3] = np.array(matrix)[:3], item.gains
-        if perspective:
-            texel[3, :3], texel[3, 3] = np.array(back.translation), NEAR * scale
-        else:
-            sight = back.to_3x3() @ Vector((0, 0, -1))
-            texel[3, :3], texel[3, 3] = np.array(sight.normalized()), -np.inf
-    return texels

@@ -24,7 +24,7 @@ from .files import read_json, write_json
 Float64 = NDArray[np.float64]
 
 VERSION = 1
-FADE = 1.2
+FADE = 1.1
 """By which factor a view becomes coarser while one level fades into the next."""
 NEAR_SHARE = 0.9
 """The rate of a view is that of the nearest tenth of the probes."""

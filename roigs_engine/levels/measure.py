@@ -26,6 +26,8 @@ STEP = 2 ** (1 / 3)
 """Between two distances that are measured."""
 NEAREST = STEP
 FARTHEST = 8.0
+APART = FADE**2
+"""Factor from where a level begins to where the next may: between two fades is one level alone."""
 SLACK = 0.0  # dB by which a level may be worse
 
 
@@ -92,10 +94,10 @@ def farther(records: Sequence[Measured]) -> Measured | None:
 
 
 def spaced(steps: Sequence[float]) -> list[float]:
-    """Distances at which levels begin: each at least a fade farther than the one before."""
+    """Distances at which levels begin, far enough apart."""
     result: list[float] = []
     for step in steps:
-        result.append(max([step, *(FADE * before for before in result[-1:])]))
+        result.append(max([step, *(APART * before for before in result[-1:])]))
     return result
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.splat_ply import read_ply, write_ply
+from tests.addon.levels_cases import FAR, make_levels
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, with_cycles
 from tests.addon.splat_cases import recoloured
@@ -121,6 +122,23 @@ def test_edits_are_rendered(blender: ModuleType, run, shot, engine, tmp_path: Pa
     mine = f12("edited")
     assert psnr(mine, whole) < 40
     assert psnr(mine[..., :3] * mine[..., 3:], own) > 40
+
+
+def test_levels_of_detail_are_rendered(
+    blender: ModuleType, run, shot, engine, tmp_path: Path
+) -> None:
+    """From afar, the last level's file; between two levels, more than one of them."""
+    scene, f12 = shot
+    only(scene, "Background")
+    whole = f12()
+    make_levels(run[1], rate=FAR)
+    coarse = f12("coarse")
+    file = run[1] / "levels" / "2" / "background.ply"
+    own = engines(engine, scene, file, tmp_path / "own")
+    assert psnr(coarse, whole) < 40
+    assert psnr(coarse[..., :3] * coarse[..., 3:], own) > 40
+    scene.roigs.use_levels = False
+    assert (f12("off") == whole).all()
 
 
 def test_the_look_is_rendered(blender: ModuleType, run, shot, engine, tmp_path: Path) -> None:

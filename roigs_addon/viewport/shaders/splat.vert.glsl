@@ -65,15 +65,16 @@ void main()
   vec4 body = TEXEL(geometry, 3u * index);
   vec4 quat = TEXEL(geometry, 3u * index + 1u);
   vec4 size = TEXEL(geometry, 3u * index + 2u);
+  int number = int(size.w);
   vec3 mean = body.xyz;
-  float opacity = body.w;
+  float opacity = body.w * OBJECT(number, 4).w;
   if (opacity <= ALPHA_MIN) {
     return;
   }
 
   // Object to camera: three rows of a matrix. Then the eye in the object's frame, or in an
-  // orthographic view the direction of sight, and the least depth. Then the gains of the colours.
-  int number = int(size.w);
+  // orthographic view the direction of sight, and the least depth. Then the gains of the colours,
+  // and the factor on the opacities.
   vec4 row_x = OBJECT(number, 0), row_y = OBJECT(number, 1), row_z = OBJECT(number, 2);
   vec4 eye = OBJECT(number, 3);
   mat3 turn = transpose(mat3(row_x.xyz, row_y.xyz, row_z.xyz));

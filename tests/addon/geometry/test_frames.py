@@ -130,3 +130,14 @@ def test_a_photos_record_is_exact() -> None:
 @pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"name": 1}', "nonsense"])
 def test_a_broken_record_has_no_photo(text: str) -> None:
     assert Photo.from_json(text) is None
+
+
+def test_the_edges_of_a_picture_in_clip_space() -> None:
+    k = Intrinsics(width=200, height=100, fx=300.0, fy=150.0, cx=90.0, cy=55.0)
+    clip = frames.clip_matrix(k)
+    for x, y, place in ((0, 0, (-1, -1)), (200, 100, (1, 1)), (90, 55, (-0.1, 0.1))):
+        for depth in (0.5, 4.0):
+            point = np.array([(x - k.cx) / k.fx * depth, (y - k.cy) / k.fy * depth, depth, 1])
+            found = clip @ point
+            assert found[3] == depth
+            np.testing.assert_allclose(found[:2] / depth, place, atol=1e-12)

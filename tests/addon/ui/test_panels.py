@@ -92,6 +92,7 @@ def test_panels_draw(blender: ModuleType, run) -> None:
     from roigs_addon.ui import (
         boxes,
         cameras,
+        levels,
         look,
         placement,
         reconstruct,
@@ -102,7 +103,7 @@ def test_panels_draw(blender: ModuleType, run) -> None:
 
     panels = (
         *(reconstruct.PhotosPanel, reconstruct.PhotosOptionsPanel),
-        *(placement.PlacementPanel, look.LookPanel),
+        *(placement.PlacementPanel, look.LookPanel, levels.LevelsPanel),
         *(scene.ScenePanel, boxes.BoxesPanel, boxes.PlacePanel, cameras.CamerasPanel),
         *(train.TrainPanel, train.TrainSettingsPanel, result.ResultPanel),
     )
@@ -247,3 +248,26 @@ def test_the_label_of_test_photos_says_what_the_number_is(
         run[0].roigs.test_every = number
         said(blender, TrainSettingsPanel)
     assert list(filter(None, labels)) == ["Test Photos (none)", "Test: One Photo in"]
+
+
+def test_levels_of_detail(blender: ModuleType, run, monkeypatch: pytest.MonkeyPatch) -> None:
+    from roigs_addon.ui.levels import LevelsPanel
+    from roigs_addon.ui.result import ResultPanel
+    from roigs_addon.viewport import draw
+    from tests.addon.levels_cases import FAR, age, make_levels
+
+    _, folder = run
+    assert not LevelsPanel.poll(blender.context)
+    blender.ops.roigs.load_results()
+    assert LevelsPanel.poll(blender.context)
+    told = said(blender, ResultPanel)
+    assert "Fine" in told and "Coarse" in told and "Auto" not in told and "Full" not in told
+    assert "Make levels to draw far objects faster" in " ".join(said(blender, LevelsPanel))
+    make_levels(folder, rate=FAR)
+    told = said(blender, ResultPanel)
+    assert told.count("Auto") == 2 and {"Full", "Fine", "Coarse"} <= set(told)
+    assert not any("Make levels" in text for text in said(blender, LevelsPanel))
+    monkeypatch.setattr(draw, "counts", lambda area: (1234, 56789))
+    assert "Drawn now: 1,234 of 56,789 Gaussians" in " ".join(said(blender, LevelsPanel))
+    age(folder / "background.ply", 60)
+    assert "older than the result" in " ".join(said(blender, LevelsPanel))

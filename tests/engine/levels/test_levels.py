@@ -192,7 +192,7 @@ def test_a_level_does_from_where_it_stays_as_good_as_the_whole() -> None:
     assert found is not None and found.coarser == 3
     assert farther([at(1, 30, 20)]) is None
     assert farther([]) is None
-    assert spaced([1.0, 1.05, 3.0]) == pytest.approx([1.0, FADE, 3.0])
+    assert spaced([1.0, 1.05, 3.0]) == pytest.approx([1.0, FADE**2, 3.0])
 
 
 def test_few_photos_are_all_trained_on(part: Part) -> None:

@@ -1,0 +1,106 @@
+"""Levels of detail in a viewport: an object becomes one object per level, of which a view shows
+one, or two in a fade.
+
+What is not on the GPU yet is not missed: until then, the nearest level that is there stands in.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .objects import FileKey, SplatObject
+from .placed import Files, Ranges, objects_of
+from .view import View
+
+Factors = dict[int, float]
+"""Number of a level -> factor on its opacities."""
+
+
+@dataclass(frozen=True, eq=False)
+class InView:
+    """The objects, and which of their levels a view would show if all were on the GPU."""
+
+    objects: Sequence[SplatObject]
+    chosen: Sequence[Factors]
+
+    @classmethod
+    def of(cls, objects: Sequence[SplatObject], view: View, *, fade: bool = True) -> InView:
+        """Choose for a view; with `fade`, sometimes two levels of an object."""
+        to_clip = np.array(view.projection @ view.matrix, float)
+        focal = max(abs(view.projection[k][k]) * view.size[k] / 2 for k in (0, 1))
+        chosen = [
+            item.levels.detail.shown(np.array(item.matrix, float), to_clip, focal)
+            if item.levels and item.visible
+            else {}
+            for item in objects
+        ]
+        if not fade:
+            chosen = [{max(one, key=one.__getitem__): 1.0} if one else {} for one in chosen]
+        return cls(objects, chosen)
+
+    def wanted(self) -> list[SplatObject]:
+        """What should be drawn: each level as an object, visible if it is chosen."""
+        return self._apart(None)
+
+    def among(self, files: Iterable[FileKey]) -> list[SplatObject]:
+        """The same with what is there: `files` has one entry per object."""
+        return self._apart(Counter(file.path for file in files))
+
+    def counts(self, files: Files, ranges: Ranges, there: Iterable[FileKey]) -> tuple[int, int]:
+        """How many Gaussians are drawn, and how many there are without levels.
+
+        Args:
+            files, ranges: of the set on the GPU.
+            there: those of its files that are drawn.
+        """
+        sizes = {file.path: stop - start for file, (start, stop) in zip(files, ranges, strict=True)}
+        drawn = [item for item in objects_of(files, self.among(there)) if item and item.visible]
+        whole = [
+            item.levels.detail.ladder.levels[0].gaussians
+            if item.levels
+            else sizes.get(item.file.path, 0)
+            for item in self.objects
+            if item.visible
+        ]
+        return sum(sizes[item.file.path] for item in drawn), sum(whole)
+
+    def _apart(self, there: Counter[str] | None) -> list[SplatObject]:
+        apart = []
+        for item, chosen in zip(self.objects, self.chosen, strict=True):
+            if item.levels is None:
+                if there is not None and item.visible:
+                    there[item.file.path] -= 1
+                apart.append(item)
+                continue
+            shown = chosen if there is None else _standing_in(chosen, item.levels.files, there)
+            apart += [
+                replace(
+                    item,
+                    file=file,
+                    levels=None,
+                    visible=item.visible and number in shown,
+                    opacity=shown.get(number, 1.0),
+                )
+                for number, file in enumerate(item.levels.files)
+            ]
+        return apart
+
+
+def _standing_in(chosen: Factors, files: Sequence[FileKey], there: Counter[str]) -> Factors:
+    """The chosen levels as far as they are there, else the nearest one; takes it from `there`."""
+    held = [number for number, file in enumerate(files) if there[file.path] > 0]
+    if not chosen or not held:
+        return chosen
+    found = {number: factor for number, factor in chosen.items() if number in held}
+    if not found:
+        wanted = min(chosen)
+        found = {min(held, key=lambda number: abs(number - wanted)): 1.0}
+    elif len(found) < len(chosen):
+        found = dict.fromkeys(found, 1.0)
+    for number in found:
+        there[files[number].path] -= 1
+    return found

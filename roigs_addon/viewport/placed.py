@@ -1,0 +1,75 @@
+"""The objects of a set on the GPU: in which order they are drawn, and how."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from .objects import FileKey, SplatObject
+from .sorting import Segment, SortingView
+from .view import View
+
+Files = tuple[FileKey, ...]
+Ranges = tuple[tuple[int, int], ...]
+Float32 = NDArray[np.float32]
+
+NEAR = 0.01
+"""Gaussians nearer to the eye than this (units of their object) are not drawn, as in the engine."""
+
+
+def objects_of(files: Files, objects: Sequence[SplatObject]) -> list[SplatObject | None]:
+    """For each file of a set the object that stands for it.
+
+    They are matched by path, those that are visible first: while a changed file is being read, the
+    Gaussians of its last state still belong to the object.
+    """
+    by_path: dict[str, list[SplatObject]] = {}
+    for item in sorted(objects, key=lambda item: not item.visible):
+        by_path.setdefault(item.file.path, []).append(item)
+    return [by_path[f.path].pop(0) if by_path.get(f.path) else None for f in files]
+
+
+def sorting_view(
+    files: Files, ranges: Ranges, extent: float, objects: Sequence[SplatObject], view: Matrix
+) -> SortingView:
+    """Depth along the camera's axis, for the visible objects of a set.
+
+    Args:
+        files, ranges, extent: of the set.
+        objects: all there are.
+        view: world -> camera.
+    """
+    segments = []
+    for range_, item in zip(ranges, objects_of(files, objects), strict=True):
+        if item is not None and item.visible:
+            row = np.array((view @ item.matrix)[2])
+            segments.append(Segment(*range_, axis=-row[:3], offset=float(-row[3])))
+    return SortingView(tuple(segments), extent)
+
+
+def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> Float32:
+    """(objects, 5, 4): how each object is drawn.
+
+    Object -> camera as three rows; eye or direction of sight, least depth; gains, opacity.
+    """
+    texels = np.zeros((max(1, len(files)), 5, 4), np.float32)
+    texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
+    perspective = view.projection[3][3] == 0.0
+    for texel, item in zip(texels, objects_of(files, objects), strict=False):
+        if item is None or not item.visible:
+            continue
+        matrix = view.matrix @ item.matrix
+        scale = abs(matrix.to_3x3().determinant()) ** (1 / 3)
+        if not scale:
+            continue
+        back = matrix.inverted()
+        texel[:3], texel[4] = np.array(matrix)[:3], (*item.gains, item.opacity)
+        if perspective:
+            texel[3, :3], texel[3, 3] = np.array(back.translation), NEAR * scale
+        else:
+            sight = back.to_3x3() @ Vector((0, 0, -1))
+            texel[3, :3], texel[3, 3] = np.array(sight.normalized()), -np.inf
+    return texels
