@@ -345,14 +345,23 @@ def test_nothing_follows_a_stop(blender: ModuleType, spec, tmp_path: Path) -> No
 
 def test_no_undo_step_comes_before_the_results(addon: ModuleType) -> None:
     """Called by the file browser, such an operator ends before its engine does."""
-    from roigs_addon.operators import export, floaters, photos, reconstruct, scene, train
+    from roigs_addon.operators import (
+        export,
+        floaters,
+        levels,
+        masks,
+        photos,
+        reconstruct,
+        scene,
+        train,
+    )
     from roigs_addon.operators import import_gaussians as imports
     from roigs_addon.operators.base import BrowsingOperator, EngineOperator
 
     running = (
         *(photos.SelectCameras, reconstruct.Reconstruct, scene.ImportColmap),
         *(scene.RefineCameras, train.EstimateTime, train.TrainRoi, export.ExportGaussians),
-        *(imports.ImportGaussians, floaters.FindFloaters),
+        *(imports.ImportGaussians, floaters.FindFloaters, levels.MakeLevels, masks.MakeMasks),
     )
     found = {*EngineOperator.__subclasses__(), *BrowsingOperator.__subclasses__()}
     assert found - {BrowsingOperator} == set(running)
