@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,6 @@ from .parts import Part, View, parts_of_run
 
 LEVELS = 5
 """How many, with the whole one."""
-MADE = "made.json"
-"""In the folder of levels: file -> hash of what it was made from."""
 HELD = 8
 """One view in `HELD` is measured on and not trained on."""
 FEW = 16
@@ -145,7 +144,7 @@ class _Maker:
 
     def _level(self, part: Part, ply: str, start: Gaussians, level: int) -> Gaussians | None:
         """A level's Gaussians: read if they were made from the same, else trained and written."""
-        record = self.folder / run_files.LEVELS / MADE
+        record = self.folder / run_files.LEVELS / run_files.LEVELS_MADE
         digest = json_digest(
             {
                 "whole": content_digest(self.folder / part.ply),
@@ -157,15 +156,17 @@ class _Maker:
             }
         )
         path = own_folder(self.folder, *Path(ply).parent.parts) / Path(ply).name
-        if _known(record).get(ply) != digest or not path.is_file():
-            made = make_level(
-                part, start, self.views.train, level, steps=self.steps, context=self.context
-            )
-            if made is None:
-                return None
-            check_held(self.folder)
-            made.save_ply(path, self.frame)
-            write_json(record, _known(record) | {ply: digest})
+        if _known(record).get(ply) == digest:
+            with suppress(RunFolderError):  # it is lost or damaged
+                return Gaussians.load_ply(path, self.frame)
+        made = make_level(
+            part, start, self.views.train, level, steps=self.steps, context=self.context
+        )
+        if made is None:
+            return None
+        check_held(self.folder)
+        made.save_ply(path, self.frame)
+        write_json(record, _known(record) | {ply: digest})
         return Gaussians.load_ply(path, self.frame)
 
 

@@ -18,6 +18,7 @@ from ..model.local_frame import LocalFrame
 from ..model.scene import Camera, Float64, PosedImage
 
 PROBES = 256
+LEAST_WEIGHT = -80.0  # of a Gaussian among the probes, as a logarithm
 CAPTURE = 0.75
 """A part's rate is this quantile of its photos' rates: nearer photos hold what the others lack."""
 
@@ -91,9 +92,10 @@ def clip_matrix(camera: Camera) -> Float64:
 
 def _probes(gaussians: Gaussians) -> Float64:
     """Some of its Gaussians, large and opaque ones more likely: they fill more of a picture."""
-    areas = torch.topk(gaussians.log_scales, 2, dim=1).values.sum(dim=1).exp()
-    weights = (areas * torch.sigmoid(gaussians.logit_opacities)).double().numpy()
-    weights = np.minimum(weights, np.quantile(weights, 0.99))
-    shares, count = weights / weights.sum(), min(PROBES, int((weights > 0).sum()))
+    areas = torch.topk(gaussians.log_scales.double(), 2, dim=1).values.sum(dim=1)
+    opacities = torch.nn.functional.logsigmoid(gaussians.logit_opacities.double())
+    logs = (areas + opacities).numpy()  # the weights themselves may be 0 or no numbers
+    weights = np.exp(np.clip(logs - np.quantile(logs, 0.99), LEAST_WEIGHT, 0.0))
+    shares, count = weights / weights.sum(), min(PROBES, len(weights))
     chosen = np.random.default_rng(0).choice(len(shares), count, replace=False, p=shares)
     return gaussians.means.numpy()[np.sort(chosen)].astype(np.float64)
