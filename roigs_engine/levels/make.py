@@ -11,7 +11,7 @@ from typing import Any
 from ..context import QUIET, Context
 from ..errors import RunFolderError, SceneError
 from ..formats import run_files
-from ..formats.files import own_folder, read_json, write_json
+from ..formats.files import own_folder, read_json, remove_leftovers, write_json
 from ..formats.levels import Ladder, Level, write_ladders
 from ..formats.lock import check_held
 from ..formats.text import json_digest
@@ -65,8 +65,9 @@ def make_levels(
         SceneError: no photo shows a part.
         Stopped: on request; the same call goes on later.
     """
+    remove_leftovers(folder)
     parts = parts_of_run(folder, images, frame)
-    if not parts:
+    if not any(part.rate for part in parts):
         raise SceneError(
             "No photo shows the result.", "Give the scene that it was trained on (--scene)."
         )
@@ -137,7 +138,7 @@ class _Maker:
         )
         return Ladder(
             box=part.box,
-            rate=part.rate * self.frame.scale,
+            rate=(part.rate or 1.0) * self.frame.scale,  # without a photo, it has one level
             probes=part.probes / self.frame.scale + self.frame.origin,
             levels=(whole, *coarser),
         )

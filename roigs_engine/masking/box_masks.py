@@ -10,7 +10,7 @@ from pathlib import Path
 from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError
-from ..formats.files import atomic_write, own_folder
+from ..formats.files import atomic_write, own_folder, remove_leftovers
 from ..formats.made_masks import made_masks, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..model.roi import OrientedBox
@@ -50,6 +50,7 @@ class BoxMasks:
             RunFolderError: a mask cannot be written.
             Stopped: on request; no mask has changed then.
         """
+        remove_leftovers(self.folder)
         made = made_masks(self.folder)
         views = self._views(made, context)
         found = make_masks(views, knowledge, self.roi.centre, context)

@@ -147,9 +147,11 @@ def test_masks_of_a_killed_process_are_made_again(
     with pytest.raises(KeyboardInterrupt):
         work(ball, tmp_path / "masks", {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
     monkeypatch.undo()
+    half = tmp_path / "masks/.5.png.png.1-00000000.part"
+    half.write_bytes(b"")
     assert set(made_masks(tmp_path / "masks")) == {path.name for path in written[:2]}
     again = work(ball, tmp_path / "masks", {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
-    assert len(again) == len(ball.photos)
+    assert len(again) == len(ball.photos) and not half.exists()
 
 
 def test_a_mask_that_a_person_saves_meanwhile_stays(ball: BallScene, tmp_path: Path) -> None:
