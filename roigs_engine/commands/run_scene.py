@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..colmap.records import MAX_SIDE
 from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
@@ -67,15 +68,11 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
     """
     from ..colmap.project import load_colmap
 
-    options: dict[str, Any] = {}
-    with suppress(ConfigError):
-        options = dict(read_json(folder / SETTINGS, ConfigError))
     for place in [scene] if scene else _places(folder):
         if scene or place.is_dir():
-            images = None if scene else options.get("images")
             return load_colmap(
                 place,
-                images=images,
+                images=None if scene else _path(folder, "images"),
                 max_side=_longest_side(folder),
                 pixels=False,
                 context=context,
@@ -89,7 +86,16 @@ def _longest_side(folder: Path) -> int | None:
     """The longest side of the photos that a run was trained on, pixels; None: not known."""
     with suppress(ConfigError, KeyError, TypeError, ValueError):
         sizes = read_json(folder / MANIFEST, ConfigError)["sizes"]
-        return max(int(side) for size in sizes for side in size.split("x"))
+        side = max(int(side) for size in sizes for side in str(size).split("x"))
+        return side if 0 < side <= MAX_SIDE else None
+    return None
+
+
+def _path(folder: Path, option: str) -> Path | None:
+    """A path among the settings of a run; None: there is none, or they are damaged."""
+    with suppress(ConfigError, KeyError, TypeError):
+        found = read_json(folder / SETTINGS, ConfigError)[option]
+        return Path(found) if found else None
     return None
 
 
@@ -118,10 +124,8 @@ def up_in_run(path: Path) -> str | None:
 
 def _places(folder: Path) -> list[Path]:
     """Where the scene of a run folder may be, the likelier place first."""
-    places = [folder / PROJECT]
-    with suppress(ConfigError, KeyError, TypeError):
-        places.insert(0, Path(read_json(folder / SETTINGS, ConfigError)["scene"]))
-    return places
+    known = _path(folder, "scene")
+    return [*([] if known is None else [known]), folder / PROJECT]
 
 
 def _up(poses: Float64) -> str | None:

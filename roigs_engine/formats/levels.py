@@ -28,6 +28,7 @@ FADE = 1.1
 """By which factor a view becomes coarser while one level fades into the next."""
 NEAR_SHARE = 0.9
 """The rate of a view is that of the nearest tenth of the probes."""
+MOST = 1e30  # of any unit; larger numbers are damage
 HINT = "Make it again with `levels`."
 
 
@@ -96,29 +97,40 @@ def read_ladders(folder: Path) -> dict[str, Ladder]:
         if record["version"] != VERSION:
             raise RunFolderError(f"{path} is of another version of the engine.", HINT)
         ladders = [_ladder(part) for part in record["parts"]]
+        _check_parts(ladders)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise RunFolderError(f"{path} is malformed ({error}).", HINT) from error
     return {ladder.box: ladder for ladder in ladders}
+
+
+def _check_parts(ladders: list[Ladder]) -> None:
+    """Raise ValueError if there is no part, or one is there twice."""
+    boxes = [ladder.box for ladder in ladders]
+    if not boxes or len(set(boxes)) < len(boxes):
+        raise ValueError("it has no part, or one twice")
 
 
 def _ladder(record: Any) -> Ladder:
     """A part of the file; KeyError, TypeError, ValueError: it is malformed."""
     probes = np.array(record["probes"], dtype=np.float64)
     rate, levels = float(record["rate"]), tuple(_level(level) for level in record["levels"])
-    if probes.ndim != 2 or probes.shape[1] != 3 or not len(probes) or not np.isfinite(probes).all():
+    if probes.ndim != 2 or probes.shape[1] != 3 or not (np.abs(probes) < MOST).all():
         raise ValueError("probes must be points")
-    if not (0 < rate < math.inf) or not levels or levels[0].farther != 0:
+    if not len(probes) or not isinstance(record["box"], str):
+        raise ValueError("a part needs probes and the name of its box")
+    if not (1 / MOST < rate < MOST) or not levels or levels[0].farther != 0:
         raise ValueError("rate must be positive, and the first level whole")
     steps = [level.farther for level in levels[1:]]
-    if not all(math.isfinite(step) and step > 0 for step in steps) or steps != sorted(steps):
-        raise ValueError("farther must grow")
-    return Ladder(box=str(record["box"]), rate=rate, probes=probes, levels=levels)
+    least = [0.0, *(FADE * (1 - 1e-9) * step for step in steps)]
+    if not all(low <= step < MOST and step > 0 for low, step in zip(least, steps, strict=False)):
+        raise ValueError(f"farther must grow, by {FADE} times at least")
+    return Ladder(box=record["box"], rate=rate, probes=probes, levels=levels)
 
 
 def _level(record: Any) -> Level:
     ply = str(record["ply"])
-    if Path(ply).is_absolute() or ".." in Path(ply).parts:
-        raise ValueError(f"{ply} is not in the run folder")
+    if Path(ply).is_absolute() or ".." in Path(ply).parts or not _is_ply(ply):
+        raise ValueError(f"{ply} is no PLY in the run folder")
     measured = {str(name): float(value) for name, value in record["measured"].items()}
     return Level(
         ply=ply,
@@ -126,6 +138,11 @@ def _level(record: Any) -> Level:
         farther=float(record["farther"]),
         measured=measured,
     )
+
+
+def _is_ply(name: str) -> bool:
+    """Whether a file can have this name, and may hold Gaussians; ValueError: it is no text."""
+    return name.encode().endswith(b".ply") and "\0" not in name
 
 
 def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:

@@ -2,9 +2,11 @@
 
 Beside the masks of a box lies `made.json` with the SHA-256 of each file as it was written:
 
-{"masks": {"sub/012.jpg.png": "9f86d0..."}}
+{"masks": {"sub/012.jpg.png": "9f86d0..."}, "writing": {}}
 
-A file that is not in it, or that has been changed since, is a person's: it is never replaced.
+While files are being written, "writing" has those that they will be, so that the masks of a killed
+process are known as well. A file that is not in it, or that has been changed since, is a person's:
+it is never replaced.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from ..errors import RunFolderError
 from .files import cannot_write, own_folder, read_json, sha256, write_json
 
 MADE = "made.json"
-KEY = "masks"
+KEY, WRITING = "masks", "writing"
 
 
 def mask_name(photo: str) -> str:
@@ -32,19 +34,29 @@ def made_masks(folder: Path) -> dict[str, str]:
         record = read_json(folder / MADE)
     except RunFolderError:
         return {}
-    files = record.get(KEY) if isinstance(record, dict) else None
     found = {}
-    for name, digest in files.items() if isinstance(files, dict) else ():
-        inside = not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts
-        with suppress(OSError):
-            if inside and sha256(folder / name) == digest:
-                found[name] = digest
+    for key in (KEY, WRITING):
+        files = record.get(key) if isinstance(record, dict) else None
+        for name, digest in files.items() if isinstance(files, dict) else ():
+            inside = not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts
+            with suppress(OSError, ValueError):  # ValueError: no file can have that name
+                if inside and sha256(folder / name) == digest:
+                    found[name] = digest
     return found
 
 
-def record_masks(folder: Path, masks: Mapping[str, str]) -> None:
-    """Write the record; RunFolderError if it cannot be written."""
-    write_json(folder / MADE, {KEY: dict(sorted(masks.items()))})
+def record_masks(
+    folder: Path, masks: Mapping[str, str], writing: Mapping[str, str] | None = None
+) -> None:
+    """Write the record; RunFolderError if it cannot be written.
+
+    Args:
+        folder: of the masks.
+        masks: those that are there, name -> SHA-256.
+        writing: those that are written next.
+    """
+    record = {KEY: masks, WRITING: writing or {}}
+    write_json(folder / MADE, {key: dict(sorted(of.items())) for key, of in record.items()})
 
 
 def remove_masks(folder: Path) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from ..context import QUIET, Context
 from ..errors import RunFolderError, SceneError
 from ..formats import run_files
-from ..formats.files import own_folder, read_json, write_json
+from ..formats.files import own_folder, read_json, remove_leftovers, write_json
 from ..formats.levels import Ladder, Level, write_ladders
 from ..formats.lock import check_held
 from ..formats.text import json_digest
@@ -25,8 +26,6 @@ from .parts import Part, View, parts_of_run
 
 LEVELS = 5
 """How many, with the whole one."""
-MADE = "made.json"
-"""In the folder of levels: file -> hash of what it was made from."""
 HELD = 8
 """One view in `HELD` is measured on and not trained on."""
 FEW = 16
@@ -66,8 +65,9 @@ def make_levels(
         SceneError: no photo shows a part.
         Stopped: on request; the same call goes on later.
     """
+    remove_leftovers(folder)
     parts = parts_of_run(folder, images, frame)
-    if not parts:
+    if not any(part.rate for part in parts):
         raise SceneError(
             "No photo shows the result.", "Give the scene that it was trained on (--scene)."
         )
@@ -138,14 +138,14 @@ class _Maker:
         )
         return Ladder(
             box=part.box,
-            rate=part.rate * self.frame.scale,
+            rate=(part.rate or 1.0) * self.frame.scale,  # without a photo, it has one level
             probes=part.probes / self.frame.scale + self.frame.origin,
             levels=(whole, *coarser),
         )
 
     def _level(self, part: Part, ply: str, start: Gaussians, level: int) -> Gaussians | None:
         """A level's Gaussians: read if they were made from the same, else trained and written."""
-        record = self.folder / run_files.LEVELS / MADE
+        record = self.folder / run_files.LEVELS / run_files.LEVELS_MADE
         digest = json_digest(
             {
                 "whole": content_digest(self.folder / part.ply),
@@ -157,15 +157,17 @@ class _Maker:
             }
         )
         path = own_folder(self.folder, *Path(ply).parent.parts) / Path(ply).name
-        if _known(record).get(ply) != digest or not path.is_file():
-            made = make_level(
-                part, start, self.views.train, level, steps=self.steps, context=self.context
-            )
-            if made is None:
-                return None
-            check_held(self.folder)
-            made.save_ply(path, self.frame)
-            write_json(record, _known(record) | {ply: digest})
+        if _known(record).get(ply) == digest:
+            with suppress(RunFolderError):  # it is lost or damaged
+                return Gaussians.load_ply(path, self.frame)
+        made = make_level(
+            part, start, self.views.train, level, steps=self.steps, context=self.context
+        )
+        if made is None:
+            return None
+        check_held(self.folder)
+        made.save_ply(path, self.frame)
+        write_json(record, _known(record) | {ply: digest})
         return Gaussians.load_ply(path, self.frame)
 
 

@@ -18,6 +18,8 @@ from ..model.local_frame import LocalFrame
 from ..model.scene import Camera, Float64, PosedImage
 
 PROBES = 256
+FARTHEST = 1e9  # of a probe, units of the frame
+LEAST_WEIGHT = -80.0  # of a Gaussian among the probes, as a logarithm
 CAPTURE = 0.75
 """A part's rate is this quantile of its photos' rates: nearer photos hold what the others lack."""
 
@@ -34,7 +36,7 @@ class Part:
         ply: of all its Gaussians, relative to the run folder.
         gaussians: in the frame.
         probes: (P, 3) points in the frame that stand for it.
-        rate: how finely its photos show it, pixels per unit of the frame.
+        rate: how finely its photos show it, pixels per unit of the frame; 0: none does.
     """
 
     box: str
@@ -45,7 +47,7 @@ class Part:
 
 
 def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) -> list[Part]:
-    """The parts of a run's result that have Gaussians, and that a photo shows.
+    """The parts of a run's result that have Gaussians.
 
     Args:
         folder: of the run.
@@ -62,15 +64,14 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
     parts = []
     for box, path in sorted(files.items()):
         gaussians = Gaussians.load_ply(path, frame)
-        if not len(gaussians):
+        probes = _probes(gaussians) if len(gaussians) else np.zeros((0, 3))
+        if not len(probes):
             continue
-        probes = _probes(gaussians)
         rates = [rate_of(probes, (image.camera, image.world_to_camera)) for image in images]
         seen = [rate for rate in rates if rate > 0]
-        if seen:
-            rate = float(np.quantile(seen, CAPTURE))
-            ply = path.relative_to(folder).as_posix()
-            parts.append(Part(box=box, ply=ply, gaussians=gaussians, probes=probes, rate=rate))
+        rate = float(np.quantile(seen, CAPTURE)) if seen else 0.0
+        ply = path.relative_to(folder).as_posix()
+        parts.append(Part(box=box, ply=ply, gaussians=gaussians, probes=probes, rate=rate))
     return parts
 
 
@@ -91,9 +92,16 @@ def clip_matrix(camera: Camera) -> Float64:
 
 def _probes(gaussians: Gaussians) -> Float64:
     """Some of its Gaussians, large and opaque ones more likely: they fill more of a picture."""
-    areas = torch.topk(gaussians.log_scales, 2, dim=1).values.sum(dim=1).exp()
-    weights = (areas * torch.sigmoid(gaussians.logit_opacities)).double().numpy()
-    weights = np.minimum(weights, np.quantile(weights, 0.99))
-    shares, count = weights / weights.sum(), min(PROBES, int((weights > 0).sum()))
+    areas = torch.topk(gaussians.log_scales.double(), 2, dim=1).values.sum(dim=1)
+    opacities = torch.nn.functional.logsigmoid(gaussians.logit_opacities.double())
+    logs = (areas + opacities).numpy()  # the weights themselves may be 0 or no numbers
+    means: Float64 = gaussians.means.numpy().astype(np.float64)
+    good = np.isfinite(logs) & (np.abs(means) < FARTHEST).all(axis=1)
+    logs, means = logs[good], means[good]
+    if not len(means):
+        return means
+    weights = np.exp(np.clip(logs - np.quantile(logs, 0.99), LEAST_WEIGHT, 0.0))
+    shares, count = weights / weights.sum(), min(PROBES, len(weights))
     chosen = np.random.default_rng(0).choice(len(shares), count, replace=False, p=shares)
-    return gaussians.means.numpy()[np.sort(chosen)].astype(np.float64)
+    found: Float64 = means[np.sort(chosen)]
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,13 @@ from pathlib import Path
 from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError
-from ..formats.files import own_folder, sha256
+from ..formats.files import atomic_write, own_folder, remove_leftovers
 from ..formats.made_masks import made_masks, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..photos.mask_files import MaskFiles
-from ..photos.masks import read_mask, write_mask
+from ..photos.masks import mask_png, read_mask
 from .propagate import Knowledge, make_masks
 from .views import Mask, View, in_photo, part_around, view_of
 
@@ -49,19 +50,17 @@ class BoxMasks:
             RunFolderError: a mask cannot be written.
             Stopped: on request; no mask has changed then.
         """
+        remove_leftovers(self.folder)
         made = made_masks(self.folder)
         views = self._views(made, context)
         found = make_masks(views, knowledge, self.roi.centre, context)
-        names = []
+        files = {}
         for view in views:
-            if view.given is not None:
-                continue
-            photo = self.photos[view.name]
-            mask = photo.in_file(in_photo(found[view.name], view.part, photo.camera))
-            made[mask_name(view.name)] = self._write(view.name, mask)
-            names.append(mask_name(view.name))
-        record_masks(self.folder, made)
-        return names
+            if view.given is None:
+                photo = self.photos[view.name]
+                mask = photo.in_file(in_photo(found[view.name], view.part, photo.camera))
+                files[mask_name(view.name)] = mask_png(mask)
+        return self._write(files)
 
     def _views(self, made: Mapping[str, str], context: Context) -> list[View]:
         """The photos that show the box, with their strokes and a person's masks."""
@@ -89,12 +88,21 @@ class BoxMasks:
             return None
         return photo.of_file(read_mask(file, photo.size))
 
-    def _write(self, photo: str, mask: Mask) -> str:
-        """Write a mask; returns the SHA-256 of its file."""
-        parts = Path(mask_name(photo)).parts
-        path = own_folder(self.folder, *parts[:-1]) / parts[-1]
-        write_mask(path, mask)
-        return sha256(path)
+    def _write(self, files: Mapping[str, bytes]) -> list[str]:
+        """Write masks by their names, but not over a person's; returns the names.
+
+        The record comes first: masks of a process that is killed here are known to be made.
+        """
+        made = made_masks(self.folder)  # a person may have changed some meanwhile
+        paths = {name: own_folder(self.folder, *Path(name).parts[:-1]) for name in files}
+        names = [name for name in files if name in made or not (self.folder / name).is_file()]
+        digests = {name: hashlib.sha256(files[name]).hexdigest() for name in names}
+        record_masks(self.folder, made, digests)
+        for name in names:
+            with atomic_write(paths[name] / Path(name).name, durable=False) as file:
+                file.write(files[name])
+        record_masks(self.folder, made | digests)
+        return names
 
 
 def masked_photos(

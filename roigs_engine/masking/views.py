@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..formats.scribbles import OBJECT, Stroke
+from ..formats.scribbles import MOST, OBJECT, Stroke
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64
 from .opencv import opencv
@@ -22,6 +22,7 @@ Seeds = NDArray[np.uint8]
 
 SIDE = 640  # longest side of the part that is worked on, pixels
 MARGIN = 0.15  # around the box's silhouette, in its size
+MOST_WIDTH = 32767  # of a line, pixels: OpenCV draws no wider one
 SMOOTHING = 4, 20  # of fine texture: pixels, and levels of colour
 FREE, ON_OBJECT, ON_BACKGROUND = 0, 1, 2
 """Values of seeds."""
@@ -167,13 +168,23 @@ def draw_strokes(photo: PhotoPixels, part: Part, strokes: tuple[Stroke, ...]) ->
         places, unit = photo.to_camera(stroke.points)
         local = (places - (part.x, part.y)) * part.scale - 0.5  # OpenCV: centres at integers
         shift = 4
-        corners = np.round(local * (1 << shift)).astype(np.int32)
-        if len(corners) == 1:
-            corners = np.repeat(corners, 2, axis=0)
-        width = max(1, round(stroke.width * unit * part.scale))
+        lines = [
+            np.round(line * (1 << shift)).astype(np.int32) for line in _pieces(local) if len(line)
+        ]
+        width = min(MOST_WIDTH, max(1, round(stroke.width * unit * part.scale)))
         value = ON_OBJECT if stroke.kind == OBJECT else ON_BACKGROUND
-        cv2.polylines(seeds, [corners], False, value, width, cv2.LINE_8, shift)
+        if lines:
+            cv2.polylines(seeds, lines, False, value, width, cv2.LINE_8, shift)
     return seeds
+
+
+def _pieces(places: Float64) -> list[Float64]:
+    """The pieces of a line (N, 2) between places that the lens cannot show."""
+    with np.errstate(invalid="ignore"):
+        lost = np.flatnonzero(~(np.abs(places) < MOST).all(axis=1))
+    pieces = np.split(places, np.unique([*lost, *(lost + 1)]).astype(int))
+    shown = [piece for piece in pieces if (np.abs(piece) < MOST).all()]
+    return [np.repeat(piece, 2, axis=0) if len(piece) == 1 else piece for piece in shown]
 
 
 def in_photo(mask: Mask, part: Part, camera: Camera) -> Mask:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor
 
 from ..errors import RoiError
@@ -50,13 +49,4 @@ def merge(
     parts = [scene.rows(owned(scene, rois) == -1)]
     for index, (_, model) in enumerate(objects):
         parts.append(model.rows(owned(model, rois) == index))
-    bands = max(part.sh.shape[1] for part in parts)
-    return Gaussians.concatenate([_adapted(part, bands, scene.means.device) for part in parts])
-
-
-def _adapted(part: Gaussians, bands: int, device: torch.device) -> Gaussians:
-    """The same Gaussians with `bands` SH coefficients, on `device`."""
-    tensors = {name: tensor.to(device) for name, tensor in part.tensors().items()}
-    padding = tensors["sh"].new_zeros(len(part), bands - part.sh.shape[1], 3)
-    tensors["sh"] = torch.cat([tensors["sh"], padding], dim=1)
-    return Gaussians(**tensors)
+    return Gaussians.concatenate([part.to(scene.means.device) for part in parts])

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn import functional
 
 from ..formats.splat_ply import Floats, read_ply, write_ply
 from .local_frame import LocalFrame
@@ -70,10 +71,14 @@ class Gaussians:
 
     @staticmethod
     def concatenate(parts: list[Gaussians]) -> Gaussians:
-        """The parts in one model, in their order."""
-        return Gaussians(
-            **{name: torch.cat([getattr(p, name).detach() for p in parts]) for name in NAMES}
-        )
+        """The parts in one model, in their order; zeros stand for SH bands that a part lacks."""
+        columns = {name: [getattr(p, name).detach() for p in parts] for name in NAMES}
+        bands = max(sh.shape[1] for sh in columns["sh"])
+        columns["sh"] = [
+            sh if sh.shape[1] == bands else functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
+            for sh in columns["sh"]
+        ]
+        return Gaussians(**{name: torch.cat(column) for name, column in columns.items()})
 
     @classmethod
     def from_points(

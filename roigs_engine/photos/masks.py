@@ -8,6 +8,7 @@ pixel of a resampled mask of an object shows the object if half of it does.
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -96,10 +97,17 @@ def resized(mask: Mask, size: tuple[int, int], least: int = ALL) -> Mask:
     return enough
 
 
+def mask_png(mask: Mask) -> bytes:
+    """The file of a mask: a PNG of one bit."""
+    file = io.BytesIO()
+    Image.fromarray(mask).save(file, format="PNG")
+    return file.getvalue()
+
+
 def write_mask(path: Path, mask: Mask) -> None:
     """Write a mask as a PNG of one bit; RunFolderError if it cannot be written."""
     with atomic_write(path, durable=False) as file:
-        Image.fromarray(mask).save(file, format="PNG")
+        file.write(mask_png(mask))
 
 
 def load_mask(image: PosedImage) -> Mask | None:

@@ -8,11 +8,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from ..errors import RunFolderError
 from ..formats import run_files
-from ..formats.files import own_folder
+from ..formats.files import matching, own_folder, read_json, write_json
 from ..formats.text import json_digest
 from .archive import move
 
@@ -78,6 +80,31 @@ def rename_results(home: Path, renamed: dict[str, str]) -> None:
     for old, new in renamed.items():
         for form in RESULTS:
             _rename(home / form.format(old), home / form.format(new))
+        _rename_levels(home, old, new)
+
+
+def _rename_levels(home: Path, old: str, new: str) -> None:
+    """Rename a box in the levels of detail; raises as `rename_stages`."""
+    levels = own_folder(home, run_files.LEVELS)
+    was, now = (f"{run_files.FINE}/{name}.ply" for name in (old, new))
+
+    def renamed(record: Any) -> Any:
+        if isinstance(record, list):
+            return [renamed(value) for value in record]
+        if isinstance(record, dict):
+            named = {renamed(key): renamed(value) for key, value in record.items()}
+            return named | {"box": new} if named.get("box") == old else named
+        is_file = isinstance(record, str) and f"/{record}".endswith(f"/{was}")
+        return record.removesuffix(was) + now if is_file else record
+
+    for level in matching(levels, "*/"):
+        folder = own_folder(levels, level.name, run_files.FINE)
+        _rename(folder / f"{old}.ply", folder / f"{new}.ply")
+    for path in (home / run_files.LEVELS_FILE, levels / run_files.LEVELS_MADE):
+        with suppress(RunFolderError):  # there is none, or it is damaged and `levels` replaces it
+            record = read_json(path)
+            if renamed(record) != record:
+                write_json(path, renamed(record))
 
 
 def _rename(source: Path, target: Path) -> None:

@@ -464,9 +464,9 @@ FAMILIES: dict[str, tuple[Family, int]] = {
 
 def all_families() -> dict[str, tuple[Family, int]]:
     """All families of all files."""
-    from tests.fuzz import exchange, masks, run_folders, texts, user_input
+    from tests.fuzz import exchange, levels_and_scribbles, masks, run_folders, texts, user_input
 
-    others = (run_folders, user_input, texts, exchange, masks)
+    others = (run_folders, user_input, texts, exchange, masks, levels_and_scribbles)
     return functools.reduce(operator.or_, (room.FAMILIES for room in others), FAMILIES)
 
 

@@ -34,7 +34,8 @@ CONTROLS = re.compile(r"[\x00-\x09\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202e]"
 HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.Image", "tqdm",
          "sklearn.cluster",
          "roigs_engine.run.folder", "roigs_engine.evaluation.crops",
-         "roigs_engine.rasterize.view")  # fmt: skip
+         "roigs_engine.rasterize.view", "roigs_engine.levels.make",
+         "roigs_engine.masking.box_masks")  # fmt: skip
 FORMATS = ("gsply.spz", "imagecodecs", "pygltflib", "zstandard")
 
 

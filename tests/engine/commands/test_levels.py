@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,50 @@ def test_bad_input_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) ->
     (run / "levels/1").rename(run.parent / "elsewhere")
     (run / "levels/1").symlink_to(run.parent / "elsewhere")
     assert "link" in refused(capsys, *words(run))
+
+
+@pytest.mark.parametrize("settings", ["[1]", "5", "null", '{"scene": 5}', '{"scene": ""}'])
+def test_damaged_settings_are_one_line(
+    run: Path, capsys: pytest.CaptureFixture[str], settings: str
+) -> None:
+    (run / "settings.json").write_text(settings)
+    assert "is not where it was" in refused(capsys, *words(run))
+
+
+@pytest.mark.parametrize("sizes", [[5], 5, ["0x0"], ["-3x4"], ["9" * 30], ["axb"]])
+def test_damaged_sizes_of_photos_do_not_matter(run: Path, sizes: object) -> None:
+    (run / "manifest.json").write_text(json.dumps({"sizes": sizes}))
+    settings = json.loads((run / "settings.json").read_text())
+    (run / "settings.json").write_text(json.dumps(settings | {"images": sizes}))
+    assert main(words(run)) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("logit_opacities", -200), ("log_scales", -80), ("log_scales", 60)]
+)
+def test_gaussians_that_are_hardly_there(run: Path, name: str, value: float) -> None:
+    model = Gaussians.load_ply(run / "rois/thing.ply")
+    model.tensors()[name].fill_(value)
+    model.save_ply(run / "rois/thing.ply")
+    assert main(words(run)) == 0
+
+
+def test_a_damaged_level_is_made_again(run: Path) -> None:
+    assert main(words(run)) == 0
+    level = run / "levels/1/rois/thing.ply"
+    good = level.read_bytes()
+    level.write_bytes(good[:-9])
+    assert main(words(run)) == 0
+    assert level.read_bytes() == good
+
+
+def test_parts_with_other_numbers_of_sh_bands_are_drawn(run: Path, tmp_path: Path) -> None:
+    thing = Gaussians.load_ply(run / "rois/thing.ply")
+    replace(thing, sh=thing.sh[:, :1].clone()).save_ply(run / "rois/thing.ply")
+    thing.save_ply(run / "result.ply")
+    assert main(words(run)) == 0
+    line = ["render", str(run / "result.ply"), "--scene", str(run.parent / "scene"), "--levels"]
+    assert main([*line, "--device", "cpu", "--out", str(tmp_path / "out")]) == 0
 
 
 def test_render_draws_what_a_view_needs(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,19 @@ def test_it_reads_what_it_wrote(tmp_path: Path) -> None:
         '"farther": -1.0',
         '"gaussians": "many"',
         '"levels": 3',
+        '"ply": ""',
+        '"ply": "rois"',
+        '"ply": "a\\u0000.ply"',
+        '"ply": "\\ud800.ply"',
+        '"rate": 1e300',
+        '"box": 5',
+        '"box": "vase"',  # it is there twice
+        '"farther": 1e300',
+        '"farther": "x"',
     ],
 )
 def test_damage_is_one_line(tmp_path: Path, damage: str) -> None:
-    write_ladders(tmp_path, [ladder(1.5)], {})
+    write_ladders(tmp_path, [ladder(1.5), ladder(box="other")], {})
     path = tmp_path / "levels.json"
     name = damage.split(":")[0]
     lines = path.read_text().splitlines()
@@ -65,6 +75,24 @@ def test_damage_is_one_line(tmp_path: Path, damage: str) -> None:
         text = "\n".join(lines)
     path.write_text(text)
     with pytest.raises(RunFolderError):
+        read_ladders(tmp_path)
+
+
+def test_levels_that_begin_too_near_each_other_are_refused(tmp_path: Path) -> None:
+    write_ladders(tmp_path, [ladder(2.0, 2.1)], {})
+    with pytest.raises(RunFolderError, match="farther must grow"):
+        read_ladders(tmp_path)
+
+
+@pytest.mark.parametrize("probe", [float("nan"), 1e200])
+def test_a_list_without_parts_or_with_places_that_are_none_is_refused(
+    tmp_path: Path, probe: float
+) -> None:
+    write_ladders(tmp_path, [], {})
+    with pytest.raises(RunFolderError, match="no part"):
+        read_ladders(tmp_path)
+    write_ladders(tmp_path, [replace(ladder(), probes=np.full((1, 3), probe))], {})
+    with pytest.raises(RunFolderError, match="probes"):
         read_ladders(tmp_path)
 
 

@@ -206,6 +206,25 @@ def test_few_photos_are_all_trained_on(part: Part) -> None:
     assert training_views([alone]).held
 
 
+def test_a_part_that_no_photo_shows_is_drawn_whole(run: Path) -> None:
+    cloud(600, 3, shift=1e5).save_ply(run / "rois/pin.ply")
+    make_levels(run, around(16), LocalFrame.world(), levels=2, steps=3)
+    assert [level.ply for level in read_ladders(run)["pin"].levels] == ["rois/pin.ply"]
+
+
+@pytest.mark.parametrize("value", [float("nan"), 1e30])
+def test_gaussians_without_a_place_are_no_probes(run: Path, value: float) -> None:
+    broken = cloud(100, 3)
+    for tensor in broken.tensors().values():
+        tensor[:50] = value
+    broken.save_ply(run / "rois/pin.ply")
+    for tensor in broken.tensors().values():
+        tensor[:] = value
+    broken.save_ply(run / "rois/lost.ply")
+    make_levels(run, around(16), LocalFrame.world(), levels=2, steps=3)
+    assert set(read_ladders(run)) == {"", "pin", "vase"}
+
+
 def test_a_small_part_has_fewer_levels(run: Path) -> None:
     cloud(150, 3).save_ply(run / "rois/pin.ply")
     ladders = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,11 @@ from .scenes import BOX, BallScene, ball_scene, iou, strokes
 
 pytest.importorskip("cv2")
 
+from roigs_engine.masking import box_masks
 from roigs_engine.masking.box_masks import BoxMasks, masked_photos
 from roigs_engine.masking.gaussian_votes import GaussianVotes
 from roigs_engine.masking.point_votes import PointVotes
+from roigs_engine.masking.views import _pieces
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +130,60 @@ def test_a_stop_changes_no_mask(ball: BallScene, tmp_path: Path) -> None:
     with pytest.raises(Stopped):
         work(ball, tmp_path, drawn).make(votes(ball), Context(should_stop=stop))
     assert not list(tmp_path.iterdir())
+
+
+def test_masks_of_a_killed_process_are_made_again(
+    ball: BallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, write = [], box_masks.atomic_write
+
+    def killed(path: Path, **options: bool) -> Any:
+        written.append(path)
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        return write(path, **options)
+
+    monkeypatch.setattr(box_masks, "atomic_write", killed)
+    with pytest.raises(KeyboardInterrupt):
+        work(ball, tmp_path / "masks", {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
+    monkeypatch.undo()
+    half = tmp_path / "masks/.5.png.png.1-00000000.part"
+    half.write_bytes(b"")
+    assert set(made_masks(tmp_path / "masks")) == {path.name for path in written[:2]}
+    again = work(ball, tmp_path / "masks", {"0.png": strokes(ball.true["0.png"])}).make(votes(ball))
+    assert len(again) == len(ball.photos) and not half.exists()
+
+
+def test_a_mask_that_a_person_saves_meanwhile_stays(ball: BallScene, tmp_path: Path) -> None:
+    folder = tmp_path / "masks"
+    making = work(ball, folder, {"0.png": strokes(ball.true["0.png"])})
+    making.make(votes(ball))
+    own = np.zeros((120, 160), dtype=bool)
+    calls = iter(range(1000))
+
+    def stop() -> bool:
+        if next(calls) == 5:
+            Image.fromarray(own).save(folder / "1.png.png")
+        return False
+
+    assert "1.png.png" not in making.make(votes(ball), Context(should_stop=stop))
+    assert not np.asarray(Image.open(folder / "1.png.png")).any()
+
+
+@pytest.mark.parametrize("width", [1e-300, 4e4, 9e5])
+def test_strokes_may_have_any_width_and_place(
+    ball: BallScene, tmp_path: Path, width: float
+) -> None:
+    far = Stroke(kind=BACKGROUND, width=width, points=np.array([[-9e5, 9e5], [-8e5, 9e5]]))
+    making = work(ball, tmp_path / "masks", {"0.png": (far, *strokes(ball.true["0.png"]))})
+    assert len(making.make(votes(ball))) == len(ball.photos)
+
+
+def test_places_that_the_lens_cannot_show_are_left_out() -> None:
+    lost, shown = [np.nan, 0.0], [[1.0, 2.0], [3.0, 4.0]]
+    line = np.array([lost, shown[0], lost, lost, *shown, [1e300, 0.0], shown[1]])
+    pieces = [piece.tolist() for piece in _pieces(line) if len(piece)]
+    assert pieces == [[shown[0]] * 2, shown, [shown[1]] * 2]
 
 
 def test_nothing_is_made_without_strokes_on_the_box(ball: BallScene, tmp_path: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Message, StageStarted
-from roigs_engine.formats.files import read_json
+from roigs_engine.formats.files import read_json, write_json
+from roigs_engine.formats.levels import Ladder, Level, read_ladders, write_ladders
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.renaming import renamed_boxes, with_names
 from tests.engine.run.test_update import SECOND, production
@@ -54,6 +56,27 @@ def test_archived_stages_follow(scene: SfmScene, tmp_path: Path) -> None:
     assert (tmp_path / "rois" / "pot.ply").is_file() and not (
         tmp_path / "rois" / "thing.ply"
     ).exists()
+
+
+def test_levels_of_detail_follow(scene: SfmScene, tmp_path: Path) -> None:
+    train(tmp_path, scene, [BOX], production("joint"))
+    files = ("rois/thing.ply", "levels/1/rois/thing.ply")
+    (tmp_path / "levels/1/rois").mkdir(parents=True)
+    (tmp_path / files[1]).write_bytes((tmp_path / files[0]).read_bytes())
+    levels = [
+        Level(ply=ply, gaussians=9, farther=farther, measured={})
+        for ply, farther in zip(files, (0.0, 2.0), strict=True)
+    ]
+    probes = np.zeros((1, 3))
+    write_ladders(
+        tmp_path, [Ladder(box="thing", rate=9.0, probes=probes, levels=tuple(levels))], {}
+    )
+    write_json(tmp_path / "levels/made.json", {files[1]: "5"})
+    train(tmp_path, scene, [NAMED], production("joint"), update=True)
+    ladder = read_ladders(tmp_path)["pot"]
+    assert [level.ply for level in ladder.levels] == ["rois/pot.ply", "levels/1/rois/pot.ply"]
+    assert all((tmp_path / level.ply).is_file() for level in ladder.levels)
+    assert read_json(tmp_path / "levels/made.json") == {"levels/1/rois/pot.ply": "5"}
 
 
 def manifest(**boxes: float) -> dict:
