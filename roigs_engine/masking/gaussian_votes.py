@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..context import QUIET, Context
@@ -84,7 +85,7 @@ class GaussianVotes:
         return heard * yes, heard * no
 
     @torch.no_grad()
-    def _shown(self, view: View, groups: Tensor) -> np.ndarray:
+    def _shown(self, view: View, groups: Tensor) -> NDArray[np.float32]:
         """(3, H, W) the share that each of three groups, (3, N) bool, has in each pixel."""
         model = self._model
         colours = (groups.T.to(model.means) - 0.5) / SH_C0
@@ -92,4 +93,5 @@ class GaussianVotes:
         output = rasterize_view(
             painted, view.camera, view.world_to_camera, max_slope=MAX_SLOPE, background=None
         )
-        return output.image[0].clamp(0, 1).permute(2, 0, 1).cpu().numpy()
+        shown: NDArray[np.float32] = output.image[0].clamp(0, 1).permute(2, 0, 1).cpu().numpy()
+        return shown

@@ -132,7 +132,7 @@ def _by_neighbours(places: Float64, labels: Float64, view: View) -> Numbers:
 
 
 def _bins(view: View) -> tuple[NDArray[np.uint8], ...]:
-    level = view.smooth // (256 // LEVELS)
+    level: NDArray[np.uint8] = view.smooth // np.uint8(256 // LEVELS)
     return level[..., 0], level[..., 1], level[..., 2]
 
 

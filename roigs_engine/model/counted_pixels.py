@@ -41,4 +41,5 @@ def _small(mask: PhotoMask, camera: Camera) -> NDArray[np.uint8]:
     # The mask is of the photo's full size, the camera may be that of a smaller copy.
     rows = np.arange(camera.height) * mask.small.shape[0] // camera.height
     columns = np.arange(camera.width) * mask.small.shape[1] // camera.width
-    return mask.small[np.ix_(rows, columns)]
+    small: NDArray[np.uint8] = mask.small[np.ix_(rows, columns)]
+    return small

@@ -100,7 +100,8 @@ class Cutouts:
                 self._pairs.append((photo, box))
                 shares.append(float(found[1].mean()))
                 packed = zlib.compress(np.packbits(np.stack(found)).tobytes(), 1)
-                self._pixels.append((packed, found[0].shape))
+                height, width = found[0].shape
+                self._pixels.append((packed, (height, width)))
         self._weight = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         others = [k for k in range(len(self._pairs)) if k not in set(masked)]
         first, second = others or masked, masked or others
