@@ -206,6 +206,13 @@ def test_few_photos_are_all_trained_on(part: Part) -> None:
     assert training_views([alone]).held
 
 
+def test_a_file_that_is_of_no_box_is_no_part(run: Path) -> None:
+    cloud(600, 3).save_ply(run / "rois/vase copy.ply")
+    (run / "manifest.json").write_text('{"rois": [{"name": "vase"}]}')
+    parts = parts_of_run(run, around(4), LocalFrame.world())
+    assert [part.box for part in parts] == ["", "vase"]
+
+
 def test_a_part_that_no_photo_shows_is_drawn_whole(run: Path) -> None:
     cloud(600, 3, shift=1e5).save_ply(run / "rois/pin.ply")
     make_levels(run, around(16), LocalFrame.world(), levels=2, steps=3)
