@@ -67,6 +67,11 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
     }
     if not files[""].is_file():
         raise RunFolderError(f"{folder} has no result.", "Train first, or give a run folder.")
+    if lost := sorted((boxes or set()) - set(files)):
+        raise RunFolderError(
+            f"{folder / run_files.FINE} has no {lost[0]}.ply.",
+            "Give the command that trained the run again: it writes the file.",
+        )
     parts = []
     for box, path in sorted(files.items()):
         gaussians = Gaussians.load_ply(path, frame)
