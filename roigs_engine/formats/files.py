@@ -65,16 +65,22 @@ def own_folder(root: Path, *names: str) -> Path:
         names: folders below it; each may hold `/`.
 
     Raises:
-        RunFolderError: one of them below `root` is a link, or no folder.
+        RunFolderError: one of them below `root` is a link, or one is no folder.
     """
     folder = Path(root)
+    _refuse_no_folder(folder)
     for name in Path(*names).parts:
         folder /= name
         if is_link(folder):
             raise _linked(folder)
-        if os.path.exists(folder) and not os.path.isdir(folder):
-            raise cannot_write(folder, OSError(errno.ENOTDIR, "Not a folder"))
+        _refuse_no_folder(folder)
     return folder
+
+
+def _refuse_no_folder(folder: Path) -> None:
+    """Raise RunFolderError if something else has the folder's name."""
+    if os.path.exists(folder) and not os.path.isdir(folder):
+        raise cannot_write(folder, OSError(errno.ENOTDIR, "Not a folder"))
 
 
 def refuse_linked_folders(root: Path) -> None:

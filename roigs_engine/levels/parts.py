@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 
 from ..errors import RunFolderError
 from ..formats import run_files
-from ..formats.files import matching
+from ..formats.files import matching, read_json
 from ..formats.levels import rate_in_view
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
@@ -58,9 +59,19 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
         RunFolderError: there is no result, or a file is damaged.
     """
     files = {"": folder / run_files.BACKGROUND}
-    files |= {path.stem: path for path in matching(folder / run_files.FINE, "*.ply")}
+    boxes = _boxes(folder)
+    files |= {
+        path.stem: path
+        for path in matching(folder / run_files.FINE, "*.ply")
+        if boxes is None or path.stem in boxes
+    }
     if not files[""].is_file():
         raise RunFolderError(f"{folder} has no result.", "Train first, or give a run folder.")
+    if lost := sorted((boxes or set()) - set(files)):
+        raise RunFolderError(
+            f"{folder / run_files.FINE} has no {lost[0]}.ply.",
+            "Give the command that trained the run again: it writes the file.",
+        )
     parts = []
     for box, path in sorted(files.items()):
         gaussians = Gaussians.load_ply(path, frame)
@@ -73,6 +84,13 @@ def parts_of_run(folder: Path, images: Sequence[PosedImage], frame: LocalFrame) 
         ply = path.relative_to(folder).as_posix()
         parts.append(Part(box=box, ply=ply, gaussians=gaussians, probes=probes, rate=rate))
     return parts
+
+
+def _boxes(folder: Path) -> set[str] | None:
+    """The names of a run's boxes; None: not known."""
+    with suppress(RunFolderError, KeyError, TypeError):
+        return {str(roi["name"]) for roi in read_json(folder / run_files.MANIFEST)["rois"]}
+    return None
 
 
 def rate_of(probes: Float64, view: View) -> float:

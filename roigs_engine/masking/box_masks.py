@@ -13,6 +13,7 @@ from ..errors import ConfigError
 from ..formats.files import atomic_write, own_folder, remove_leftovers
 from ..formats.made_masks import made_masks, mask_name, record_masks
 from ..formats.scribbles import Stroke
+from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..photos.mask_files import MaskFiles
@@ -20,6 +21,7 @@ from ..photos.masks import mask_png, read_mask
 from .propagate import Knowledge, make_masks
 from .views import Mask, View, in_photo, part_around, view_of
 
+NAMED = 3  # photos that a warning names
 LEAST_PHOTOS = 6  # the scribbled one and five more
 
 
@@ -45,7 +47,7 @@ class BoxMasks:
         """Make and write the masks; returns the names of their files. A person's masks stay.
 
         Raises:
-            ConfigError: no photo with strokes shows the box.
+            ConfigError: no photo with strokes shows the box, or none is on the object.
             PhotoError, MaskError: a photo, or a person's mask, cannot be used.
             RunFolderError: a mask cannot be written.
             Stopped: on request; no mask has changed then.
@@ -54,12 +56,20 @@ class BoxMasks:
         made = made_masks(self.folder)
         views = self._views(made, context)
         found = make_masks(views, knowledge, self.roi.centre, context)
-        files = {}
+        files, empty = {}, []
         for view in views:
             if view.given is None:
                 photo = self.photos[view.name]
                 mask = photo.in_file(in_photo(found[view.name], view.part, photo.camera))
                 files[mask_name(view.name)] = mask_png(mask)
+                if not mask.any():
+                    empty.append(view.name)
+        if empty:
+            context.warn(
+                f"Box '{self.roi.name}': {counted(len(empty), 'mask')} came out empty:"
+                f" {', '.join(empty[:NAMED])}{', …' if len(empty) > NAMED else ''}."
+                " Draw on the object there, if the photo shows it."
+            )
         return self._write(files)
 
     def _views(self, made: Mapping[str, str], context: Context) -> list[View]:
@@ -78,6 +88,11 @@ class BoxMasks:
             raise ConfigError(
                 f"No stroke lies on box '{self.roi.name}' in a photo.",
                 "Draw on the object, and around it, in a photo that shows the box.",
+            )
+        if not any(view.shows_object for view in views):
+            raise ConfigError(
+                f"Nothing says where the object of box '{self.roi.name}' is.",
+                "Draw a stroke on the object in a photo that shows it.",
             )
         return views
 

@@ -97,6 +97,13 @@ class View:
         """Whether there are strokes on it."""
         return bool(self.seeds.any())
 
+    @property
+    def shows_object(self) -> bool:
+        """Whether a stroke or the user's mask says that the object is here."""
+        return bool((self.seeds == ON_OBJECT).any()) or bool(
+            self.given is not None and self.given.any()
+        )
+
 
 def part_around(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> Part | None:
     """The part of a photo around a box; None if the photo does not show it."""

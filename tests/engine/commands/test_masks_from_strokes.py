@@ -95,3 +95,6 @@ def test_what_cannot_be_done_is_one_line(
     assert main(words(scene, out, "--model", str(tmp_path / "far.ply"))) == 2
     assert "no Gaussian in box 'thing'" in capsys.readouterr().err
     assert not out.exists()
+    out.write_text("no folder")
+    line = refused(capsys, *words(scene, out, "--model", str(tmp_path / "model.ply")))
+    assert f"Cannot write {out} (Not a folder)" in line

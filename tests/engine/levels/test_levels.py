@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from roigs_engine.context import Context
-from roigs_engine.errors import Stopped
+from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.levels import FADE, read_ladders
 from roigs_engine.levels.ladder import contributions, make_level
 from roigs_engine.levels.make import make_levels, training_views
@@ -204,6 +204,19 @@ def test_few_photos_are_all_trained_on(part: Part) -> None:
     assert held <= own and not held & {pose.tobytes() for _, pose in many.train}
     (alone,) = around(1)
     assert training_views([alone]).held
+
+
+def test_a_file_that_is_of_no_box_is_no_part(run: Path) -> None:
+    cloud(600, 3).save_ply(run / "rois/vase copy.ply")
+    (run / "manifest.json").write_text('{"rois": [{"name": "vase"}]}')
+    parts = parts_of_run(run, around(4), LocalFrame.world())
+    assert [part.box for part in parts] == ["", "vase"]
+
+
+def test_a_run_that_lacks_a_box_has_no_levels(run: Path) -> None:
+    (run / "manifest.json").write_text('{"rois": [{"name": "vase"}, {"name": "pot"}]}')
+    with pytest.raises(RunFolderError, match=r"rois has no pot\.ply"):
+        make_levels(run, around(4), LocalFrame.world(), levels=2, steps=1)
 
 
 def test_a_part_that_no_photo_shows_is_drawn_whole(run: Path) -> None:

@@ -13,6 +13,7 @@ from PIL import Image
 
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, EngineError, Stopped
+from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.made_masks import MADE, made_masks
 from roigs_engine.formats.scribbles import BACKGROUND, OBJECT, Stroke
 
@@ -189,6 +190,24 @@ def test_places_that_the_lens_cannot_show_are_left_out() -> None:
 def test_nothing_is_made_without_strokes_on_the_box(ball: BallScene, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No stroke lies on box 'ball'"):
         work(ball, tmp_path, {}).make(votes(ball))
+
+
+def test_strokes_around_the_object_alone_are_refused(ball: BallScene, tmp_path: Path) -> None:
+    around = tuple(s for s in strokes(ball.true["0.png"]) if s.kind == BACKGROUND)
+    making = work(ball, tmp_path / "masks", {"0.png": around})
+    with pytest.raises(ConfigError, match="Nothing says where the object of box 'ball' is"):
+        making.make(votes(ball))
+    assert not (tmp_path / "masks").exists()
+
+
+def test_empty_masks_are_warned_of(ball: BallScene, tmp_path: Path) -> None:
+    other = Stroke(kind=BACKGROUND, width=400, points=np.array([[80.0, 60.0]]))
+    drawn = {"0.png": strokes(ball.true["0.png"]), "3.png": (other,)}
+    events: list[Event] = []
+    making = work(ball, tmp_path / "masks", drawn)
+    making.make(votes(ball), Context(emit=events.append))
+    said = [event.text for event in events if isinstance(event, Message)]
+    assert any("1 mask came out empty: 3.png. Draw on the object there" in text for text in said)
 
 
 def test_without_opencv_one_line_says_what_to_install(
