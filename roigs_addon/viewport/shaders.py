@@ -54,7 +54,7 @@ def splat_shader(depth: bool) -> Shader:
     info.fragment_out(0, "VEC4", "colour")
     info.vertex_source(text("splat.vert.glsl"))
     info.fragment_source(text("splat.frag.glsl"))
-    return gpu.shader.create_from_info(info)
+    return _made(info)
 
 
 def composite_shader() -> Shader:
@@ -70,7 +70,7 @@ def composite_shader() -> Shader:
     info.fragment_out(0, "VEC4", "colour")
     info.vertex_source(text("composite.vert.glsl"))
     info.fragment_source(text("composite.frag.glsl"))
-    return gpu.shader.create_from_info(info)
+    return _made(info)
 
 
 def point_shader() -> Shader:
@@ -88,4 +88,15 @@ def point_shader() -> Shader:
     info.fragment_out(0, "VEC4", "colour")
     info.vertex_source(text("point.vert.glsl"))
     info.fragment_source(text("point.frag.glsl"))
-    return gpu.shader.create_from_info(info)
+    return _made(info)
+
+
+def _made(info: gpu.types.GPUShaderCreateInfo) -> Shader:
+    """The program, after which another one is in use.
+
+    Blender takes a program for the one in use if it lies where that lay, even when that was freed:
+    then it would draw with the old one.
+    """
+    made = gpu.shader.create_from_info(info)
+    gpu.shader.from_builtin("UNIFORM_COLOR").bind()
+    return made

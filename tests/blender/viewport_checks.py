@@ -28,6 +28,7 @@ from roigs_addon.viewport import painter as drawing
 from roigs_addon.viewport.objects import marked, splat_objects
 from roigs_addon.viewport.painter import Painter
 from roigs_addon.viewport.view import View
+from roigs_engine.formats.levels import FADE
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.levels_cases import make_levels
 from tests.addon.splat_cases import recoloured
@@ -328,6 +329,10 @@ def check_freed(a: bpy.types.Object, _b: bpy.types.Object) -> None:
     assert (seen(a) == before).all()
     draw.painter().forget()
     assert (seen(a) == before).all()
+    # Blender once drew with a program that was gone, when the new one lay where that had lain.
+    first = glance(a, 1.0, Painter(), wait=True)
+    for _ in range(12):
+        assert (glance(a, 1.0, Painter(), wait=True) == first).all()
 
 
 def levelled() -> bpy.types.Object:
@@ -378,7 +383,7 @@ def check_levels(_a: bpy.types.Object, _b: bpy.types.Object) -> None:
         assert psnr(got, full[size]) < 40, psnr(got, full[size])
         bpy.data.objects.remove(alone)
     # Both are there in the middle of a fade; beside a switch, little changes.
-    middle, sizes = glance(item, 0.5 / 1.2**0.5, painter, wait=True), (0.5001, 0.4999)
+    middle, sizes = glance(item, 0.5 / FADE**0.5, painter, wait=True), (0.5001, 0.4999)
     assert painter.counts[0] == (900, 600)
     assert 0.9 < middle[..., 3].max() <= 1
     before, after = (glance(item, size, painter, wait=True) for size in sizes)
