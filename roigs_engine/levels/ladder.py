@@ -22,6 +22,10 @@ from .parts import Part, View
 from .teacher import BLACK, WHITE, TeacherPictures, views_at
 
 STEPS = 500
+SHARE = 0.5
+"""A part is trained for longer if less than this share of the views shows a Gaussian, mean."""
+LONGEST = 4.0  # times as long
+FAINTEST = 1 / 255  # blending weight with which a view shows a Gaussian
 LEAST = 64  # Gaussians of a level
 
 
@@ -54,7 +58,7 @@ def make_level(
         start: the level before, or the whole.
         views: that show the part.
         level: from 1.
-        steps: to train for.
+        steps: to train for, if `SHARE` of the views show each Gaussian; more if fewer do.
         context: gives the device; receives progress.
 
     Raises:
@@ -64,7 +68,8 @@ def make_level(
     small = views_at(part, views, coarser)
     if not small:
         return None
-    weights = contributions(start, small, context)
+    weights, share = contributions(start, small, context)
+    steps = round(steps * min(max(SHARE / max(share, 1e-6), 1.0), LONGEST))
     kept = weights.topk(min(count_at(level, len(part.gaussians)), len(start))).indices.sort().values
     device = torch.device(context.device)
     backgrounds = [(BLACK, WHITE)[k % 2] for k in range(len(small))]
@@ -97,15 +102,17 @@ def make_level(
 
 
 @torch.no_grad()
-def contributions(gaussians: Gaussians, views: list[View], context: Context = QUIET) -> Tensor:
-    """(N,) how much each Gaussian contributes to the views, on the CPU.
+def contributions(
+    gaussians: Gaussians, views: list[View], context: Context = QUIET
+) -> tuple[Tensor, float]:
+    """(N,) how much each Gaussian contributes to the views, on the CPU; in which share of them.
 
     The product of its largest blending weight and the root of their sum: what is bright in one view
-    counts, and what fills many.
+    counts, and what fills many. The share is the mean over the Gaussians.
     """
     device = torch.device(context.device)
     model = gaussians.to(device if has_blending_weights(device) else CPU)
-    most, total = (model.means.new_zeros(len(model)) for _ in range(2))
+    most, total, shown = (model.means.new_zeros(len(model)) for _ in range(3))
     for camera, pose in views:
         context.check_cancelled()
         output = rasterize_view(
@@ -119,7 +126,8 @@ def contributions(gaussians: Gaussians, views: list[View], context: Context = QU
         )
         assert output.weight_sum is not None and output.max_weight is not None
         most, total = torch.maximum(most, output.max_weight), total + output.weight_sum
-    return (most * total.sqrt()).cpu()
+        shown += output.max_weight > FAINTEST
+    return (most * total.sqrt()).cpu(), float(shown.mean()) / max(len(views), 1)
 
 
 def _extent(part: Part) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import torch
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.levels import FADE, read_ladders
-from roigs_engine.levels.ladder import contributions, make_level
+from roigs_engine.levels.ladder import LONGEST, SHARE, contributions, make_level
 from roigs_engine.levels.make import make_levels, training_views
 from roigs_engine.levels.measure import Measured, farther, measure, spaced
 from roigs_engine.levels.parts import Part, View, parts_of_run, rate_of
@@ -21,6 +22,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize.view import render_view
+from roigs_engine.training.trainer import Trainer
 
 LENS = Camera(width=144, height=108, fx=150.0, fy=150.0, cx=72.0, cy=54.0)
 
@@ -146,10 +148,36 @@ def test_training_makes_a_level_nearer_to_the_whole_drawn_without_aliasing(part:
     trained = make_level(part, part.gaussians, views.train, 2, steps=200)
     assert trained is not None and len(trained) == 300
     small = views_at(part, views.train, 2.5)
-    kept = contributions(part.gaussians, small).topk(300).indices
+    kept = contributions(part.gaussians, small)[0].topk(300).indices
     pruned = part.gaussians.rows(kept)
     before, after = (measure(part, [m], views.held)[0][2].level for m in (pruned, trained))
     assert after > before + 3
+
+
+def test_what_few_views_show_is_trained_for_longer(
+    part: Part, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lengths = []
+
+    class Counted(Trainer):
+        def run(self, *given: object, **options: object) -> bool:
+            lengths.append(self.config.steps)
+            return False
+
+    monkeypatch.setattr("roigs_engine.levels.ladder.Trainer", Counted)
+    seen = [view_of(image) for image in around(16)]
+    _, share = contributions(part.gaussians, views_at(part, seen, 1.6))
+    narrow = [(replace(camera, width=62), pose) for camera, pose in seen]
+    _, less = contributions(part.gaussians, narrow)
+    assert 0 < less < share / 2 < 0.5
+    for given in (share, less, 1e-9):
+        monkeypatch.setattr(
+            "roigs_engine.levels.ladder.contributions",
+            lambda model, *_, given=given: (torch.ones(len(model)), given),
+        )
+        make_level(part, part.gaussians, seen, 1, steps=100)
+    expected = [100 * max(1.0, SHARE / share), 100 * SHARE / less, 100 * LONGEST]
+    assert lengths == [round(min(steps, 100 * LONGEST)) for steps in expected]
 
 
 def test_before_black_and_white_a_level_learns_where_light_comes_through(part: Part) -> None:
@@ -157,7 +185,7 @@ def test_before_black_and_white_a_level_learns_where_light_comes_through(part: P
     trained = make_level(part, part.gaussians, views.train, 1, steps=200)
     assert trained is not None
     small = views_at(part, views.train, 1.6)
-    pruned = part.gaussians.rows(contributions(part.gaussians, small).topk(len(trained)).indices)
+    pruned = part.gaussians.rows(contributions(part.gaussians, small)[0].topk(len(trained)).indices)
     (view, *_) = views_at(part, views.held, 1.6)
     for grey in (0.0, 1.0):
         truth = small_picture(part.gaussians, view, 2, grey)
