@@ -58,7 +58,7 @@ def frame_request(
             models.append(model)
             continue
         drawn = detail.shown(np.array(model["matrix"]), to_clip, focal)
-        models += [{**model, "ply": detail.files[k], "opacity": f} for k, f in drawn.items()]
+        models += [{**model, "ply": detail.files[k], "density": f} for k, f in drawn.items()]
     left, top, width, height = picture(scene.render)
     lens = replace(lens, width=width, height=height, cx=lens.cx - left, cy=lens.cy - top)
     record = {"name": str(scene.frame_current), **asdict(lens), "world_to_camera": pose.tolist()}

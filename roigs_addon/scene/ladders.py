@@ -43,7 +43,7 @@ class Detail:
     quality: float | None
 
     def shown(self, matrix: Matrix, to_clip: Matrix, focal: float) -> dict[int, float]:
-        """The numbers of the levels that a view shows, with the factors on their opacities.
+        """The numbers of the levels that a view shows, with their densities.
 
         Args:
             matrix: (4, 4) from the files' frame to the world.
@@ -56,7 +56,7 @@ class Detail:
         rate = levels.rate_in_view(self.ladder.probes, to_clip @ matrix, focal * scale)
         drawn = levels.shown_levels(self.ladder, rate, self.quality)
         numbers = {level.ply: number for number, level in enumerate(self.ladder.levels)}
-        return {numbers[level.ply]: factor for level, factor in drawn}
+        return {numbers[level.ply]: density for level, density in drawn}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,8 +16,8 @@ from .objects import FileKey, SplatObject
 from .placed import Files, Ranges, objects_of
 from .view import View
 
-Factors = dict[int, float]
-"""Number of a level -> factor on its opacities."""
+Densities = dict[int, float]
+"""Number of a level -> its density, see `roigs_engine.model.faded`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class InView:
     """The objects, and which of their levels a view would show if all were on the GPU."""
 
     objects: Sequence[SplatObject]
-    chosen: Sequence[Factors]
+    chosen: Sequence[Densities]
 
     @classmethod
     def of(cls, objects: Sequence[SplatObject], view: View, *, fade: bool = True) -> InView:
@@ -83,19 +83,19 @@ class InView:
                     file=file,
                     levels=None,
                     visible=item.visible and number in shown,
-                    opacity=shown.get(number, 1.0),
+                    density=shown.get(number, 1.0),
                 )
                 for number, file in enumerate(item.levels.files)
             ]
         return apart
 
 
-def _standing_in(chosen: Factors, files: Sequence[FileKey], there: Counter[str]) -> Factors:
+def _standing_in(chosen: Densities, files: Sequence[FileKey], there: Counter[str]) -> Densities:
     """The chosen levels as far as they are there, else the nearest one; takes it from `there`."""
     held = [number for number, file in enumerate(files) if there[file.path] > 0]
     if not chosen or not held:
         return chosen
-    found = {number: factor for number, factor in chosen.items() if number in held}
+    found = {number: density for number, density in chosen.items() if number in held}
     if not found:
         wanted = min(chosen)
         found = {min(held, key=lambda number: abs(number - wanted)): 1.0}

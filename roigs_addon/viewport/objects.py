@@ -53,7 +53,7 @@ class SplatObject:
     matrix: Matrix  # the file's frame -> world
     visible: bool
     gains: look.Gains
-    opacity: float = 1.0
+    density: float = 1.0
     levels: Levels | None = None
 
 

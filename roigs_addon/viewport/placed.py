@@ -53,7 +53,7 @@ def sorting_view(
 def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> Float32:
     """(objects, 5, 4): how each object is drawn.
 
-    Object -> camera as three rows; eye or direction of sight, least depth; gains, opacity.
+    Object -> camera as three rows; eye or direction of sight, least depth; gains, density.
     """
     texels = np.zeros((max(1, len(files)), 5, 4), np.float32)
     texels[:, 3, 3] = np.inf  # nothing is that far, so an object that is gone is not drawn
@@ -66,7 +66,7 @@ def object_texels(files: Files, objects: Sequence[SplatObject], view: View) -> F
         if not scale:
             continue
         back = matrix.inverted()
-        texel[:3], texel[4] = np.array(matrix)[:3], (*item.gains, item.opacity)
+        texel[:3], texel[4] = np.array(matrix)[:3], (*item.gains, item.density)
         if perspective:
             texel[3, :3], texel[3, 3] = np.array(back.translation), NEAR * scale
         else:

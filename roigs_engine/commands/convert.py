@@ -196,7 +196,7 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 
                 frame=frame,
                 matrix=matrix @ item.matrix,
                 gains=item.gains,
-                opacity=item.opacity,
+                density=item.density,
             )
         )
     return _merged(models), poses

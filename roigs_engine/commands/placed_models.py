@@ -21,13 +21,13 @@ class Placed(NamedTuple):
         file: of its Gaussians.
         matrix: (4, 4) from its own world to that of the list.
         gains: factors on red, green and blue.
-        opacity: a factor on the opacities, above 0 and at most 1.
+        density: how much of it is there, above 0 and at most 1, see `faded`.
     """
 
     file: str
     matrix: Float64
     gains: tuple[float, float, float]
-    opacity: float = 1.0
+    density: float = 1.0
 
 
 def placed_models(record: Any) -> list[Placed]:
@@ -41,7 +41,7 @@ def placed_models(record: Any) -> list[Placed]:
             str(item["ply"]),
             _affine(item["matrix"]),
             _gains(item.get("gains", (1, 1, 1))),
-            _opacity(item.get("opacity", 1)),
+            _density(item.get("density", 1)),
         )
         for item in record["models"]
     ]
@@ -79,9 +79,9 @@ def _gains(numbers: Any) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _opacity(number: Any) -> float:
-    """The factor of a request; ValueError unless it fades."""
-    factor = float(number)
-    if not 0 < factor <= 1:  # catches NaN too
-        raise ValueError("opacity must be a number above 0, at most 1")
-    return factor
+def _density(number: Any) -> float:
+    """The density of a request; ValueError unless it fades."""
+    density = float(number)
+    if not 0 < density <= 1:  # catches NaN too
+        raise ValueError("density must be a number above 0, at most 1")
+    return density

@@ -132,7 +132,7 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
             frame=frame,
             matrix=item.matrix,
             gains=item.gains,
-            opacity=item.opacity,
+            density=item.density,
         )
         for (gaussians, frame), item in zip(read, wanted, strict=True)
     ]

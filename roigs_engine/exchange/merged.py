@@ -43,7 +43,7 @@ def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
         means=gaussians.means,  # replaced when the frame of all is known
         quats=quats,
         log_scales=log_scales,
-        logit_opacities=faded(gaussians.logit_opacities, model.opacity),
+        logit_opacities=faded(gaussians.logit_opacities, model.density),
         sh=_padded(recoloured(turned_sh(gaussians.sh, linear), model.gains), bands),
     )
 

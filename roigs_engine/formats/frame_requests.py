@@ -4,12 +4,13 @@ A request is a JSON file, written in one go (docs/files.md):
 
     {"camera": {...a camera of a camera path...}, "out": "/tmp/frames/splats0001",
      "models": [{"ply": "/runs/pot/result.ply", "matrix": [[...4], [...4], [...4], [...4]],
-                 "gains": [1, 1, 1], "opacity": 1}]}
+                 "gains": [1, 1, 1], "density": 1}]}
 
 `matrix` leads from the model's own world to the camera's; any affine one. `gains` multiply red,
-green and blue; `opacity`, above 0 and at most 1, multiplies the opacities. Both may be missing. The
-answer is a PNG with sRGB colours and transparency, and a TIFF with the depth along the camera's
-axis in world units. The request is deleted when it is answered, or refused with a warning.
+green and blue; `density`, above 0 and at most 1, makes an opacity o 1 - (1 - o)^density. Both may
+be missing. The answer is a PNG with sRGB colours and transparency, and a TIFF with the depth along
+the camera's axis in world units. The request is deleted when it is answered, or refused with a
+warning.
 """
 
 from __future__ import annotations

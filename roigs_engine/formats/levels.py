@@ -4,7 +4,7 @@ A part (a box, or the surroundings) has a ladder of files, each with fewer Gauss
 is how finely a view shows the part, its rate in pixels per unit of length: `Level.farther` is how
 many times coarser than its photos a view must be for that level to do. The rule depends on the view
 alone, not on what was drawn before, so a picture is the same whenever it is drawn. Just before a
-level is left, it and the next are drawn together, one fading in and then the other out.
+level is left, it and the next are drawn together, one fading out and the other in.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
 
 
 def shown_levels(ladder: Ladder, rate: float, quality: float = 1.0) -> list[tuple[Level, float]]:
-    """The levels to draw, with the factors on their opacities: one level, or two in a fade.
+    """The levels to draw, and how much of each (`model.faded`): one level, or two in a fade.
 
     Args:
         ladder: of the part.
@@ -175,8 +175,6 @@ def shown_levels(ladder: Ladder, rate: float, quality: float = 1.0) -> list[tupl
     level = ladder.levels[index]
     if not index or coarser >= level.farther * FADE:
         return [(level, 1.0)]
-    # Both at once would let the background through, so one is always whole.
     share = math.log(coarser / level.farther) / math.log(FADE)
-    fine, coarse = min(1.0, 2 * (1 - share)), min(1.0, 2 * share)
-    both = [(ladder.levels[index - 1], fine), (level, coarse)]
-    return [(each, factor) for each, factor in both if factor > 0]
+    both = [(ladder.levels[index - 1], 1.0 - share), (level, share)]
+    return [(each, density) for each, density in both if density > 0]

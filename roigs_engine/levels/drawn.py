@@ -55,19 +55,19 @@ class LevelledResult:
         """
         parts = []
         for ladder in self._ladders:
-            for ply, opacity in self.shown(ladder, camera, world_to_camera):
+            for ply, density in self.shown(ladder, camera, world_to_camera):
                 part = self._part(ply)
-                logits = faded(part.logit_opacities, opacity)
+                logits = faded(part.logit_opacities, density)
                 parts.append(replace(part, logit_opacities=logits))
         return Gaussians.concatenate(parts)
 
     def shown(
         self, ladder: Ladder, camera: Camera, world_to_camera: Float64
     ) -> list[tuple[str, float]]:
-        """The files of a part that a view needs, and factors on their opacities."""
+        """The files of a part that a view needs, and their densities."""
         rate = rate_of(ladder.probes, (camera, world_to_camera))
         levels = shown_levels(ladder, rate, self._quality)
-        return [(level.ply, opacity) for level, opacity in levels]
+        return [(level.ply, density) for level, density in levels]
 
     def _part(self, ply: str) -> Gaussians:
         if ply not in self._read:

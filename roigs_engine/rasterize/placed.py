@@ -39,14 +39,14 @@ class PlacedModel:
         frame: of the model's own world.
         matrix: (4, 4) from the model's own world to the world; any affine one.
         gains: of red, green and blue, see `recoloured`.
-        opacity: a factor on the opacities, see `faded`.
+        density: how much of it is there, see `faded`.
     """
 
     gaussians: Gaussians
     frame: LocalFrame
     matrix: Float64
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    opacity: float = 1.0
+    density: float = 1.0
 
     @property
     def from_frame(self) -> Float64:
@@ -124,7 +124,7 @@ def _seen(model: PlacedModel, world_to_camera: Float64) -> tuple[Float64, Gaussi
         means=gaussians.means,  # replaced when the scale of all is known
         quats=quats,
         log_scales=log_scales,
-        logit_opacities=faded(gaussians.logit_opacities, model.opacity),
+        logit_opacities=faded(gaussians.logit_opacities, model.density),
         sh=recoloured(_plain(gaussians, eye), model.gains),
     )
 

@@ -3,6 +3,7 @@
 // pixels count from the lower left corner.
 
 #define ALPHA_MIN (1.0 / 255.0)
+#define MOST 0.999           // an opacity of 1 could not fade
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
 #define MAX_SLOPE 3.0        // of centres outside the frame; beyond, EWA splatting fails
@@ -67,14 +68,17 @@ void main()
   vec4 size = TEXEL(geometry, 3u * index + 2u);
   int number = int(size.w);
   vec3 mean = body.xyz;
-  float opacity = body.w * OBJECT(number, 4).w;
+  float opacity = body.w, density = OBJECT(number, 4).w;
+  if (density < 1.0) {  // as roigs_engine/model/faded.py
+    opacity = 1.0 - pow(1.0 - min(opacity, MOST), density);
+  }
   if (opacity <= ALPHA_MIN) {
     return;
   }
 
   // Object to camera: three rows of a matrix. Then the eye in the object's frame, or in an
   // orthographic view the direction of sight, and the least depth. Then the gains of the colours,
-  // and the factor on the opacities.
+  // and the density.
   vec4 row_x = OBJECT(number, 0), row_y = OBJECT(number, 1), row_z = OBJECT(number, 2);
   vec4 eye = OBJECT(number, 3);
   mat3 turn = transpose(mat3(row_x.xyz, row_y.xyz, row_z.xyz));

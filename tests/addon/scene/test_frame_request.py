@@ -38,7 +38,7 @@ def asked(bpy: ModuleType, scene) -> dict[str, float]:
     assert request is not None
     run = Path(scene.roigs.run_dir)
     return {
-        Path(model["ply"]).relative_to(run).as_posix(): model.get("opacity", 1.0)
+        Path(model["ply"]).relative_to(run).as_posix(): model.get("density", 1.0)
         for model in request["models"]
     }
 
@@ -102,9 +102,9 @@ def test_two_levels_in_a_fade(blender: ModuleType, seen) -> None:
         rate = lens.fx / 4 * FADE ** (step / 2)
         make_levels(folder, rate=rate, farther=[2.0], parts=["background.ply"])
         models = asked(blender, scene)
-        opacities = [f for name, f in models.items() if name.endswith("background.ply")]
-        assert max(opacities) == 1
-        found.add(len(opacities))
+        densities = [f for name, f in models.items() if name.endswith("background.ply")]
+        assert sum(densities) == pytest.approx(1)
+        found.add(len(densities))
     assert found == {1, 2}
 
 
@@ -115,4 +115,4 @@ def test_exports_are_whole(blender: ModuleType, seen) -> None:
     make_levels(folder, rate=FAR)
     models = models_of(shown(scene), blender.context.evaluated_depsgraph_get())
     assert {Path(m["ply"]).parent.name for m in models} == {"rois", folder.name}
-    assert not any("opacity" in model for model in models)
+    assert not any("density" in model for model in models)

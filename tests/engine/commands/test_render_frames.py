@@ -75,10 +75,10 @@ def test_gains_change_the_colours(folder: Path) -> None:
     assert after[1] == before[1] and after[2] == 0 and after[3] == before[3]
 
 
-def test_opacity_lets_more_through(folder: Path) -> None:
+def test_a_density_lets_more_through(folder: Path) -> None:
     model = {"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}
-    whole, same = ask(folder), ask(folder, "b", models=[{**model, "opacity": 1}])
-    half = ask(folder, "c", models=[{**model, "opacity": 0.5}])
+    whole, same = ask(folder), ask(folder, "b", models=[{**model, "density": 1}])
+    half = ask(folder, "c", models=[{**model, "density": 0.1}])  # 1 - 0.001^0.1
     assert main(["render-frames", str(folder), "--once"]) == 0
     first, second, third = (
         np.asarray(Image.open(colour_file(out))).astype(int) for out in (whole, same, half)
@@ -100,10 +100,10 @@ def test_opacity_lets_more_through(folder: Path) -> None:
         ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1, -1]}]}, "three numbers"),
         ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1, float("nan")]}]}, "three"),
         ({"models": [{"ply": "a", "matrix": POSE, "gains": ["a", 1, 1]}]}, "malformed"),
-        ({"models": [{"ply": "a", "matrix": POSE, "opacity": 0}]}, "opacity must be"),
-        ({"models": [{"ply": "a", "matrix": POSE, "opacity": 1.5}]}, "opacity must be"),
-        ({"models": [{"ply": "a", "matrix": POSE, "opacity": float("nan")}]}, "opacity must be"),
-        ({"models": [{"ply": "a", "matrix": POSE, "opacity": [1]}]}, "malformed"),
+        ({"models": [{"ply": "a", "matrix": POSE, "density": 0}]}, "density must be"),
+        ({"models": [{"ply": "a", "matrix": POSE, "density": 1.5}]}, "density must be"),
+        ({"models": [{"ply": "a", "matrix": POSE, "density": float("nan")}]}, "density must be"),
+        ({"models": [{"ply": "a", "matrix": POSE, "density": [1]}]}, "malformed"),
     ],
 )
 def test_what_is_wrong_is_said(

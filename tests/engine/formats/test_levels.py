@@ -115,12 +115,12 @@ def test_full_as_near_as_the_photos_and_coarser_from_afar() -> None:
     assert names(200, quality=2.5) == ["0.ply"]
 
 
-def test_one_of_two_is_always_whole_in_a_fade_that_has_no_step() -> None:
+def test_two_in_a_fade_are_as_much_as_one_and_there_is_no_step() -> None:
     steps = ladder(2.0, 5.0)
     before: dict[str, float] = {"0.ply": 1.0}
     for coarser in np.geomspace(1.5, 8, 2000):
-        now = {level.ply: factor for level, factor in shown_levels(steps, 800 / coarser)}
-        assert max(now.values()) == 1
+        now = {level.ply: density for level, density in shown_levels(steps, 800 / coarser)}
+        assert sum(now.values()) == pytest.approx(1)
         for name in {*now, *before}:
             assert abs(now.get(name, 0) - before.get(name, 0)) < 0.02
         before = now
