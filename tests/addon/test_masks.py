@@ -100,6 +100,22 @@ def test_the_engine_is_asked_for_the_boxs_photos(
     assert (scribble.box, scribble.photo, len(scribble.strokes)) == ("thing", photos[0], 1)
 
 
+def test_the_panel_says_how_many_were_made_anew(
+    blender: ModuleType, run, box, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.jobs import current, undo
+
+    pushed: list[str] = []
+    monkeypatch.setattr(undo, "push", pushed.append)
+    said = "say(event='message', level='info', text=\"Box 'thing': 2 of 5 masks made anew in x.\")"
+    use(monkeypatch, tmp_path, said + '\nsay(event="done", outputs={}, stopped=False)')
+    draw(box, names(run[0])[0])
+    assert blender.ops.roigs.make_masks() == {"FINISHED"}
+    place = root(*run) / "thing"
+    assert current.outcome() == f"thing: 2 of 5 masks made anew in {place}."
+    assert not pushed  # nothing in Blender has changed
+
+
 def test_masks_lie_beside_the_photos_if_that_can_be_written(
     run, project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
