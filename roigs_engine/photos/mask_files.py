@@ -67,13 +67,19 @@ class MaskFiles:
         folder: of the masks; need not exist.
     """
 
-    def __init__(self, photos: Path, folder: Path | None = None) -> None:
-        """Args: `photos`: the photos' folder; `folder`: of the masks; None: `masks` beside it."""
+    def __init__(self, photos: Path, folder: Path | None = None, *, made: bool = True) -> None:
+        """What to look for.
+
+        Args:
+            photos: the photos' folder.
+            folder: of the masks; None: `masks` beside it.
+            made: whether those that `reconstruct` has used count.
+        """
         project = Path(os.path.abspath(photos)).parent
         self._photos = photos
         self.folder = folder or project / MASKS
         self._made = PhotoFolder(project / RECONSTRUCTION / MASKS)
-        self._given = folder is not None
+        self._uses_made = made and folder is None
 
     def of_object(self, box: str, other: Path | None = None) -> ObjectMaskFiles:
         """The masks of a box's object; `other`: another folder of masks of objects."""
@@ -97,7 +103,7 @@ class MaskFiles:
         if not beside:
             return None
         found = next(filter(None, map(self._beside.find, marked)), None)
-        return found or (None if self._given else self._made.find(plain[0]))
+        return found or (self._made.find(plain[0]) if self._uses_made else None)
 
     def unknown(self, photos: Iterable[str]) -> list[str]:
         """Names of the files that are the mask of none of these photos, nor of a box in one."""
