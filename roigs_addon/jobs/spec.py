@@ -14,8 +14,16 @@ MASKING = "Making Masks"
 LEVELS = "Making Levels"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
+RESUMED = {TRAINING: "Continue", RECONSTRUCTING: "Continue", LEVELS: "Make Levels"}
+"""Jobs that keep what they have done when they stop -> the button that goes on from there."""
+
 PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on's preferences"}
 """Of the engine's error that a package of a format is missing: what a user of Blender does."""
+
+
+def how_to_resume(title: str) -> str:
+    """A sentence to follow another one; empty for jobs that begin again."""
+    return f" Press '{RESUMED[title]}' to resume." if title in RESUMED else ""
 
 
 def nothing(*_: object) -> None:
