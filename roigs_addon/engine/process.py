@@ -52,6 +52,11 @@ class JobResult:
         """Whether there is an error to show."""
         return bool(self.message)
 
+    @property
+    def killed(self) -> bool:
+        """Whether a signal has ended the engine."""
+        return self.status < 0
+
 
 class EngineProcess:
     """A running engine command. All methods are for one thread, the owner's."""
@@ -155,9 +160,7 @@ class EngineProcess:
     def _unexplained(self, status: int) -> str:
         """The error if the engine ended without giving one."""
         if status < 0:
-            return (
-                f"The engine was ended from outside (signal {-status}). Press 'Continue' to resume."
-            )
+            return f"The engine was ended from outside (signal {-status})."
         last = next((line for line in reversed(self._log.said) if line.strip()), "")
         reason = f": {last.strip()}" if last else ""
         return f"The engine ended with status {status}{reason}. See the log for more."

@@ -54,6 +54,11 @@ def warnings(title: str) -> list[str]:
     return next((state.warnings for state in found if state.title == title), [])
 
 
+def stopped() -> bool:
+    """Whether the last job was stopped."""
+    return job is not None and job.result is not None and job.result.stopped
+
+
 def outcome() -> str:
     """What came of the last job; empty if an undo has taken it back."""
     return job.state.outcome if job is not None and job.spec.is_so() else ""
@@ -112,7 +117,7 @@ def _result(job: Job) -> JobResult:
 
 def _ended(job: Job) -> None:
     result = _result(job)
-    changed = job.spec.on_done is not nothing
+    changed = job.spec.changes and job.spec.on_done is not nothing
     if changed and not result.stopped and not result.failed:
         undo.push(job.spec.title)
     for listener in on_end:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 
 import bpy
 
@@ -12,8 +11,8 @@ from ..engine import own_files
 from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import lookup, rois
-from ..shared import EngineError, files
 from . import options_files, run_folders
+from .last_said import last_said
 from .spec import ESTIMATING, JobSpec
 
 TIME = re.compile(r"(?:\S+ +)?Time: (.+?)\.?")
@@ -34,7 +33,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
     def take(_: Mapping[str, str]) -> None:
         _known.clear()
-        _known[key] = _time(log)
+        _known[key] = last_said(log, TIME)
 
     return JobSpec(
         title=ESTIMATING,
@@ -52,15 +51,6 @@ def known(scene: bpy.types.Scene) -> str:
 def forget() -> None:
     """For tests, and where the add-on is unregistered."""
     _known.clear()
-
-
-def _time(log: Path) -> str:
-    try:
-        lines = files.read_bytes(log).decode("utf-8", "replace").splitlines()
-    except EngineError as error:
-        raise AddonError(str(error)) from error
-    found = [match[1] for line in lines if (match := TIME.fullmatch(line))]
-    return found[-1] if found else ""
 
 
 def _key(scene: bpy.types.Scene) -> tuple[object, ...]:

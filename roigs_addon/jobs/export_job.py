@@ -23,7 +23,13 @@ NOTHING = "There is nothing to export: {}."
 
 
 def spec(
-    context: bpy.types.Context, path: Path, *, up: str, sh_degree: int, selected: bool
+    context: bpy.types.Context,
+    path: Path,
+    *,
+    up: str,
+    sh_degree: int,
+    selected: bool,
+    visible: bool,
 ) -> JobSpec:
     """The job that writes the Gaussians, edited, moved and turned as they are now.
 
@@ -32,23 +38,20 @@ def spec(
         path: of the file.
         up: axis that points up in the file, as `convert` has it; empty: the format's own.
         sh_degree: highest degree of view-dependent colour.
-        selected: only selected objects.
+        selected, visible: only objects that are selected, or that the viewport does not hide.
 
     Raises:
         AddonError: there is nothing to export, an edit cannot be written, or the folder is missing.
     """
     scene = context.scene
     assert scene is not None
-    items = shown(scene)
-    if selected:
-        items = [item for item in items if item in context.selected_objects]
+    items, why = _wanted(context, scene, selected=selected, visible=visible)
     leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
     depsgraph = context.evaluated_depsgraph_get()
     models = models_of(items, depsgraph)
     if problem := edits.problem(items):
         raise AddonError(problem)
     if not models:
-        why = "no Gaussians are selected" if selected else "renders show no Gaussians"
         raise AddonError(NOTHING.format(why))
     if not path.parent.is_dir():
         raise AddonError(f"{path.parent} is not a folder.")
@@ -79,3 +82,17 @@ def spec(
         done_text=f"Exported {path.name}",
         words=PACKAGES,
     )
+
+
+def _wanted(
+    context: bpy.types.Context, scene: bpy.types.Scene, *, selected: bool, visible: bool
+) -> tuple[list[bpy.types.Object], str]:
+    """The objects to export, and why there are none."""
+    items, why = shown(scene), "renders show no Gaussians"
+    if selected:
+        items = [item for item in items if item in context.selected_objects]
+        why = "no Gaussians are selected"
+    if visible and items:
+        items = [item for item in items if item.visible_get(view_layer=context.view_layer)]
+        why = why if items else "all are hidden. Show them (Alt H), or turn off Visible Only"
+    return items, why

@@ -13,7 +13,7 @@ from ..engine.command import Engine
 from ..engine.process import EngineProcess, JobResult
 from ..errors import AddonError
 from ..shared import EngineError, events
-from .spec import JobSpec, nothing
+from .spec import JobSpec, how_to_resume, nothing
 from .state import STOPPED, STOPPING, JobState
 
 
@@ -121,9 +121,12 @@ class Job:
     def _end(self, result: JobResult) -> None:
         for option, name in self.spec.words.items():
             result = replace(result, message=result.message.replace(option, name))
+        resume = how_to_resume(self.spec.title)
+        if result.killed:
+            result = replace(result, message=result.message + resume)
         self.result = result
         if result.stopped:
-            self.state.message = STOPPED
+            self.state.message = STOPPED + resume
         elif not result.failed:
             self.state.outcome = self.spec.done_text
         self.state.error = result.message

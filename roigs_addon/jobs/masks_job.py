@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 
 import bpy
 
@@ -14,8 +15,11 @@ from ..properties import object_props, scene_props
 from ..scene import exclusions, lookup, masks, rois, scribbles
 from ..shared import files, run_files
 from . import options_files, run_folders
+from .last_said import last_said
 from .spec import MASKING, JobSpec
 
+MADE = re.compile(r"(?:\S+ +)?Box '.+': (\d+ of \d+ masks?) made anew in .+\.")
+"""The line of the engine that says how many, with the log's time of day."""
 DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
 
 
@@ -32,7 +36,7 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object) -> JobSpec:
     run = run_folders.run_folder(scene)
     out = masks.folder(scene, run)
     result = run / run_files.RESULT
-    boxes = lookup.rois(scene)
+    boxes, roi_name = lookup.rois(scene), roi.name
     with writing(folder, "Run Folder"):
         drawn, options = folder / own_files.SCRIBBLES, folder / own_files.MASKS_OPTIONS
         files.write_json(drawn, scribbles.document(roi))
@@ -50,11 +54,19 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object) -> JobSpec:
         }
         given = {key: value for key, value in values.items() if value is not None}
         files.write_json(options, given)
+    log, place = own_files.log_file(run), masks.of_box(out, roi)
+
+    def done() -> str:
+        count = last_said(log, MADE)
+        return f"{roi_name}: {count} made anew in {place}." if count else ""
+
     return JobSpec(
         title=MASKING,
         arguments=["masks", str(options)],
-        log=own_files.log_file(run),
-        done_text=f"Masks of {roi.name} are in {masks.of_box(out, roi)}.",
+        log=log,
+        on_done=done,
+        changes=False,
+        done_text=f"Masks of {roi_name} are in {place}.",
     )
 
 

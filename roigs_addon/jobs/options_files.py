@@ -14,7 +14,7 @@ from ..engine.run_settings import RunSettings
 from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
-from ..scene import exclusions, lookup, rois
+from ..scene import exclusions, lookup, masks, rois
 from ..shared import files
 from . import run_folders
 
@@ -107,6 +107,8 @@ def threads_option() -> list[str]:
 def write_select_options(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> Path:
     """Write what `select` needs; returns the path of the options file."""
     values = common_options(scene, boxes)
+    if folder := masks.in_run(run_folders.run_folder(scene)):  # training knows them by itself
+        values["object_masks"] = str(folder)
     if not values["test_every"]:
         del values["test_every"]
     return _write(scene, own_files.SELECT_OPTIONS, boxes, values)

@@ -14,8 +14,16 @@ MASKING = "Making Masks"
 LEVELS = "Making Levels"
 """Titles of jobs: each step of the panel shows the progress and the error of its own."""
 
+RESUMED = {TRAINING: "Continue", RECONSTRUCTING: "Continue", LEVELS: "Make Levels"}
+"""Jobs that keep what they have done when they stop -> the button that goes on from there."""
+
 PACKAGES = {"all of the extra 'formats'": "set up the engine again in the add-on's preferences"}
 """Of the engine's error that a package of a format is missing: what a user of Blender does."""
+
+
+def how_to_resume(title: str) -> str:
+    """A sentence to follow another one; empty for jobs that begin again."""
+    return f" Press '{RESUMED[title]}' to resume." if title in RESUMED else ""
 
 
 def nothing(*_: object) -> None:
@@ -39,6 +47,7 @@ class JobSpec:
         on_preview: called with the path of each preview.
         on_done: called after a job that was finished, not stopped; may raise AddonError. The line
             that it returns replaces `done_text`.
+        changes: whether `on_done` changes the scene: then an undo takes that back.
         then: called with the engine's outputs (name -> path) after a command that was finished, not
             stopped; returns the command with which the job goes on, or None if there is none; may
             raise AddonError.
@@ -53,6 +62,7 @@ class JobSpec:
     folder: Path | None = None
     on_preview: Callable[[Path], None] = nothing
     on_done: Callable[[], str | None] = nothing
+    changes: bool = True
     then: Callable[[Mapping[str, str]], JobSpec | None] | None = None
     done_text: str = ""
     is_so: Callable[[], bool] = always

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..shared import events
 
 STOPPING = "Stopping …"
-STOPPED = "Stopped. Press 'Continue' to resume."
+STOPPED = "Stopped."
 MOST_WARNINGS = 4  # that a panel has room for; all are in the log
 
 

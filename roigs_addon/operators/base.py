@@ -95,7 +95,7 @@ class EngineOperator(bpy.types.Operator):
         if result.failed:
             return failed(self, result.message)
         if result.stopped:
-            self.report({"WARNING"}, "Stopped.")
+            self.report({"WARNING"}, job.state.message)
             return {"CANCELLED"}
         self._tell(job)
         return {"FINISHED"}

@@ -30,8 +30,8 @@ GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
 
 
 class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
-    """Write the Gaussians that renders show to one file for other programs, edited, moved and \
-turned as they are now"""
+    """Write the Gaussians to one file for other programs, edited, moved and turned as they are \
+now. What renders hide is left out"""
 
     bl_idname = "roigs.export_gaussians"
     bl_label = "Export Gaussians"
@@ -56,6 +56,12 @@ turned as they are now"""
     selected: BoolProperty(
         name="Selected Only",
         description="Leave out objects that are not selected",
+        options=FRESH,
+    )
+    visible: BoolProperty(
+        name="Visible Only",
+        description="Leave out objects that are hidden in the viewport, by H for example",
+        default=True,
         options=FRESH,
     )
     up: EnumProperty(
@@ -101,7 +107,12 @@ turned as they are now"""
         path = chosen if known else Path(f"{chosen}{self.file_format}")
         up = "" if self.up == "AUTO" else self.up.lower()
         spec = export_job.spec(
-            context, path, up=up, sh_degree=self.sh_degree, selected=self.selected
+            context,
+            path,
+            up=up,
+            sh_degree=self.sh_degree,
+            selected=self.selected,
+            visible=self.visible,
         )
         folders.exported(path)
         return spec

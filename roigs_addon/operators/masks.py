@@ -67,8 +67,7 @@ class StepMask(bpy.types.Operator):
         roi, scene = lookup.active_roi(context), scene_of(context)
         if roi is None:
             return failed(self, f"{NO_BOX}.")
-        root = masks.folder(scene, run_folders.run_folder(scene))
-        names = masks.photos(scene, root, roi)
+        names = masks.photos(scene, run_folders.run_folder(scene), roi)
         if not names:
             return failed(self, f"'{roi.name}' has no masks yet.")
         photo = masks.photo_at_hand(context)
@@ -101,9 +100,9 @@ yourself or changed stay, and so do the strokes"""
         roi, scene = lookup.active_roi(context), scene_of(context)
         if roi is None:
             return failed(self, f"{NO_BOX}.")
-        root = masks.folder(scene, run_folders.run_folder(scene))
+        roots = masks.folders(scene, run_folders.run_folder(scene))
         try:
-            count = made_masks.remove_masks(masks.of_box(root, roi))
+            count = sum(made_masks.remove_masks(masks.of_box(root, roi)) for root in roots)
         except EngineError as error:
             return failed(self, str(error))
         self.report({"INFO"}, f"Removed {text.counted(count, 'mask')}.")

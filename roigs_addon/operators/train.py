@@ -82,7 +82,7 @@ def _training_problem(context: bpy.types.Context) -> str:
 
 
 class StopJob(bpy.types.Operator):
-    """Stop the engine; its work so far is kept, and training resumes from there"""
+    """Stop the engine. Training, reconstructing and making levels can resume from there"""
 
     bl_idname = "roigs.stop"
     bl_label = "Stop"

@@ -1,4 +1,8 @@
-"""Masks of objects: where they are, and which photos have one."""
+"""Masks of objects: where they are, and which photos have one.
+
+They are in the folder `masks` beside the photos, as the engine looks for them, or in the run folder
+if that cannot be written. Which of two masks of a photo is used, the engine says (`made_masks`).
+"""
 
 from __future__ import annotations
 
@@ -7,27 +11,43 @@ from pathlib import Path
 
 import bpy
 
-from ..engine import own_files
 from ..geometry.photo import Photo
+from ..shared import made_masks, run_files
 from . import lookup, rois, scribbles
 
 FOLDER = "masks"
-"""Beside the folder of the photos, as the engine looks for them."""
 
 
 def folder(scene: bpy.types.Scene, run: Path) -> Path:
-    """The folder of all masks: beside the photos, or in the run folder if nothing can be written.
+    """The folder that masks are made in: beside the photos, or in the run folder.
+
+    That is taken if the other cannot be written, and from then on, as long as it has masks.
 
     Args:
         scene: with a model.
         run: the scene's run folder.
     """
     beside = _beside_photos(scene)
-    if beside is not None:
+    if beside is not None and in_run(run) is None:
         there = beside if os.path.isdir(beside) else beside.parent
         if os.access(there, os.W_OK):
             return beside
-    return run / own_files.OWN / own_files.MASKS
+    return run / run_files.OBJECT_MASKS
+
+
+def in_run(run: Path) -> Path | None:
+    """The folder of masks in the run folder; None: there are none."""
+    there = run / run_files.OBJECT_MASKS
+    try:
+        return there if any(there.iterdir()) else None
+    except OSError:
+        return None
+
+
+def folders(scene: bpy.types.Scene, run: Path) -> list[Path]:
+    """The folders that can have masks."""
+    beside = _beside_photos(scene)
+    return [*([] if beside is None else [beside]), run / run_files.OBJECT_MASKS]
 
 
 def of_box(root: Path, roi: bpy.types.Object) -> Path:
@@ -37,20 +57,23 @@ def of_box(root: Path, roi: bpy.types.Object) -> Path:
 
 def are_there(scene: bpy.types.Scene, run: Path) -> bool:
     """Whether any box has masks that training will use."""
-    root = folder(scene, run)
-    return any(os.path.isdir(of_box(root, roi)) for roi in lookup.rois(scene))
+    roots = folders(scene, run)
+    return any(os.path.isdir(of_box(root, roi)) for root in roots for roi in lookup.rois(scene))
 
 
-def file(root: Path, roi: bpy.types.Object, photo: str) -> Path:
-    """The mask of a photo, whether it is there or not."""
-    return of_box(root, roi) / f"{photo}.png"
+def file(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object, photo: str) -> Path | None:
+    """The mask of a photo that training uses; None: there is none."""
+    *beside, in_run = [of_box(root, roi) for root in folders(scene, run)]
+    theirs = [folder / made_masks.mask_name(photo) for folder in (*beside, in_run)]
+    *first, last = [file if os.path.isfile(file) else None for file in theirs]
+    return made_masks.used_mask(first[0], last, beside[0]) if first else last
 
 
-def photos(scene: bpy.types.Scene, root: Path, roi: bpy.types.Object) -> list[str]:
+def photos(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object) -> list[str]:
     """The photos with a mask or strokes for a box, by name."""
     drawn = set(scribbles.photos(roi))
     names = sorted(lookup.cameras(scene))
-    return [n for n in names if n in drawn or os.path.isfile(file(root, roi, n))]
+    return [n for n in names if n in drawn or file(scene, run, roi, n) is not None]
 
 
 def photo_at_hand(context: bpy.types.Context) -> Photo | None:

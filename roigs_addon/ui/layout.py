@@ -10,6 +10,7 @@ import bpy
 from .. import blender, settings
 from ..engine.own_files import stage_in_words, step_in_words, warning_in_words
 from ..jobs import current
+from ..jobs.spec import RESUMED, TRAINING
 from ..jobs.state import JobState
 from ..operators import train
 
@@ -96,6 +97,8 @@ def job(layout: bpy.types.UILayout, title: str) -> bool:
         layout.operator(train.ShowLog.bl_idname, icon="TEXT")
     elif outcome := current.outcome():
         done(layout, outcome)
+    elif current.stopped() and title != TRAINING:  # whose run folder says more
+        paused(layout, state.message)
     return bool(state.error)
 
 
@@ -119,4 +122,5 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
     if state.message:
         say(column, state.message, "INFO")
     if current.job is not None and current.job.hears_esc and not current.job.stopping:
-        column.label(text="Press Esc to stop; work so far is kept", icon="BLANK1")
+        kept = "; work so far is kept" if state.title in RESUMED else ""
+        column.label(text=f"Press Esc to stop{kept}", icon="BLANK1")

@@ -75,8 +75,8 @@ def _draw(context: bpy.types.Context) -> None:
     gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("ALPHA")
     _image(_texture(Path(photo.path), mask=False), frame)
-    root = masks.folder(scene, run_folders.run_folder(scene))
-    _image(_texture(masks.file(root, roi, photo.name), mask=True), frame)
+    mask = masks.file(scene, run_folders.run_folder(scene), roi, photo.name)
+    _image(mask and _texture(mask, mask=True), frame)
     size = masks.size_of(photo)
     drawn = [(s["kind"], s["points"], s["width"]) for s in scribbles.strokes(roi, photo.name)]
     for kind, points, width in [*drawn, *([drawing] if drawing else [])]:

@@ -169,11 +169,9 @@ def plan_object_masks(
     taken = {files.find(image.name) for image in images.values()} if options.used else set()
     inverted, plans = options.objects_inverted, {}
     for box in options.boxes:
-        folder = files.of_object(box)
-        if folder is None:
-            continue
+        theirs = files.of_object(box, options.objects)
         for key, image in images.items():
-            file = folder.find(image.name, beside=False)
+            file = theirs.find(image.name)
             if file is not None and file not in taken:
                 source = MaskSource(file=file, inverted=inverted)
                 plan = _plan(image, source, undistortions.get(key), of_object=True)

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         raise RunFolderError(
             f"{args.run} is not a run folder.", "Give the folder that --run-dir named."
         )
-    with locked(args.run, console.context.warn):
+    with locked(args.run, console.context.warn, option=None):
         for path in clean_up.removable(args.run):
             console.print(f"{in_gb(clean_up.disk_size([path])):>8}  {path.relative_to(args.run)}")
         if args.dry_run:

@@ -116,7 +116,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         extras = page_extras(args, _before(args, target.up, known), from_home, poses)
         written = formats.write(args.out, arrays, extras=extras)
     else:
-        written = formats.write(args.out, arrays)
+        written = formats.write(args.out, arrays, console.context.check_cancelled)
     size = args.out.stat().st_size / 1e6
     left = f" ({there - written:,} left out)" if written < there else ""
     console.print(f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {args.out}")

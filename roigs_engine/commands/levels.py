@@ -62,7 +62,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if args.threads is not None:
         set_threads(args.threads)
     context = context_on_device(args, console)
-    with locked(args.run, console.context.warn):
+    with locked(args.run, console.context.warn, option=None):
         scene = cameras_of_run(args.run, args.scene, console.context)
         frame = LocalFrame.of_scene(scene)
         ladders = make_levels(

@@ -12,7 +12,6 @@ from ..errors import ConfigError
 from ..formats.files import own_folder
 from ..formats.scribbles import Scribble, read_scribbles
 from ..formats.splat_ply import check_ply
-from ..formats.text import counted
 from ..photos.mask_files import MaskOptions
 from .console import Console
 from .options import (
@@ -111,7 +110,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         own = {each.photo: each for each in scribbles if each.box == roi.name}
         if own:
             knowledge = _knowledge(model, scene, roi, rois, frame, context)
-            outputs[roi.name] = _make(args, scene, roi, own, frame, knowledge, context)
+            outputs[roi.name] = _make(args, scene, roi, rois, own, frame, knowledge, context)
     console.print_places(outputs)
     return outputs
 
@@ -189,6 +188,7 @@ def _make(
     args: argparse.Namespace,
     scene: SfmScene,
     roi: OrientedBox,
+    rois: list[OrientedBox],
     scribbles: dict[str, Scribble],
     frame: LocalFrame,
     knowledge: Knowledge,
@@ -198,6 +198,7 @@ def _make(
     from ..colmap.photo_pixels import photo_pixels
     from ..colmap.project import find_model
     from ..masking.box_masks import BoxMasks, masked_photos
+    from ..masking.inputs import basis_digest
     from ..selection import SelectionConfig, select_cameras
 
     names = [*scribbles, *args.photo]
@@ -212,7 +213,7 @@ def _make(
         photos=photo_pixels(find_model(args.scene), images, context),
         strokes={name: scribble.strokes for name, scribble in scribbles.items()},
         folder=folder,
+        basis=basis_digest(args.model, scene, roi, rois),
     )
-    made = work.make(knowledge, context)
-    context.info(f"Box '{roi.name}': {counted(len(made), 'mask')} in {folder}.")
+    work.make(knowledge, context)
     return str(folder)

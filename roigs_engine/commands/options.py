@@ -12,6 +12,7 @@ from ..colmap.records import MAX_DOWNSCALE, MAX_SIDE
 from ..context import Context
 from ..errors import ConfigError, RoiError
 from ..formats.names import first_taken
+from ..formats.run_files import OBJECT_MASKS
 from ..formats.text import counted
 from ..machine import return_large_blocks
 from ..model.roi import OrientedBox, load_rois, parse_roi
@@ -109,15 +110,37 @@ def add_object_mask_option(parser: argparse.ArgumentParser) -> None:
         help="use whole boxes: no masks of their objects (masks/vase/012.jpg.png shows the object"
         " of box vase on the photo 012.jpg; white is the object)",
     )
+    group.add_argument(
+        "--object-masks",
+        type=PATH,
+        metavar="DIR",
+        help="folder of such masks for photos without one in masks: DIR/vase/012.jpg.png"
+        f" (`train` and `run` use {OBJECT_MASKS} of the run folder, where Blender puts them if"
+        " it cannot write beside the photos)",
+    )
 
 
-def mask_options(args: argparse.Namespace, boxes: Iterable[str] = ()) -> MaskOptions:
-    """The options of `add_mask_options`, of a command that has them.
+def mask_options(
+    args: argparse.Namespace, boxes: Iterable[str] = (), run: Path | None = None
+) -> MaskOptions:
+    """The options of `add_mask_options` and `add_object_mask_option`, of a command that has them.
 
-    `boxes`: names of those whose masks of objects are used, unless `--no-object-masks` is given.
+    Args:
+        args: of the command.
+        boxes: names of those whose masks of objects are used, unless `--no-object-masks` is given.
+        run: the run folder; its masks of objects are used, unless a folder of masks is given.
+
+    Raises:
+        ConfigError: `--object-masks` names no folder.
     """
+    folder, objects = getattr(args, "masks", None), getattr(args, "object_masks", None)
+    if objects is not None and not objects.is_dir():
+        raise ConfigError(f"{objects} is not a folder.", "Give --object-masks the masks' folder.")
+    if objects is None and folder is None and run is not None:
+        objects = run / OBJECT_MASKS
     return MaskOptions(
-        folder=getattr(args, "masks", None),
+        folder=folder,
+        objects=objects,
         inverted=bool(getattr(args, "invert_masks", False)),
         used=not getattr(args, "no_masks", False),
         boxes=() if getattr(args, "no_object_masks", False) else tuple(boxes),

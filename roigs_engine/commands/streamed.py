@@ -36,6 +36,6 @@ def write_streamed(args: argparse.Namespace, console: Console) -> dict[str, str]
             console.context.check_cancelled()
             levels.append(shortened(turned(formats.read(folder / level.ply), matrix), args))
         parts.append(levels)
-    written = streamed_sog.write(args.out, parts)
+    written = streamed_sog.write(args.out, parts, console.context.check_cancelled)
     console.print(f"{counted(written, 'Gaussian')} in levels of detail in {args.out.parent}")
     return {"result": str(args.out)}

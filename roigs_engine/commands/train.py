@@ -230,7 +230,7 @@ def _inputs(args: argparse.Namespace, rois: Sequence[OrientedBox]) -> dict[str, 
 
 def _mask_options(args: argparse.Namespace) -> MaskOptions:
     """The masks of photos and of the boxes' objects."""
-    return mask_options(args, box_names(args, args.run_dir))
+    return mask_options(args, box_names(args, args.run_dir), args.run_dir)
 
 
 def _context(args: argparse.Namespace, console: Console) -> Context:

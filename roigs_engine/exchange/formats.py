@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ConfigError, RunFolderError
 from ..formats.files import regular, remove_leftovers_of
 from ..formats.splat_ply import read_ply, write_ply
-from .arrays import Arrays, extent, flaw, usable
+from .arrays import Arrays, Check, extent, flaw, nothing, usable
 from .damage import HINT, damaged
 
 FAR = 1e4
@@ -33,6 +33,7 @@ class FileFormat:
         up: the axis that points up, as most of its readers have it.
         module: of this package, with `read` and `write`; empty: the plain PLY.
         reads: whether it can be read; every one can be written.
+        checks: whether its `write` takes `check`, as it takes long.
     """
 
     title: str
@@ -40,13 +41,14 @@ class FileFormat:
     up: str
     module: str = ""
     reads: bool = True
+    checks: bool = False
 
 
 FORMATS = (
     FileFormat(title="compressed PLY", suffix=COMPRESSED, up="-y", module="compressed_ply"),
     FileFormat(title="PLY", suffix=".ply", up="-y"),
-    FileFormat(title="SPZ", suffix=".spz", up="y", module="spz"),
-    FileFormat(title="SOG", suffix=".sog", up="-y", module="sog"),
+    FileFormat(title="SPZ", suffix=".spz", up="y", module="spz", checks=True),
+    FileFormat(title="SOG", suffix=".sog", up="-y", module="sog", checks=True),
     FileFormat(title="glTF", suffix=".glb", up="y", module="gltf"),
     FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd"),
     FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd"),
@@ -70,12 +72,13 @@ def format_of(path: Path) -> FileFormat:
     return found
 
 
-def write(path: Path, arrays: Arrays, **more: Any) -> int:
+def write(path: Path, arrays: Arrays, check: Check = nothing, **more: Any) -> int:
     """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 
     Args:
         path: of the file.
         arrays: the model.
+        check: called between the parts of long work; what it raises ends it without a file.
         more: what the module's `write` takes besides these; nothing for a plain PLY.
 
     Raises:
@@ -89,7 +92,8 @@ def write(path: Path, arrays: Arrays, **more: Any) -> int:
         return len(arrays["means"])
     arrays = storable(arrays, form.title)
     writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
-    return writer(path, arrays, **more)
+    checked = {"check": check} if form.checks else {}
+    return writer(path, arrays, **checked, **more)
 
 
 def storable(arrays: Arrays, title: str) -> Arrays:

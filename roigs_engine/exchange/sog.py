@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import ConfigError
 from ..formats.files import atomic_write
 from ..model.scene import Float64
-from .arrays import Arrays, Float32, extent, in_morton_order, opacities, unit_quats
+from .arrays import Arrays, Check, Float32, extent, in_morton_order, nothing, opacities, unit_quats
 from .compressed_ply import arrays_of
 from .damage import reading, refuse_bomb
 from .packages import package
@@ -40,21 +40,23 @@ COARSEST = 2e-3  # of the model's size: a step of its positions that is still ha
 Bytes = NDArray[np.uint8]
 
 
-def write(path: Path, arrays: Arrays) -> int:
-    """Write Gaussians; returns how many.
+def write(path: Path, arrays: Arrays, *, check: Check = nothing) -> int:
+    """Write Gaussians; returns how many. `check` is called between the parts.
 
     Raises:
         As `files_of`; EngineError also if the file cannot be written.
     """
-    files = files_of(arrays)
+    files = files_of(arrays, check)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
         for name, data in files.items():
             packed.writestr(name, data)
     return len(arrays["means"])
 
 
-def files_of(arrays: Arrays) -> dict[str, bytes]:
+def files_of(arrays: Arrays, check: Check = nothing) -> dict[str, bytes]:
     """Name -> content of the files of a SOG, `meta.json` first; near Gaussians are together.
+
+    `check` is called between the parts of the work.
 
     Raises:
         ConfigError: the model is too small, or too far from the origin, for its positions.
@@ -66,6 +68,7 @@ def files_of(arrays: Arrays) -> dict[str, bytes]:
     low, high, bounds = _positions(arrays["means"].astype(np.float64))
     weights = _weights(arrays)
     scales, scale_codes = _coded(arrays["log_scales"].astype(np.float32), weights)
+    check()
     colours, colour_codes = _coded(arrays["sh"][:, 0].astype(np.float32), weights)
     alpha = np.clip(np.round(opacities(arrays) * 255), 0, 255).astype(np.uint8)
     pictures = {
@@ -87,7 +90,7 @@ def files_of(arrays: Arrays) -> dict[str, bytes]:
     bands = arrays["sh"].shape[1]
     if bands > 1:
         higher = arrays["sh"][:, 1:].astype(np.float32)
-        labels, centroids, codes, used = _palette(higher, weights)
+        labels, centroids, codes, used = _palette(higher, weights, check)
         pictures["shN_centroids.webp"] = centroids
         pictures["shN_labels.webp"] = _square(labels, side)
         meta["shN"] = {
@@ -96,8 +99,11 @@ def files_of(arrays: Arrays) -> dict[str, bytes]:
             "codebook": codes,
             "files": ["shN_centroids.webp", "shN_labels.webp"],
         }
-    meta_json = json.dumps(meta).encode()
-    return {"meta.json": meta_json} | {name: _webp(data) for name, data in pictures.items()}
+    files = {"meta.json": json.dumps(meta).encode()}
+    for name, data in pictures.items():
+        check()
+        files[name] = _webp(data)
+    return files
 
 
 def _refuse_coarse(means: Float64) -> None:
@@ -173,15 +179,16 @@ def _codebook(values: Float64, weights: Float64) -> Float64:
     return codes
 
 
-def _palette(sh: Float32, weights: Float32) -> tuple[Bytes, Bytes, list[float], int]:
+def _palette(sh: Float32, weights: Float32, check: Check) -> tuple[Bytes, Bytes, list[float], int]:
     """Labels (N, 3), the picture of the palette, its codebook, and how many sets it has.
 
     Args:
         sh: (N, K, 3) above degree 0.
         weights: (N,) how much of a Gaussian is seen.
+        check: called between the groups of sets.
     """
     rows = sh.reshape(len(sh), -1)
-    labels, centres = _clusters(rows, weights)
+    labels, centres = _clusters(rows, weights, check)
     used, bands = len(centres), sh.shape[1]
     numbers, codes = _coded(centres)
     picture = np.zeros((-(-used // ACROSS) * ACROSS, bands, 3), np.uint8)
@@ -191,7 +198,7 @@ def _palette(sh: Float32, weights: Float32) -> tuple[Bytes, Bytes, list[float], 
     return split.astype(np.uint8), centroids, codes, used
 
 
-def _clusters(rows: Float32, weights: Float32) -> tuple[NDArray[np.int64], Float32]:
+def _clusters(rows: Float32, weights: Float32, check: Check) -> tuple[NDArray[np.int64], Float32]:
     """The set of each row (N,), and the sets (at most PALETTE, D): k-means in two steps.
 
     A group of similar rows gets sets by how far they are spread, and by how much they are seen.
@@ -209,6 +216,7 @@ def _clusters(rows: Float32, weights: Float32) -> tuple[NDArray[np.int64], Float
     centres: list[Float32] = []
     there = 0
     for member, size in zip(members, sizes, strict=True):
+        check()
         if len(member):
             found = _means(rows[member], weights[member], min(size, len(member)))
             labels[member] = found.labels_ + there

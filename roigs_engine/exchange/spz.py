@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..formats.files import atomic_write
-from .arrays import Arrays, Float32, in_morton_order, unit_quats
+from .arrays import Arrays, Check, Float32, in_morton_order, nothing, unit_quats
 from .compressed_ply import arrays_of
 from .damage import damaged, reading, refuse_bomb
 from .packages import package
@@ -37,7 +37,14 @@ SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
 MOST = 50_000_000  # Gaussians
 
 
-def write(path: Path, arrays: Arrays, *, version: int = 3, step: float | None = None) -> int:
+def write(
+    path: Path,
+    arrays: Arrays,
+    *,
+    version: int = 3,
+    step: float | None = None,
+    check: Check = nothing,
+) -> int:
     """Write Gaussians; returns how many: those that are far outside are left out.
 
     Args:
@@ -45,6 +52,7 @@ def write(path: Path, arrays: Arrays, *, version: int = 3, step: float | None = 
         arrays: the model.
         version: 3 or 4.
         step: of SH above degree 0; None: the finest with which the file is small.
+        check: called between the parts of the work.
 
     Raises:
         ConfigError: their sizes or positions are beyond what the format has.
@@ -69,7 +77,10 @@ def write(path: Path, arrays: Arrays, *, version: int = 3, step: float | None = 
             "Scale the model to a size of a few units, or use another format.",
         )
     kept = {name: values[inside] for name, values in arrays.items()}
-    data = _packed(kept, fraction, step or _finest(kept, fraction), version)
+    step = step or _finest(kept, fraction, check)
+    check()
+    data = _packed(kept, fraction, step, version)
+    check()
     with atomic_write(path) as file:
         file.write(data)
     return int(inside.sum())
@@ -96,7 +107,7 @@ def _packed(arrays: Arrays, fraction: int, step: float, version: int = 3) -> byt
     return raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
 
 
-def _finest(arrays: Arrays, fraction: int) -> float:
+def _finest(arrays: Arrays, fraction: int, check: Check) -> float:
     """The finest step of SH with which the file is small, by a sample of the Gaussians."""
     count, bands = arrays["sh"].shape[:2]
     if bands == 1:
@@ -107,6 +118,7 @@ def _finest(arrays: Arrays, fraction: int) -> float:
     sample = {name: values[rows] for name, values in arrays.items()}
     most = len(rows) * 4 * (14 + 3 * bands) / PART
     for step in STEPS[:-1]:
+        check()
         if len(_packed(sample, fraction, step)) <= most:
             return step
     return STEPS[-1]

@@ -13,19 +13,20 @@ import numpy as np
 
 from ..formats.files import atomic_write, own_folder, write_json
 from . import sog
-from .arrays import Arrays
+from .arrays import Arrays, Check, nothing
 from .formats import storable
 
 NAME = "lod-meta.json"
 TITLE = "Streamed SOG"
 
 
-def write(path: Path, parts: Sequence[Sequence[Arrays]]) -> int:
+def write(path: Path, parts: Sequence[Sequence[Arrays]], check: Check = nothing) -> int:
     """Write a model into the folder of `path`; returns the number of Gaussians of the whole one.
 
     Args:
         path: of the `lod-meta.json`, written last.
         parts: for each part its levels, the whole one first.
+        check: called between the parts of the work.
 
     Raises:
         ConfigError: the format cannot hold this model.
@@ -42,7 +43,7 @@ def write(path: Path, parts: Sequence[Sequence[Arrays]]) -> int:
             node["lods"][str(level)] = {"file": len(names), "offset": 0, "count": count}
             folder = own_folder(path.parent, f"{level}_{number}")
             names.append(f"{folder.name}/meta.json")
-            for name, data in sog.files_of(arrays).items():
+            for name, data in sog.files_of(arrays, check).items():
                 with atomic_write(folder / name) as file:
                     file.write(data)
         nodes.append(node)

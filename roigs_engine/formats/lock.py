@@ -32,7 +32,7 @@ def _say_nothing(text: str) -> None:
 
 @contextmanager
 def locked(
-    folder: Path, warn: Callable[[str], None] = _say_nothing, option: str = "--run-dir"
+    folder: Path, warn: Callable[[str], None] = _say_nothing, option: str | None = "--run-dir"
 ) -> Iterator[None]:
     """Hold `folder`/run.lock while the block runs; `{"pid", "started", "events_from"}` is in it.
 
@@ -42,7 +42,7 @@ def locked(
     Args:
         folder: the run folder; created if it is missing.
         warn: told if the file system has no locks.
-        option: of the command, which names another folder.
+        option: of the command, which names another folder; None: it works in this one alone.
 
     Raises:
         RunFolderError: another process holds it, or the folder cannot be written to.
@@ -161,13 +161,14 @@ def _record_of_now(path: Path) -> dict[str, Any]:
     }
 
 
-def _in_use(path: Path, error: BlockingIOError, option: str) -> RunFolderError:
+def _in_use(path: Path, error: BlockingIOError, option: str | None) -> RunFolderError:
     """The error for a folder that another process uses."""
     record = read_record(path)
     pid, host = process.pid_of(record), process.host_of(record)
     who = f", process {pid}" if pid else ""
     where = f" on {host}" if host else ""
-    hint = f"Wait for it, stop it, or choose another folder ({option})."
+    other = f", stop it, or choose another folder ({option})" if option else ", or stop it"
+    hint = f"Wait for it{other}."
     if isinstance(error, MayLiveError):
         hint += f" If no engine is at work there, delete {path}."
     return RunFolderError(f"Another engine is at work in {path.parent}{who}{where}.", hint)

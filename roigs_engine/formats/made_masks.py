@@ -1,18 +1,22 @@
 """Which masks in a folder the engine has made from scribbles, and may replace.
 
-Beside the masks of a box lies `made.json` with the SHA-256 of each file as it was written:
+Beside the masks of a box lies `made.json` with the SHA-256 of each file as it was written, and a
+hash of what it was made of, by which masks that need not change are kept:
 
-{"masks": {"sub/012.jpg.png": "9f86d0..."}, "writing": {}}
+{"masks": {"sub/012.jpg.png": "9f86d0..."}, "inputs": {"sub/012.jpg.png": "2c26b4..."},
+ "writing": {}}
 
 While files are being written, "writing" has those that they will be, so that the masks of a killed
 process are known as well. A file that is not in it, or that has been changed since, is a person's:
 it is never replaced.
+
+Masks that cannot be written beside the photos are in the run folder (`run_files.OBJECT_MASKS`).
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
@@ -20,7 +24,7 @@ from ..errors import RunFolderError
 from .files import cannot_write, own_folder, read_json, sha256, write_json
 
 MADE = "made.json"
-KEY, WRITING = "masks", "writing"
+KEY, WRITING, INPUTS = "masks", "writing", "inputs"
 
 
 def mask_name(photo: str) -> str:
@@ -28,25 +32,73 @@ def mask_name(photo: str) -> str:
     return f"{photo}.png"
 
 
+def used_mask(beside: Path | None, in_run: Path | None, folder: Path) -> Path | None:
+    """The mask that is used for a photo that may have two: the one rule, for engine and add-on.
+
+    A person's mask beside the photos; else the run folder's, which is newer than one that was made
+    beside the photos; else that one.
+
+    Args:
+        beside: the mask in `folder`; None: it has none.
+        in_run: the one in the run folder.
+        folder: of the box's masks beside the photos.
+    """
+    if beside is None or in_run is None:
+        return beside or in_run
+    digests = _recorded(folder).get(beside.relative_to(folder).as_posix(), [])
+    return in_run if _unchanged(beside, digests) else beside
+
+
 def made_masks(folder: Path) -> dict[str, str]:
     """Name -> SHA-256 of the masks that were made and not changed; a damaged record has none."""
-    try:
-        record = read_json(folder / MADE)
-    except RunFolderError:
-        return {}
-    found = {}
+    recorded = _recorded(folder).items()
+    found = {name: _unchanged(folder / name, digests) for name, digests in recorded}
+    return {name: digest for name, digest in found.items() if digest}
+
+
+def made_of(folder: Path) -> dict[str, object]:
+    """Name -> hash of what a mask was made of, as far as that is known."""
+    return _part(_record(folder), INPUTS)
+
+
+def _recorded(folder: Path) -> dict[str, list[object]]:
+    """Name -> the digests that the record has of it; only names inside the folder."""
+    record = _record(folder)
+    found: dict[str, list[object]] = {}
     for key in (KEY, WRITING):
-        files = record.get(key) if isinstance(record, dict) else None
-        for name, digest in files.items() if isinstance(files, dict) else ():
-            inside = not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts
-            with suppress(OSError, ValueError):  # ValueError: no file can have that name
-                if inside and sha256(folder / name) == digest:
-                    found[name] = digest
+        for name, digest in _part(record, key).items():
+            if not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts:
+                found.setdefault(name, []).append(digest)
     return found
 
 
+def _record(folder: Path) -> object:
+    """The record; None: there is none, or it is damaged."""
+    try:
+        return read_json(folder / MADE)
+    except RunFolderError:
+        return None
+
+
+def _part(record: object, key: str) -> dict[str, object]:
+    part = record.get(key) if isinstance(record, dict) else None
+    return part if isinstance(part, dict) else {}
+
+
+def _unchanged(file: Path, digests: Sequence[object]) -> str:
+    """The digest of a file, if it is one of these; else empty."""
+    with suppress(OSError, ValueError):  # ValueError: no file can have that name
+        digest = sha256(file)
+        return digest if digest in digests else ""
+    return ""
+
+
 def record_masks(
-    folder: Path, masks: Mapping[str, str], writing: Mapping[str, str] | None = None
+    folder: Path,
+    masks: Mapping[str, str],
+    writing: Mapping[str, str] | None = None,
+    *,
+    made_of: Mapping[str, object] | None = None,
 ) -> None:
     """Write the record; RunFolderError if it cannot be written.
 
@@ -54,8 +106,10 @@ def record_masks(
         folder: of the masks.
         masks: those that are there, name -> SHA-256.
         writing: those that are written next.
+        made_of: name -> hash of what a mask was made of.
     """
-    record = {KEY: masks, WRITING: writing or {}}
+    record: dict[str, Mapping[str, object]]
+    record = {KEY: masks, WRITING: writing or {}, INPUTS: made_of or {}}
     write_json(folder / MADE, {key: dict(sorted(of.items())) for key, of in record.items()})
 
 

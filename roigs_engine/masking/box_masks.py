@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import atomic_write, own_folder, remove_leftovers
-from ..formats.made_masks import made_masks, mask_name, record_masks
+from ..formats.made_masks import made_masks, made_of, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..photos.mask_files import MaskFiles
 from ..photos.masks import mask_png, read_mask
+from .inputs import mask_inputs
 from .propagate import Knowledge, make_masks
 from .views import Mask, View, in_photo, part_around, view_of
 
@@ -35,6 +36,7 @@ class BoxMasks:
         photos: the photos by name, those with strokes included.
         strokes: on photos, by their names.
         folder: of the box's masks.
+        basis: hash of what carries masks from photo to photo (`basis_digest`).
     """
 
     scene: SfmScene
@@ -42,9 +44,12 @@ class BoxMasks:
     photos: Mapping[str, PhotoPixels]
     strokes: Mapping[str, tuple[Stroke, ...]]
     folder: Path
+    basis: str = ""
 
     def make(self, knowledge: Knowledge, context: Context = QUIET) -> list[str]:
-        """Make and write the masks; returns the names of their files. A person's masks stay.
+        """Make and write the masks; returns the names of their files.
+
+        A person's masks stay, and so do those that were made of the same inputs.
 
         Raises:
             ConfigError: no photo with strokes shows the box, or none is on the object.
@@ -55,22 +60,30 @@ class BoxMasks:
         remove_leftovers(self.folder)
         made = made_masks(self.folder)
         views = self._views(made, context)
-        found = make_masks(views, knowledge, self.roi.centre, context)
-        files, empty = {}, []
-        for view in views:
-            if view.given is None:
-                photo = self.photos[view.name]
-                mask = photo.in_file(in_photo(found[view.name], view.part, photo.camera))
-                files[mask_name(view.name)] = mask_png(mask)
-                if not mask.any():
-                    empty.append(view.name)
+        inputs = mask_inputs(views, self.strokes, self.basis)
+        views = self._with_kept(views, made, inputs)
+        wanted = [view for view in views if view.known is None]
+        found = make_masks(views, knowledge, self.roi.centre, context) if wanted else {}
+        files = {}
+        empty = [view.name for view in views if view.kept is not None and not view.kept.any()]
+        for view in wanted:
+            mask = view.photo.in_file(in_photo(found[view.name], view.part, view.photo.camera))
+            files[mask_name(view.name)] = mask_png(mask)
+            if not mask.any():
+                empty.append(view.name)
         if empty:
             context.warn(
                 f"Box '{self.roi.name}': {counted(len(empty), 'mask')} came out empty:"
                 f" {', '.join(empty[:NAMED])}{', …' if len(empty) > NAMED else ''}."
                 " Draw on the object there, if the photo shows it."
             )
-        return self._write(files)
+        names = self._write(files, {mask_name(name): digest for name, digest in inputs.items()})
+        count = sum(view.given is None for view in views)
+        context.info(
+            f"Box '{self.roi.name}': {len(names)} of {counted(count, 'mask')} made anew in"
+            f" {self.folder}."
+        )
+        return names
 
     def _views(self, made: Mapping[str, str], context: Context) -> list[View]:
         """The photos that show the box, with their strokes and a person's masks."""
@@ -96,6 +109,20 @@ class BoxMasks:
             )
         return views
 
+    def _with_kept(
+        self, views: list[View], made: Mapping[str, str], inputs: Mapping[str, str]
+    ) -> list[View]:
+        """The photos, with the masks that were made of the same inputs."""
+        known = made_of(self.folder)
+        found = []
+        for view in views:
+            name = mask_name(view.name)
+            if view.given is None and name in made and known.get(name) == inputs[view.name]:
+                mask = view.photo.of_file(read_mask(self.folder / name, view.photo.size))
+                view = replace(view, kept=view.part.of_mask(mask))
+            found.append(view)
+        return found
+
     def _given(self, photo: PhotoPixels, files: MaskFiles, made: Mapping[str, str]) -> Mask | None:
         """A person's mask of a photo, at its camera's size; None: there is none."""
         file = files.find(photo.name, beside=False)
@@ -103,8 +130,10 @@ class BoxMasks:
             return None
         return photo.of_file(read_mask(file, photo.size))
 
-    def _write(self, files: Mapping[str, bytes]) -> list[str]:
+    def _write(self, files: Mapping[str, bytes], inputs: Mapping[str, str]) -> list[str]:
         """Write masks by their names, but not over a person's; returns the names.
+
+        `inputs`: what each was made of.
 
         The record comes first: masks of a process that is killed here are known to be made.
         """
@@ -112,11 +141,13 @@ class BoxMasks:
         paths = {name: own_folder(self.folder, *Path(name).parts[:-1]) for name in files}
         names = [name for name in files if name in made or not (self.folder / name).is_file()]
         digests = {name: hashlib.sha256(files[name]).hexdigest() for name in names}
-        record_masks(self.folder, made, digests)
+        kept = {name: of for name, of in made_of(self.folder).items() if name not in names}
+        record_masks(self.folder, made, digests, made_of=kept)
         for name in names:
             with atomic_write(paths[name] / Path(name).name, durable=False) as file:
                 file.write(files[name])
-        record_masks(self.folder, made | digests)
+        now = {name: inputs[name] for name in names}
+        record_masks(self.folder, made | digests, made_of=kept | now)
         return names
 
 

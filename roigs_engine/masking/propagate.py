@@ -38,6 +38,8 @@ def make_masks(
 ) -> dict[str, Mask]:
     """The object's masks in all photos, by their names, at the sizes of the views.
 
+    Masks that are kept help to make the others, and stay.
+
     Args:
         views: photos that show the box; at least one with strokes or a mask.
         knowledge: what carries masks from photo to photo; nothing is learnt yet.
@@ -51,21 +53,25 @@ def make_masks(
         if view.given is None and view.is_scribbled:
             knowledge.learn_strokes(view)
     for view in begun:
-        if view.given is None:
+        mask = view.known
+        if mask is None:
             mask = cut(view, knowledge.prior(view, without=False), FIRST_BAND)
-        else:
-            mask = view.given
         masks[view.name] = mask
         steps.done()
     for view in begun:
         knowledge.learn(view, masks[view.name], PERSON)
-    for view in _nearest_first(views, begun, centre):
+    for view in views:
+        if view.kept is not None and view not in begun:
+            masks[view.name] = view.kept
+            knowledge.learn(view, view.kept)
+            steps.done()
+    for view in _nearest_first(views, [view for view in views if view.name in masks], centre):
         masks[view.name] = cut(view, knowledge.prior(view), WIDE_BAND)
         knowledge.learn(view, masks[view.name])
         steps.done()
     for _ in range(AGREEMENTS):
         for view in views:
-            if view.given is None:
+            if view.known is None:
                 masks[view.name] = cut(view, knowledge.prior(view), BAND)
             steps.done()
         for view in views:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,6 +49,18 @@ class Part:
         """(width, height) of the part in its own pixels."""
         return max(1, round(self.width * self.scale)), max(1, round(self.height * self.scale))
 
+    @property
+    def rows(self) -> tuple[slice, slice]:
+        """Rows and columns of the photo's pixels."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
+    def of_mask(self, mask: Mask) -> Mask:
+        """The part of a whole photo's mask."""
+        cv2 = opencv()
+        grey = np.where(mask[self.rows], np.uint8(255), np.uint8(0))
+        found: Mask = cv2.resize(grey, self.size, interpolation=cv2.INTER_AREA) >= 128
+        return found
+
     def camera(self, camera: Camera) -> Camera:
         """The photo's camera, for this part alone."""
         across, down = self.size
@@ -71,20 +84,36 @@ class View:
         part: of the photo that is worked on.
         camera: of that part.
         world_to_camera: (4, 4).
-        smooth: (H, W, 3) uint8 sRGB of the part, with fine texture removed.
+        photo: its pixels.
         near_box: (H, W) pixels in the box's silhouette or just beside it.
         seeds: (H, W) what the strokes say: `FREE`, `ON_OBJECT` or `ON_BACKGROUND`.
-        given: (H, W) the mask, if the user has one; None: it is to be made.
+        given: (H, W) the mask, if the user has one.
+        kept: (H, W) the mask, if it was made earlier and stays.
     """
 
     name: str
     part: Part
     camera: Camera
     world_to_camera: Float64
-    smooth: NDArray[np.uint8]
+    photo: PhotoPixels
     near_box: Mask
     seeds: Seeds
     given: Mask | None = None
+    kept: Mask | None = None
+
+    @cached_property
+    def smooth(self) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 sRGB of the part without fine texture; PhotoError if it is damaged."""
+        cv2 = opencv()
+        pixels = self.photo.pixels()[self.part.rows]
+        pixels = cv2.resize(pixels, self.part.size, interpolation=cv2.INTER_AREA)
+        smooth: NDArray[np.uint8] = cv2.pyrMeanShiftFiltering(pixels, *SMOOTHING)
+        return smooth
+
+    @property
+    def known(self) -> Mask | None:
+        """The mask, if it is there already; None: it is to be made."""
+        return self.kept if self.given is None else self.given
 
     @property
     def centre(self) -> Float64:
@@ -142,27 +171,18 @@ def view_of(
         world_to_camera: (4, 4).
         strokes: on the photo, in pixels of its file.
         given: (H, W) the user's mask at the size of the photo's camera.
-
-    Raises:
-        PhotoError: the photo cannot be decoded.
     """
-    cv2 = opencv()
     camera = part.camera(photo.camera)
     near = roi.scaled(1.0 + MARGIN / 3).silhouette(camera, world_to_camera)
-    cut = (slice(part.y, part.y + part.height), slice(part.x, part.x + part.width))
-    pixels = cv2.resize(photo.pixels()[cut], part.size, interpolation=cv2.INTER_AREA)
-    if given is not None:
-        grey = np.where(given[cut], np.uint8(255), np.uint8(0))
-        given = cv2.resize(grey, part.size, interpolation=cv2.INTER_AREA) >= 128
     return View(
         name=photo.name,
         part=part,
         camera=camera,
         world_to_camera=world_to_camera,
-        smooth=cv2.pyrMeanShiftFiltering(pixels, *SMOOTHING),
+        photo=photo,
         near_box=near,
         seeds=draw_strokes(photo, part, strokes),
-        given=given,
+        given=None if given is None else part.of_mask(given),
     )
 
 
@@ -200,5 +220,5 @@ def in_photo(mask: Mask, part: Part, camera: Camera) -> Mask:
     whole = np.zeros((camera.height, camera.width), dtype=bool)
     grey = np.where(mask, np.uint8(255), np.uint8(0))
     grown = cv2.resize(grey, (part.width, part.height), interpolation=cv2.INTER_LINEAR)
-    whole[part.y : part.y + part.height, part.x : part.x + part.width] = grown >= 128
+    whole[part.rows] = grown >= 128
     return whole

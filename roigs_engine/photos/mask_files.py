@@ -9,7 +9,8 @@ The mask of `sub/012.jpg` is the first of these files that exists, as COLMAP and
 such a file has its alpha channel, if there is one, as its mask. Before that comes, unless the user
 names a folder, the mask that `reconstruct` has used, which lies in its own folder.
 
-Masks of a box's object have the names of the first two columns, in the folder `masks/BOX`.
+Masks of a box's object have the names of the first two columns, in the folder `masks/BOX`. Those
+that could not be written there are in a run folder (`formats.made_masks.used_mask`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from functools import cached_property
 from pathlib import Path
 
 from ..errors import ConfigError
+from ..formats.made_masks import used_mask
 from ..formats.projects import RECONSTRUCTION
 from .files import MASK_ENDS, PhotoFolder, is_mask, same_name
 
@@ -39,6 +41,7 @@ class MaskOptions:
         used: False: there are no masks.
         boxes: names of the boxes whose masks of objects are used, from the folders `masks/BOX`.
         objects_inverted: black marks the objects.
+        objects: another folder of these masks, for photos that have none in `folder`.
     """
 
     folder: Path | None = None
@@ -46,6 +49,7 @@ class MaskOptions:
     used: bool = True
     boxes: tuple[str, ...] = ()
     objects_inverted: bool = False
+    objects: Path | None = None
 
     def check(self) -> None:
         """Raise ConfigError if the folder is none."""
@@ -63,18 +67,24 @@ class MaskFiles:
         folder: of the masks; need not exist.
     """
 
-    def __init__(self, photos: Path, folder: Path | None = None) -> None:
-        """Args: `photos`: the photos' folder; `folder`: of the masks; None: `masks` beside it."""
+    def __init__(self, photos: Path, folder: Path | None = None, *, made: bool = True) -> None:
+        """What to look for.
+
+        Args:
+            photos: the photos' folder.
+            folder: of the masks; None: `masks` beside it.
+            made: whether those that `reconstruct` has used count.
+        """
         project = Path(os.path.abspath(photos)).parent
         self._photos = photos
         self.folder = folder or project / MASKS
         self._made = PhotoFolder(project / RECONSTRUCTION / MASKS)
-        self._given = folder is not None
+        self._uses_made = made and folder is None
 
-    def of_object(self, box: str) -> MaskFiles | None:
-        """The masks of a box's object; None: it has no folder."""
-        folder = self.folder / box
-        return MaskFiles(self._photos, folder) if folder.is_dir() else None
+    def of_object(self, box: str, other: Path | None = None) -> ObjectMaskFiles:
+        """The masks of a box's object; `other`: another folder of masks of objects."""
+        in_run = None if other is None else MaskFiles(self._photos, other / box)
+        return ObjectMaskFiles(MaskFiles(self._photos, self.folder / box), in_run)
 
     def is_made(self, mask: Path) -> bool:
         """Whether `reconstruct` made that mask: in these, black is what is ignored in any case."""
@@ -93,7 +103,7 @@ class MaskFiles:
         if not beside:
             return None
         found = next(filter(None, map(self._beside.find, marked)), None)
-        return found or (None if self._given else self._made.find(plain[0]))
+        return found or (self._made.find(plain[0]) if self._uses_made else None)
 
     def unknown(self, photos: Iterable[str]) -> list[str]:
         """Names of the files that are the mask of none of these photos, nor of a box in one."""
@@ -119,6 +129,19 @@ class MaskFiles:
     @cached_property
     def _beside(self) -> PhotoFolder:
         return PhotoFolder(self._photos, {".png"}, keep=is_mask)
+
+
+class ObjectMaskFiles:
+    """The files of one box's masks of its object, beside the photos and in a run folder."""
+
+    def __init__(self, beside: MaskFiles, in_run: MaskFiles | None = None) -> None:
+        self._beside, self._in_run = beside, in_run
+
+    def find(self, photo: str) -> Path | None:
+        """The mask of a photo; None: it has none."""
+        beside = self._beside.find(photo, beside=False)
+        in_run = None if self._in_run is None else self._in_run.find(photo, beside=False)
+        return used_mask(beside, in_run, self._beside.folder)
 
 
 def mask_names(photo: str) -> tuple[list[str], list[str]]:

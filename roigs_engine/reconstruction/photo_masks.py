@@ -6,16 +6,19 @@ Where masks are, and what they may be, is decided as in training (`photos.mask_f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
-from pathlib import Path
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..colmap.photo_masks import HIDDEN, MaskPlan, find_mask, mask_digest
 from ..context import Context
 from ..errors import RunFolderError
-from ..formats.files import read_json, write_json
+from ..formats.files import cannot_write, own_folder, read_json, sha256, write_json
 from ..formats.text import counted, json_digest
+from ..photos.headers import PhotoError, photo_size
 from ..photos.mask_files import MaskFiles, MaskOptions
 from ..photos.masks import write_mask
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
@@ -26,10 +29,27 @@ from .look import Photo
 RECORD = "masks.json"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """What the record says of a mask in the folder; empty: an older record does not say it.
+
+    Attributes:
+        digest: hash of all that decides it.
+        sha256: of its file, as it was written.
+        photos: the folder of the photos that it was made for; relative if it is in the project.
+    """
+
+    digest: str
+    sha256: str = ""
+    photos: str = ""
+
+
 def make_masks(
     photos: Sequence[Photo], source: Path, options: MaskOptions, folder: Folder, context: Context
-) -> dict[str, MaskPlan]:
+) -> dict[str, str]:
     """Write the masks that the folder does not have yet, and say how many there are.
+
+    Masks that are not used any more are removed, unless a person has changed them.
 
     Args:
         photos: those to reconstruct.
@@ -39,23 +59,23 @@ def make_masks(
         context: gets the messages; checked for cancellation between photos.
 
     Returns:
-        How each mask is made, by the photo's name; a photo with an opaque alpha channel has none.
+        Hash of each mask, by the photo's name; a photo with an opaque alpha channel has none.
 
     Raises:
         MaskError, PhotoError: a mask cannot be used.
         RunFolderError: the folder cannot be written.
         Stopped: on request.
     """
-    plans = _plans(photos, source, options, context)
-    if not plans:
-        return {}
-    known, digests = _record(folder), {name: plan.digest() for name, plan in plans.items()}
+    plans, known = _plans(photos, source, options, context), _record(folder)
+    place = _place_of(source, folder)
+    digests = {name: plan.digest() for name, plan in plans.items()}
     missing = [
         name
         for name in plans
-        if known.get(name) != digests[name] or not _place(folder, name).is_file()
+        if name not in known
+        or known[name].digest != digests[name]
+        or not _place(folder, name).is_file()
     ]
-    largest = max(decoding_bytes(plan.photo, plan.size) for plan in plans.values())
 
     def make(name: str) -> bool | None:
         """Write a mask; whether anything of the photo is used. None: an opaque alpha channel."""
@@ -65,31 +85,41 @@ def make_masks(
         write_mask(_place(folder, name), mask)
         return bool(mask.any())
 
-    with closing(in_parallel(make, missing, threads_for(largest), context)) as work:
+    sizes = (decoding_bytes(plan.photo, plan.size) for plan in plans.values())
+    with closing(in_parallel(make, missing, threads_for(max(sizes, default=1)), context)) as work:
         used = {name: job.result() for name, job in work}
-    masks = {name: plan for name, plan in plans.items() if used.get(name, True) is not None}
+    masks = {} if not options.used else _of_other_photos(photos, plans, known, place, folder)
+    for name in plans:
+        if used.get(name, True) is not None:
+            sha = sha256(_place(folder, name)) if name in used else known[name].sha256
+            masks[name] = Kept(digest=digests[name], sha256=sha, photos=place)
+    _forget(known.keys() - masks.keys(), known, folder)
+    if masks or known:
+        write_json(folder.work(RECORD), {name: asdict(masks[name]) for name in sorted(masks)})
     if masks:
-        write_json(folder.work(RECORD), {name: digests[name] for name in masks})
         text = f"{counted(len(masks), 'photo')} with a mask: no features where it is black."
         context.info(text)
     hidden = [name for name in used if used[name] is False]
     if hidden:
         context.warn(f"{counted(len(hidden), 'photo')} {HIDDEN}: {named(hidden)}.")
-    return masks
+    return {name: kept.digest for name, kept in masks.items()}
 
 
-def digest_of(masks: Mapping[str, MaskPlan]) -> str:
-    """Hash of all masks; empty: there are none."""
-    return json_digest({name: plan.digest() for name, plan in masks.items()}) if masks else ""
+def digest_of(masks: Mapping[str, str]) -> str:
+    """Hash of all masks of `make_masks`; empty: there are none."""
+    return json_digest(dict(masks)) if masks else ""
 
 
 def _plans(
     photos: Sequence[Photo], source: Path, options: MaskOptions, context: Context
 ) -> dict[str, MaskPlan]:
-    """As `make_masks`, before anything is decoded, so of opaque alpha channels as well."""
+    """How to make the masks; nothing is decoded, so of opaque alpha channels as well.
+
+    The masks in the folder are none of them: they are made of others.
+    """
     if not options.used:
         return {}
-    files = MaskFiles(source, options.folder)
+    files = MaskFiles(source, options.folder, made=False)
     found = {}
     for photo in photos:
         context.check_cancelled()
@@ -111,9 +141,62 @@ def _place(folder: Folder, name: str) -> Path:
     return folder.masks / f"{name}.png"
 
 
-def _record(folder: Folder) -> dict[str, Any]:
-    """Name -> digest, of the masks that were written."""
+def _place_of(source: Path, folder: Folder) -> str:
+    """The name of a folder of photos in the record."""
+    path, root = Path(os.path.realpath(source)), Path(os.path.realpath(folder.root))
+    return (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()
+
+
+def _of_other_photos(
+    photos: Sequence[Photo],
+    plans: Mapping[str, MaskPlan],
+    known: Mapping[str, Kept],
+    place: str,
+    folder: Folder,
+) -> dict[str, Kept]:
+    """The masks in the folder that were made beside other photos, which had the same names.
+
+    One that was made for photos in this place, and is not there any more, a person has removed.
+    """
+    return {
+        photo.name: known[photo.name]
+        for photo in photos
+        if photo.name in known
+        and photo.name not in plans
+        and known[photo.name].photos != place
+        and _fits(_place(folder, photo.name), photo)
+    }
+
+
+def _fits(mask: Path, photo: Photo) -> bool:
+    with suppress(PhotoError):
+        return photo_size(mask) == photo.size
+    return False
+
+
+def _forget(names: Iterable[str], known: Mapping[str, Kept], folder: Folder) -> None:
+    """Remove masks from the folder that nobody has changed; RunFolderError if that fails."""
+    for name in names:
+        inside = PurePosixPath(name)
+        if inside.is_absolute() or ".." in inside.parts:
+            continue
+        path = _place(folder, name)
+        path = own_folder(folder.masks, *path.relative_to(folder.masks).parts[:-1]) / path.name
+        try:
+            if path.is_file() and sha256(path) == known[name].sha256:
+                path.unlink()
+        except OSError as error:
+            raise cannot_write(path, error) from error
+
+
+def _record(folder: Folder) -> dict[str, Kept]:
+    """What is known of the masks that were written, by the photos' names."""
     record: Any = {}
     with suppress(RunFolderError):
         record = read_json(folder.work(RECORD))
-    return record if isinstance(record, dict) else {}
+    found = {}
+    for name, entry in record.items() if isinstance(record, dict) else ():
+        entry = {"digest": entry} if isinstance(entry, str) else entry
+        with suppress(TypeError):
+            found[name] = Kept(**entry)
+    return found

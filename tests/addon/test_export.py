@@ -221,7 +221,7 @@ def test_without_results_there_is_nothing_to_export(blender: ModuleType, addon) 
 
 
 def middle(bpy: ModuleType, path: Path) -> np.ndarray:
-    return export(bpy, path, up="Z", selected=False)["means"].mean(axis=0)
+    return export(bpy, path, up="Z", visible=False)["means"].mean(axis=0)
 
 
 def test_what_the_viewport_hides_is_exported_where_renders_show_it(
@@ -253,6 +253,22 @@ def test_what_the_viewport_hides_is_exported_where_renders_show_it(
     scene.roigs.root.location.y += 2
     moved = middle(blender, tmp_path / "a.ply") - start
     np.testing.assert_allclose(moved, (0, 2, 0), atol=1e-4)
+
+
+def test_what_h_hides_is_left_out(blender: ModuleType, scene, tmp_path: Path) -> None:
+    items = objects(scene)
+    hidden, other = items["Background"], items["thing Gaussians"]
+    whole = len(export(blender, tmp_path / "a.ply")["means"])
+    hidden.hide_set(True)
+    assert len(export(blender, tmp_path / "a.ply")["means"]) == len(other.data.vertices)
+    assert len(export(blender, tmp_path / "a.ply", visible=False)["means"]) == whole
+    hidden.hide_set(False)
+    hidden.hide_viewport = True
+    assert len(export(blender, tmp_path / "a.ply")["means"]) == len(other.data.vertices)
+    other.hide_set(True)
+    with pytest.raises(RuntimeError, match=r"all are hidden. Show them \(Alt H\)"):
+        export(blender, tmp_path / "b.ply")
+    assert not (tmp_path / "b.ply").exists()
 
 
 def test_what_was_deleted_in_edit_mode_is_not_exported(

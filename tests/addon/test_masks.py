@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from types import ModuleType
 
@@ -99,6 +100,22 @@ def test_the_engine_is_asked_for_the_boxs_photos(
     assert (scribble.box, scribble.photo, len(scribble.strokes)) == ("thing", photos[0], 1)
 
 
+def test_the_panel_says_how_many_were_made_anew(
+    blender: ModuleType, run, box, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.jobs import current, undo
+
+    pushed: list[str] = []
+    monkeypatch.setattr(undo, "push", pushed.append)
+    said = "say(event='message', level='info', text=\"Box 'thing': 2 of 5 masks made anew in x.\")"
+    use(monkeypatch, tmp_path, said + '\nsay(event="done", outputs={}, stopped=False)')
+    draw(box, names(run[0])[0])
+    assert blender.ops.roigs.make_masks() == {"FINISHED"}
+    place = root(*run) / "thing"
+    assert current.outcome() == f"thing: 2 of 5 masks made anew in {place}."
+    assert not pushed  # nothing in Blender has changed
+
+
 def test_masks_lie_beside_the_photos_if_that_can_be_written(
     run, project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,25 +125,56 @@ def test_masks_lie_beside_the_photos_if_that_can_be_written(
     assert root(scene, folder) == project / "masks"
     monkeypatch.setattr(masks.os, "access", lambda *_: False)
     assert root(scene, folder) == folder / "blender" / "masks"
+    put(folder / "blender/masks/thing/a.png")
+    monkeypatch.undo()
+    assert root(scene, folder) == folder / "blender" / "masks"  # they stay together
 
 
-def test_stepping_through_masks_and_removing_them(
+def put(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(os.fsencode(path))
+    return path
+
+
+def test_masks_in_the_run_folder_are_shown_used_and_removed(
     blender: ModuleType, run, box, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from roigs_addon.scene import lookup, masks
+    from roigs_addon.jobs import options_files
+    from roigs_addon.scene import masks
+    from roigs_engine.formats.files import read_json, sha256
+    from roigs_engine.formats.made_masks import record_masks
+
+    scene, folder = run
+    photo = names(scene)[0]
+    monkeypatch.setattr(masks, "_beside_photos", lambda _: tmp_path / "masks")
+    assert masks.file(scene, folder, box, photo) is None and not masks.are_there(scene, folder)
+    made = put(tmp_path / "masks/thing" / f"{photo}.png")
+    record_masks(made.parent, {made.name: sha256(made)})
+    assert masks.file(scene, folder, box, photo) == made
+    there = put(folder / "blender/masks/thing" / f"{photo}.png")
+    record_masks(there.parent, {there.name: sha256(there)})
+    assert masks.file(scene, folder, box, photo) == there  # newer than what was made there
+    assert masks.photos(scene, folder, box) == [photo] and masks.are_there(scene, folder)
+    asked = read_json(options_files.write_select_options(scene, [box]))
+    assert asked["object_masks"] == str(folder / "blender/masks")
+    made.write_bytes(b"a person's")
+    assert masks.file(scene, folder, box, photo) == made
+    assert blender.ops.roigs.remove_masks() == {"FINISHED"}
+    assert made.exists() and not there.exists()
+
+
+def test_stepping_through_masks_and_removing_them(blender: ModuleType, run, box) -> None:
+    from roigs_addon.scene import lookup
     from roigs_engine.formats.files import sha256
     from roigs_engine.formats.made_masks import record_masks
 
-    scene, _ = run
-    out = tmp_path / "masks"
-    monkeypatch.setattr(masks, "folder", lambda *_: out)
+    scene, folder = run
+    out = folder / "blender/masks"
     photos = names(scene)
     with pytest.raises(RuntimeError, match="no masks yet"):
         blender.ops.roigs.step_mask(step=1)
     for photo in (photos[1], photos[3]):
-        path = masks.file(out, box, photo)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"mask")
+        put(out / "thing" / f"{photo}.png")
     draw(box, photos[0])
     seen = []
     for step in (1, 1, 1, 1, -1):
@@ -134,10 +182,10 @@ def test_stepping_through_masks_and_removing_them(
         seen.append(lookup.photo_record(scene.camera).name)
     assert seen == [photos[0], photos[1], photos[3], photos[0], photos[3]]
     assert scene.roigs.show_masks
-    made = masks.file(out, box, photos[1])
+    made = out / "thing" / f"{photos[1]}.png"
     record_masks(out / "thing", {f"{photos[1]}.png": sha256(made)})
     assert blender.ops.roigs.remove_masks() == {"FINISHED"}
-    assert not made.exists() and masks.file(out, box, photos[3]).exists()
+    assert not made.exists() and (out / "thing" / f"{photos[3]}.png").exists()
 
 
 def test_the_panel_says_what_to_do(blender: ModuleType, run, box) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
+from roigs_engine.model.scene import SfmScene
 from tests.poses import Y_DOWN, look_at
 
 Array = np.ndarray
@@ -144,3 +145,15 @@ def _write_model(project_: Project, folder: Path, binary: bool, tracks: bool) ->
         reconstruction.add_point3D(point, track, np.array([row % 256, 100, 200], np.uint8))
     folder.mkdir(parents=True, exist_ok=True)
     (reconstruction.write_binary if binary else reconstruction.write_text)(str(folder))
+
+
+def assert_same(scene: SfmScene, project: Project, names: list[str] | None = None) -> None:
+    """Poses, points and observations are those that were written."""
+    names = project.names if names is None else names
+    assert [image.name for image in scene.images] == sorted(names)
+    np.testing.assert_allclose(scene.points, project.points, atol=1e-12)
+    for image in scene.images:
+        index = project.names.index(image.name)
+        np.testing.assert_allclose(image.world_to_camera, project.poses[index], atol=1e-12)
+        seen = np.flatnonzero(np.isfinite(project.project(index)).all(axis=1))
+        np.testing.assert_array_equal(image.point_indices, seen)

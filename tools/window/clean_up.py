@@ -17,7 +17,16 @@ from pathlib import Path
 
 from .driver import REPOSITORY, Blender, WindowError
 from .pictures import COLOURS, LOOK, look_at_boxes
-from .scenario import BUSY, STATE, import_demo, load_boxes, parser, prepare, window
+from .scenario import (
+    BUSY,
+    STATE,
+    import_demo,
+    load_boxes,
+    open_result_panel,
+    parser,
+    prepare,
+    window,
+)
 
 SIZE = (1040, 980)
 CLOSE = "close/vase_02.jpg"
@@ -43,21 +52,6 @@ def check(text: str, good: bool) -> None:
     print(f"{'good' if good else 'BAD '} {text}", flush=True)
     if not good:
         raise WindowError(text)
-
-
-def open_panel(blender: Blender) -> None:
-    """Open the sub-panel by a click on its header, which is below the button for the export."""
-    x, y = blender.find("roigs.export_gaussians", x=0.8)
-    for below in range(24, 130, 12):
-        blender.click((x, y + below))
-        blender.pause(0.7)
-        try:
-            blender.find("roigs.choose_by_box", x=SELECT)
-        except WindowError:
-            blender.find("roigs.export_gaussians", x=0.8)
-        else:
-            return
-    raise WindowError("The panel did not open.")
 
 
 def clean_up(blender: Blender, picture: Callable[..., None]) -> None:
@@ -175,7 +169,7 @@ def main() -> int:
             blender.ask("call('roigs.load_results')")
             blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
             blender.pause(5.0)
-            open_panel(blender)
+            open_result_panel(blender, "roigs.choose_by_box", x=SELECT)
             clean_up(blender, picture)
             leave_and_return(blender, folder, picture)
         except Exception:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .driver import REPOSITORY, Blender, Screen, with_extension
+from .driver import REPOSITORY, Blender, Screen, WindowError, with_extension
 
 SCENE = REPOSITORY / "demo" / "scene"
 TAB = "ROI-GS"
@@ -88,3 +88,18 @@ def import_demo(blender: Blender) -> None:
 def load_boxes(blender: Blender) -> None:
     """Load the demo's boxes."""
     blender.ask(f"call('roigs.load_rois', filepath={str(SCENE / 'rois.json')!r})")
+
+
+def open_result_panel(blender: Blender, command: str, x: float) -> None:
+    """Open the sub-panel with a button by a click on its header, below that of the export."""
+    column, row = blender.find("roigs.export_gaussians", x=0.8)
+    for below in range(24, 130, 12):
+        blender.click((column, row + below))
+        blender.pause(0.7)
+        try:
+            blender.find(command, x=x)
+        except WindowError:
+            column, row = blender.find("roigs.export_gaussians", x=0.8)
+        else:
+            return
+    raise WindowError("The panel did not open.")

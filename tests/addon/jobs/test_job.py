@@ -401,3 +401,45 @@ def test_a_python_that_does_not_start(blender: ModuleType, spec, tmp_path: Path)
     with pytest.raises(AddonError, match="cannot be started"):
         current.start(Engine(python=tmp_path / "nowhere", source=tmp_path), spec())
     assert not current.busy()
+
+
+@pytest.mark.parametrize(
+    ("title", "resume"),
+    [
+        ("TRAINING", " Press 'Continue' to resume."),
+        ("RECONSTRUCTING", " Press 'Continue' to resume."),
+        ("LEVELS", " Press 'Make Levels' to resume."),
+        ("EXPORTING", ""),
+        ("MASKING", ""),
+        ("FLOATERS", ""),
+    ],
+)
+def test_a_stopped_job_says_what_resumes_it(
+    blender: ModuleType, spec, tmp_path: Path, title: str, resume: str
+) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs import spec as specs
+
+    ends = {
+        "say(event='done', outputs={}, stopped=True)": f"Stopped.{resume}",
+        "os.kill(os.getpid(), 9)": f"The engine was ended from outside (signal 9).{resume}",
+    }
+    for number, (code, text) in enumerate(ends.items()):
+        job = spec(title=getattr(specs, title))
+        current.wait(current.start(fake(tmp_path / str(number), code), job))
+        state = current.state()
+        assert (state.error or state.message) == text
+
+
+def test_a_panel_says_that_its_job_was_stopped(
+    blender: ModuleType, run, spec, tmp_path: Path
+) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.spec import MASKING
+    from roigs_addon.ui.masks import MasksPanel
+    from tests.addon.ui.test_panels import said
+
+    code = "say(event='done', outputs={}, stopped=True)"
+    current.wait(current.start(fake(tmp_path, code), spec(title=MASKING)))
+    text = " ".join(said(blender, MasksPanel))
+    assert "Stopped." in text and "Continue" not in text

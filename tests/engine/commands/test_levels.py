@@ -12,6 +12,7 @@ from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.formats.levels import read_ladders
+from roigs_engine.formats.lock import locked
 from roigs_engine.model.gaussians import Gaussians
 from tests.engine.commands.command_line import refused
 from tests.engine.synthetic_colmap import write_project
@@ -51,6 +52,12 @@ def test_a_moved_scene_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -
     line = refused(capsys, *words(run))
     assert "is not where it was" in line and "--scene" in line
     assert main(words(run, "--scene", str(moved))) == 0
+
+
+def test_a_run_in_use_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with locked(run):
+        line = refused(capsys, *words(run))
+    assert "at work" in line and line.endswith(". Wait for it, or stop it.")
 
 
 def test_bad_input_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -98,11 +98,13 @@ def test_masks_that_cannot_be_used(
     assert "3.png.png (the file is empty)" in line and "--no-masks" in line
 
 
-def put_object(scene: Path, mask: np.ndarray, names: list[str]) -> None:
+def put_object(
+    scene: Path, mask: np.ndarray, names: list[str], folder: str = "masks/thing"
+) -> None:
     """Masks of the object of box `thing`."""
-    (scene / "masks/thing").mkdir(parents=True, exist_ok=True)
+    (scene / folder).mkdir(parents=True, exist_ok=True)
     for name in names:
-        Image.fromarray(mask).save(scene / "masks/thing" / f"{name}.png")
+        Image.fromarray(mask).save(scene / folder / f"{name}.png")
 
 
 def left_half() -> np.ndarray:
@@ -139,6 +141,28 @@ def test_a_run_with_masks_of_an_object_and_without(
     model = f"Ours={tmp_path / 'run' / run_files.RESULT}"
     assert main([*words, "--model", model, "--out", str(tmp_path / "out")]) == 0
     assert "mask PSNR (dB)" in capsys.readouterr().out
+
+
+def test_masks_of_objects_in_the_run_folder(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, none = tmp_path / "run", tmp_path / "none"
+    put_object(run, left_half(), NAMES[::2], "blender/masks/thing")
+    words = command("train", scene, run)
+    assert main([*words, "--dry-run"]) == 0
+    found = "Box 'thing': masks of the object on 5 photos."
+    assert found in capsys.readouterr().err
+    assert main(words) == 0
+    assert found in capsys.readouterr().err and (run / "cutout").exists()
+    select = ["select", str(scene), "--roi", BOX, "--object-masks"]
+    assert main([*select, str(run / "blender/masks")]) == 0
+    assert found in capsys.readouterr().err
+    assert "Give --object-masks" in refused(capsys, *select, none)
+    put_object(scene, left_half(), NAMES[1:2])
+    assert main([*words, "--dry-run", "--update"]) == 0
+    assert "masks of the object on 6 photos" in capsys.readouterr().err
+    assert main([*words, "--dry-run", "--update", "--masks", str(scene / "masks")]) == 0
+    assert "masks of the object on 1 photo." in capsys.readouterr().err
 
 
 def test_masks_of_objects_that_cannot_be_used(

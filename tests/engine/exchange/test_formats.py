@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.cli import main
-from roigs_engine.errors import ConfigError, EngineError, RunFolderError
+from roigs_engine.errors import ConfigError, EngineError, RunFolderError, Stopped
 from roigs_engine.exchange import axes, formats, gltf, packages
 from roigs_engine.exchange.moved import moved
 from roigs_engine.formats.splat_ply import read_ply, write_ply
@@ -304,6 +304,25 @@ def test_sog_of_equal_colours(tmp_path: Path, recwarn: pytest.WarningsRecorder) 
     formats.write(tmp_path / "a.sog", values)
     assert np.abs(formats.read(tmp_path / "a.sog")["sh"][:, 1:] - 0.25).max() < 0.01
     assert not recwarn.list
+
+
+@pytest.mark.parametrize(("suffix", "least"), [(".sog", 20), (".spz", 3)])
+def test_a_stop_is_seen_between_the_parts(tmp_path: Path, suffix: str, least: int) -> None:
+    path = tmp_path / f"a{suffix}"
+    needed(formats.format_of(path))
+    calls: list[int] = []
+    formats.write(path, arrays(1000), lambda: calls.append(1))
+    assert len(calls) >= least
+    path.unlink()
+
+    def stop() -> None:
+        calls.pop()
+        if not calls:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        formats.write(path, arrays(1000), stop)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -89,5 +89,6 @@ def test_links_are_not_followed(run: Path, tmp_path: Path) -> None:
 
 def test_a_run_in_use_is_left_alone(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with in_the_middle(HOLD, run, "held"):
-        assert "at work" in refused(capsys, "clean", run)
+        line = refused(capsys, "clean", run)
+    assert "at work" in line and line.endswith(". Wait for it, or stop it.")
     assert files(run) == {*GONE, *KEPT}

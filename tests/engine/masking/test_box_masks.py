@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ pytest.importorskip("cv2")
 from roigs_engine.masking import box_masks
 from roigs_engine.masking.box_masks import BoxMasks, masked_photos
 from roigs_engine.masking.gaussian_votes import GaussianVotes
+from roigs_engine.masking.inputs import basis_digest
 from roigs_engine.masking.point_votes import PointVotes
 from roigs_engine.masking.views import _pieces
 
@@ -119,6 +121,48 @@ def test_a_persons_masks_are_used_and_stay(ball: BallScene, tmp_path: Path) -> N
     assert edited.name not in json.loads((tmp_path / MADE).read_text())["masks"]
 
 
+def test_masks_of_the_same_inputs_are_kept(ball: BallScene, tmp_path: Path) -> None:
+    events: list[Event] = []
+
+    def make(making: BoxMasks) -> tuple[list[str], str]:
+        names = making.make(votes(ball), Context(emit=events.append))
+        return sorted(names), [event.text for event in events if isinstance(event, Message)][-1]
+
+    drawn = {"0.png": strokes(ball.true["0.png"])}
+    every = [f"{k}.png.png" for k in range(6)]
+    making = work(ball, tmp_path, drawn)
+    assert make(making) == (every, f"Box 'ball': 6 of 6 masks made anew in {tmp_path}.")
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
+    assert make(making) == ([], f"Box 'ball': 0 of 6 masks made anew in {tmp_path}.")
+    line = Stroke(kind=BACKGROUND, width=3.0, points=np.array([[80.0, 50.0]]))
+    corrected = drawn | {"3.png": (line,)}
+    making = work(ball, tmp_path, corrected)
+    assert make(making) == (["3.png.png"], f"Box 'ball': 1 of 6 masks made anew in {tmp_path}.")
+    after = {path.name: path.read_bytes() for path in tmp_path.glob("*.png")}
+    assert [name for name in every if before[name] != after[name]] == ["3.png.png"]
+    (tmp_path / "5.png.png").unlink()
+    assert make(making)[0] == ["5.png.png"]
+    assert iou(masks(tmp_path)["5.png"], ball.true["5.png"]) > 0.9
+    Image.fromarray(ball.true["2.png"]).save(tmp_path / "2.png.png")  # a person's now
+    assert make(making) == ([], f"Box 'ball': 0 of 5 masks made anew in {tmp_path}.")
+    # Another model or box, and other strokes to begin with, change all.
+    assert len(make(replace(making, basis="another"))[0]) == 5
+    begun = corrected | {"1.png": strokes(ball.true["1.png"])}
+    assert len(make(replace(making, basis="another", strokes=begun))[0]) == 5
+
+
+def test_the_model_and_the_boxes_decide_masks(ball: BallScene, tmp_path: Path) -> None:
+    model, larger = tmp_path / "model.ply", BOX.scaled(1.1)
+    digests = {basis_digest(None, ball.scene, box, [BOX, larger]) for box in (BOX, larger)}
+    for data in (b"one", b"two"):
+        model.write_bytes(data)
+        digests |= {basis_digest(model, ball.scene, BOX, [BOX]) for _ in range(2)}
+        digests.add(basis_digest(model, ball.scene, BOX, [BOX, larger]))
+    assert len(digests) == 6
+    with pytest.raises(EngineError, match="Cannot read"):
+        basis_digest(tmp_path / "none.ply", ball.scene, BOX, [BOX])
+
+
 def test_a_stop_changes_no_mask(ball: BallScene, tmp_path: Path) -> None:
     drawn = {"0.png": strokes(ball.true["0.png"])}
     calls = 0
@@ -158,7 +202,7 @@ def test_masks_of_a_killed_process_are_made_again(
 def test_a_mask_that_a_person_saves_meanwhile_stays(ball: BallScene, tmp_path: Path) -> None:
     folder = tmp_path / "masks"
     making = work(ball, folder, {"0.png": strokes(ball.true["0.png"])})
-    making.make(votes(ball))
+    folder.mkdir()
     own = np.zeros((120, 160), dtype=bool)
     calls = iter(range(1000))
 

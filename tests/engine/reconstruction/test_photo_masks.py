@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from PIL import Image
 
 from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
+from roigs_engine.formats.files import sha256
 from roigs_engine.photos import masks
 from roigs_engine.photos.mask_files import MaskFiles, MaskOptions
 from roigs_engine.photos.masks import stored_mask
@@ -96,3 +98,64 @@ def test_an_alpha_channel_is_decoded_once(tmp_path: Path, monkeypatch: pytest.Mo
     assert sorted(path.name for path in decoded) == ["c.png", "d.png"]
     assert make_masks(photos, source, MaskOptions(), folder, QUIET) == first
     assert [path.name for path in decoded[2:]] == ["d.png"]
+
+
+def test_photos_in_the_project_have_the_same_masks_again(tmp_path: Path) -> None:
+    """`reconstruct SCENE/images --out SCENE`: a mask that was made is none that a photo has."""
+    folder = scene(tmp_path)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    first = make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+    # As in a record of an older version.
+    record = folder.work("masks.json")
+    record.write_text(json.dumps(first))
+    assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+    moved = Folder((tmp_path / "scene").rename(tmp_path / "moved"))
+    photos = look_at(moved.photos_of(moved.images), tmp_path / "photos.json", QUIET).photos
+    assert make_masks(photos, moved.images, MaskOptions(), moved, QUIET) == first
+
+
+def test_masks_that_a_person_removed_are_removed(tmp_path: Path) -> None:
+    folder = scene(tmp_path)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    mine = folder.masks / "sub/b.png.png"
+    Image.new("1", (40, 30), 1).save(mine)
+    (tmp_path / "scene/masks/a.png.png").unlink()
+    (tmp_path / "scene/images/sub/b.mask.png").unlink()
+    assert set(make_masks(photos, folder.images, MaskOptions(), folder, QUIET)) == {"c.png"}
+    assert not (folder.masks / "a.png.png").exists() and mine.exists()  # a person painted that
+    assert make_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET) == {}
+    assert not (folder.masks / "c.png.png").exists()
+
+
+def test_masks_beside_the_first_photos_stay(tmp_path: Path) -> None:
+    """The photos were elsewhere; from now on the project's own are given."""
+    source, folder = scene(tmp_path).images, Folder(tmp_path / "out")
+    photos = look_at(folder.photos_of(source), tmp_path / "photos.json", QUIET).photos
+    folder.take_photos(list(photos))
+    first = make_masks(photos, source, MaskOptions(), folder, QUIET)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "own.json", QUIET).photos
+    for _ in range(2):
+        assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+    assert all((folder.masks / f"{name}.png").exists() for name in first)
+
+
+@pytest.mark.parametrize("record", ["5", '{"a.png": [1]}', '{"a.png": {"digest": 1, "x": 2}}'])
+def test_a_damaged_record_is_made_anew(tmp_path: Path, record: str) -> None:
+    folder = scene(tmp_path)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    first = make_masks(photos, folder.images, MaskOptions(), folder, QUIET)
+    folder.work("masks.json").write_text(record)
+    assert make_masks(photos, folder.images, MaskOptions(), folder, QUIET) == first
+
+
+def test_a_record_names_no_file_outside(tmp_path: Path) -> None:
+    folder = scene(tmp_path)
+    photos = look_at(folder.photos_of(folder.images), tmp_path / "photos.json", QUIET).photos
+    other = tmp_path / "scene/masks/a.png.png"
+    entry = {"digest": "", "sha256": sha256(other), "photos": ""}
+    folder.masks.mkdir(parents=True)
+    folder.work("masks.json").write_text(json.dumps({"../../masks/a.png": entry}))
+    make_masks(photos, folder.images, MaskOptions(used=False), folder, QUIET)
+    assert other.exists()

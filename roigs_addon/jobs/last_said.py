@@ -1,0 +1,23 @@
+"""What the engine has said last about something, from its log. No bpy."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ..errors import AddonError
+from ..shared import EngineError, files
+
+
+def last_said(log: Path, words: re.Pattern[str]) -> str:
+    """The first group of the last line that is these words; empty if there is none.
+
+    Raises:
+        AddonError: the log cannot be read.
+    """
+    try:
+        lines = files.read_bytes(log).decode("utf-8", "replace").splitlines()
+    except EngineError as error:
+        raise AddonError(str(error)) from error
+    found = [match[1] for line in lines if (match := words.fullmatch(line))]
+    return found[-1] if found else ""

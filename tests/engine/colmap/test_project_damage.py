@@ -1,0 +1,58 @@
+"""COLMAP projects with damaged or missing files."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.colmap.model_files import read_model
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.errors import SceneError
+from tests.engine.synthetic_colmap import write_project
+
+
+def test_missing_folders_and_files(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="is not a folder"):
+        load_colmap(tmp_path / "nothing")
+    with pytest.raises(SceneError, match="has no COLMAP model"):
+        load_colmap(tmp_path)
+    write_project(tmp_path)
+    (tmp_path / "sparse/0/points3D.bin").unlink()
+    with pytest.raises(SceneError, match=r"points3D\.bin"):
+        load_colmap(tmp_path)
+
+
+@pytest.mark.parametrize("stem", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("binary", [True, False])
+def test_damaged_files_never_end_in_a_traceback(tmp_path: Path, stem: str, binary: bool) -> None:
+    """Cut, flipped and overwritten files load or raise a SceneError, at once."""
+    write_project(tmp_path, names=["a.png"], binary=binary)
+    path = tmp_path / "sparse/0" / (stem + (".bin" if binary else ".txt"))
+    good, dice = path.read_bytes(), random.Random(stem)
+    for kind in range(150):
+        bad = bytearray(good)
+        at = dice.randrange(len(bad))
+        if kind % 3 == 0:
+            del bad[at:]
+        elif kind % 3 == 1:
+            bad[at] ^= 1 << dice.randrange(8)
+        else:
+            bad[at : at + 8] = bytes(dice.choice((0, 255, 31)) for _ in range(8))
+        path.write_bytes(bad)
+        with contextlib.suppress(SceneError):
+            load_colmap(tmp_path)
+
+
+@pytest.mark.parametrize("stem", ["cameras", "images", "points3D"])
+def test_every_cut_of_a_binary_file_is_noticed(tmp_path: Path, stem: str) -> None:
+    write_project(tmp_path, names=["a.png"], points=np.zeros((2, 3)))
+    path = tmp_path / "sparse/0" / f"{stem}.bin"
+    good = path.read_bytes()
+    for length in range(len(good)):
+        path.write_bytes(good[:length])
+        with pytest.raises(SceneError, match=f"{stem}\\.bin"):
+            read_model(path.parent)
