@@ -220,7 +220,11 @@ def train(blender: Blender, box: str, side: int, run: Path, shot: Callable[[str]
     blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
     blender.ask(f"bpy.context.scene.roigs.max_side = {side}")
     blender.pause(2.0)
-    blender.click(blender.find("active_only=True", x=0.7))
+    try:
+        button = blender.find("active_only=True", x=0.7)
+    except WindowError:  # there is one box
+        button = blender.find("roigs.train_roi", x=0.3)
+    blender.click(button)
     blender.until(f"{BUSY}", 60)
     blender.until(f"not {BUSY}", WAIT)
     part = run / "rois" / f"{box}.ply"
