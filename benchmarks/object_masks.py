@@ -81,9 +81,9 @@ def views(run: Path, true: Path, box: str) -> Iterator[View]:
     used = manifest.get("object_masks", {}).get(box, {})
     scene = load_colmap(
         Path(settings["scene"]),
+        images=settings.get("images"),
         max_side=settings.get("max_side"),
         masks=MaskOptions(folder=true, used=False, boxes=(box,)),
-        pixels=False,
     )
     frame = LocalFrame.of_scene(scene)
     whole = Gaussians.load_ply(run / run_files.RESULT, frame)

@@ -5,7 +5,8 @@
 
 For each box, strokes as a person would draw them are simulated on one of its close-ups, from the
 true mask: three short lines on the object, and one around it. `masks` then makes the masks of the
-other photos that are selected for the box.
+other photos that are selected for the box. Where only some photos have true masks, as those of a
+real scene that were drawn by hand, masks are made of these photos too, and compared on them.
 """
 
 from __future__ import annotations
@@ -23,13 +24,22 @@ from PIL import Image
 
 from benchmarks.markdown import table
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.formats.scribbles import BACKGROUND, OBJECT, Scribble, Stroke, scribbles_document
+from roigs_engine.formats.scribbles import (
+    BACKGROUND,
+    OBJECT,
+    Scribble,
+    Stroke,
+    read_scribbles,
+    scribbles_document,
+)
 from roigs_engine.masking.box_masks import masked_photos
 from roigs_engine.model.roi import OrientedBox, load_rois
 from roigs_engine.photos.mask_files import MaskOptions
+from roigs_engine.photos.masks import load_object_mask
 from roigs_engine.selection import SelectionConfig, select_cameras
 
 Mask = NDArray[np.bool_]
+Scribbles = list[Scribble]
 LINES = 3
 WIDTH, AWAY, WOBBLE = 0.04, 0.12, 0.01  # of strokes, in the object's size
 DEEP = 0.3  # lines stay this far from the outline, in the largest distance
@@ -43,6 +53,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--truth", type=Path, required=True, help="folder of true masks")
     parser.add_argument("--model", type=Path, help="PLY of the trained scene")
     parser.add_argument("--seeds", type=int, default=3, help="scribbles for each box (default: 3)")
+    parser.add_argument(
+        "--scribbles", type=Path, metavar="FILE", help="a person's strokes, not simulated ones"
+    )
     parser.add_argument("--box", action="append", default=[], help="only this box; repeatable")
     parser.add_argument("--out", type=Path, help="folder for the masks and pictures of them")
     return parser.parse_args()
@@ -85,10 +98,19 @@ def strokes(mask: Mask, seed: int) -> tuple[Stroke, ...]:
     return (*found, Stroke(kind=BACKGROUND, width=width, points=ring))
 
 
-def close_ups(roi: OrientedBox, photos: Sequence[str], truth: Path) -> list[str]:
-    """The photos, those that show most of a box's object first."""
-    areas = {name: read(truth / roi.name / f"{name}.png").sum() for name in photos}
-    return sorted(photos, key=lambda name: -areas[name])
+def true_masks(roi: OrientedBox, photos: Sequence[str], truth: Path) -> dict[str, Mask]:
+    """The true masks of those photos that have one; photos that show most of the object first."""
+    files = {name: truth / roi.name / f"{name}.png" for name in photos}
+    masks = {name: read(file) for name, file in files.items() if file.is_file()}
+    return dict(sorted(masks.items(), key=lambda pair: -pair[1].sum()))
+
+
+def scribbles_of(args: argparse.Namespace, box: str, true: dict[str, Mask], seed: int) -> Scribbles:
+    """A person's scribbles, or a simulated one on a photo with a true mask."""
+    if args.scribbles:
+        return [each for each in read_scribbles(args.scribbles) if each.box == box]
+    first = list(true)[seed % len(true)]
+    return [Scribble(box=box, photo=first, strokes=strokes(true[first], seed))]
 
 
 def overlay(photo: Path, mask: Mask, truth: Mask, file: Path) -> None:
@@ -106,32 +128,39 @@ def measure(args: argparse.Namespace, roi: OrientedBox, seed: int, out: Path) ->
 
     scene = load_colmap(args.scene, pixels=False, masks=MaskOptions(used=False))
     selection = select_cameras(scene, roi, SelectionConfig())
-    ranked = close_ups(roi, selection.names, args.truth)
-    first = ranked[seed % len(ranked)]
-    true = {name: read(args.truth / roi.name / f"{name}.png") for name in ranked}
-    scribble = Scribble(box=roi.name, photo=first, strokes=strokes(true[first], seed))
+    true = true_masks(roi, selection.names, args.truth)
+    if len(true) < len(selection.names):  # of a real scene, a few masks that were drawn by hand
+        true = true_masks(roi, [image.name for image in scene.images], args.truth)
+    scribbles = scribbles_of(args, roi.name, true, seed)
+    drawn = [scribble.photo for scribble in scribbles]
+    names = masked_photos(selection.names, selection.candidates, drawn)
     out.mkdir(parents=True, exist_ok=True)
-    (out / "scribbles.json").write_text(scribbles_document([scribble]))
+    (out / "scribbles.json").write_text(scribbles_document(scribbles))
     line = ["masks", str(args.scene), "--rois", str(args.scene / "rois.json"), "--box", roi.name]
     line += ["--scribbles", str(out / "scribbles.json"), "--out", str(out)]
     line += ["--model", str(args.model)] if args.model else []
+    for name in dict.fromkeys([*names, *true]):
+        line += ["--photo", name]
     started = time.monotonic()
     assert engine(line) == 0
     seconds = time.monotonic() - started
-    names = masked_photos(selection.names, selection.candidates, [first])
-    found = {name: read(out / roi.name / f"{name}.png") for name in names}
+    found = {name: read(out / roi.name / f"{name}.png") for name in true}
     for name, mask in found.items():
         picture = out / "pictures" / roi.name / f"{name.replace('/', '-')}.png"
         overlay(args.scene / "images" / name, mask, true[name], picture)
     scores = {name: iou(mask, true[name]) for name, mask in found.items()}
-    others = [score for name, score in scores.items() if name != first]
-    row = [roi.name, first, f"{scores[first]:.3f}", str(len(others))]
-    row += [f"{np.mean(others):.3f}", f"{min(others):.3f}"]
-    return [*row, silhouettes(args, roi, out, first, true) if args.model else "", f"{seconds:.0f}"]
+    others = [name for name in scores if name not in drawn]
+    there = [f"{scores[name]:.3f}" for name in drawn if name in scores]
+    row = [roi.name, ", ".join(drawn), ", ".join(there), str(len(others))]
+    row += [f"{reduced([scores[name] for name in others]):.3f}" for reduced in (np.mean, np.min)]
+    return [*row, silhouettes(args, roi, out, others) if args.model else "", f"{seconds:.0f}"]
 
 
 def silhouettes(
-    args: argparse.Namespace, roi: OrientedBox, out: Path, first: str, true: dict[str, Mask]
+    args: argparse.Namespace,
+    roi: OrientedBox,
+    out: Path,
+    photos: Sequence[str],
 ) -> str:
     """IoU of the object that `cut` cuts out along the masks: its silhouettes against the truth."""
     from roigs_engine.cli import main as engine
@@ -142,7 +171,8 @@ def silhouettes(
     rois = str(args.scene / "rois.json")
     line = ["cut", str(args.scene), "--rois", rois, "--box", roi.name, "--masks", str(out)]
     assert engine([*line, "--model", str(args.model), "--out", str(out / "cut")]) == 0
-    scene = load_colmap(args.scene, pixels=False, masks=MaskOptions(used=False))
+    masks = MaskOptions(folder=args.truth, used=False, boxes=(roi.name,))
+    scene = load_colmap(args.scene, masks=masks)
     frame = LocalFrame.of_scene(scene)
     parts = [
         Gaussians.load_ply(path, frame)
@@ -153,9 +183,10 @@ def silhouettes(
         part.sh[:, 0] = value / SH_C0
     model, scores = Gaussians.concatenate(parts), []
     for image in frame.scene(scene).images:
-        if image.name in true and image.name != first:
+        true = load_object_mask(image, roi.name) if image.name in photos else None
+        if true is not None:
             shown = render_view(model, image.camera, image.world_to_camera).image[..., 0] > 0.5
-            scores.append(iou(shown.numpy(), true[image.name]))
+            scores.append(iou(shown.numpy(), true))
     return f"{np.mean(scores):.3f}"
 
 
@@ -167,7 +198,7 @@ def main() -> None:
         for roi in load_rois(args.scene / "rois.json"):
             if args.box and roi.name not in args.box:
                 continue
-            for seed in range(args.seeds):
+            for seed in range(1 if args.scribbles else args.seeds):
                 out = Path(args.out or temporary) / f"{roi.name}-{seed}"
                 rows.append(measure(args, roi, seed, out))
                 print(" | ".join(rows[-1]), flush=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Frame = tuple[float, float, float, float]
 """Left, bottom, right and top in pixels of the region, from its lower left corner."""
+Place = tuple[float, float]
 Places = NDArray[np.float64]
 
 
@@ -33,6 +34,17 @@ def in_region(points: Sequence[Sequence[float]], frame: Frame, size: tuple[int, 
 def unit(frame: Frame, size: tuple[int, int]) -> float:
     """Pixels of the photo in a pixel of the region."""
     return size[0] / max(frame[2] - frame[0], 1e-6)
+
+
+def start(pressed: Place, before: Place | None, after: Place) -> Place:
+    """Where a stroke starts: where the mouse was pressed, or `before`, the last move before that.
+
+    A Blender that is busy drawing gives a press the place where the mouse is by then, but each move
+    its own. So the one that is nearer to the first move after the press is right.
+    """
+    if before is None:
+        return pressed
+    return min(pressed, before, key=lambda place: np.hypot(*np.subtract(place, after)))
 
 
 def thinned(points: Sequence[tuple[float, float]], least: float) -> list[tuple[float, float]]:

@@ -8,7 +8,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..blender import registration, scene_of, view_3d_of
-from ..geometry.photo_places import on_photo, thinned, unit
+from ..geometry.photo_places import Place, on_photo, start, thinned, unit
 from ..properties import object_props, scene_props
 from ..scene import cameras, lookup, masks, scribbles
 from ..viewport import photo_overlay
@@ -53,7 +53,8 @@ one undo step"""
         options=FRESH,
     )
 
-    _points: list[tuple[float, float]]
+    _points: list[Place]
+    _hover: Place | None
     _drawn: str
 
     @classmethod
@@ -72,7 +73,7 @@ one undo step"""
         cameras.activate(scene, camera)
         view.region_3d.view_perspective = "CAMERA"
         scene_props(scene).show_masks = True
-        self._points = []
+        self._points, self._hover = [], None
         assert context.window_manager is not None
         context.window_manager.modal_handler_add(self)
         self._say(context)
@@ -87,6 +88,8 @@ one undo step"""
             self._end(context)
             return {"FINISHED"}
         place = self._place(context, event)
+        if event.type in MOVES:
+            self._hover = None if place is None else place[0]
         if place is None or event.value != "PRESS":
             return {"PASS_THROUGH"}
         if event.type == "TAB":
@@ -113,6 +116,8 @@ one undo step"""
                 self._points.append(place[0])
             self._keep(context, place[1] if place else 1.0)
         elif event.type in MOVES and place is not None:
+            if len(self._points) == 1:
+                self._points[0] = start(self._points[0], self._hover, place[0])
             self._points.append(place[0])
             self._show(place[1])
         if not self._points:

@@ -19,7 +19,7 @@ from ..selection import CameraSelection
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
 
-CUTOUTS_VERSION = 1  # increase it if stages with cutouts get other results
+CUTOUTS_VERSION = 2  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 
 

@@ -66,6 +66,8 @@ class Cutout:
 class Cutouts:
     """The objects that the steps of a stage draw alone; a function of (seed, step).
 
+    Boxes that no photo has a mask of are left as they are.
+
     Args:
         model: at the start of the stage, in the order of its rows; none is added or removed.
         owner: (N,) the box whose object each Gaussian is of, -1 for none.
@@ -89,8 +91,11 @@ class Cutouts:
         self._pixels: list[tuple[bytes, tuple[int, int]]] = []
         masked: list[int] = []
         shares: list[float] = []
+        objects = {name for image in images for name in image.objects}
+        boxes = [box for box, roi in enumerate(rois) if roi.name in objects]
         for photo, image in enumerate(images):
-            for box, roi in enumerate(rois):
+            for box in boxes:
+                roi = rois[box]
                 context.check_cancelled()
                 found = self._compared(model, box, roi, image)
                 if found is None or found[0].sum() < LEAST:

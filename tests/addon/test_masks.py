@@ -56,6 +56,14 @@ def test_a_place_in_the_view_and_on_the_photo() -> None:
     assert thinned(line[:1], 2.0) == line[:1]
 
 
+def test_a_late_press_does_not_move_the_start_of_a_stroke() -> None:
+    from roigs_addon.geometry.photo_places import start
+
+    assert start((300.0, 200.0), (100.0, 101.0), (103.0, 100.0)) == (100.0, 101.0)
+    assert start((300.0, 200.0), (100.0, 101.0), (302.0, 201.0)) == (300.0, 200.0)
+    assert start((300.0, 200.0), None, (103.0, 100.0)) == (300.0, 200.0)
+
+
 def test_strokes_are_kept_in_the_file(blender: ModuleType, run, box, tmp_path: Path) -> None:
     from roigs_addon.scene import lookup, scribbles
 

@@ -1,42 +1,82 @@
 """Makes masks from strokes by real mouse drags in a real Blender window; makes pictures.
 
     python -m tools.window.scribble BLENDER --engine-python PYTHON --run FOLDER [--out FOLDER]
+        [--scene FOLDER --box NAME --scribbles FILE --photo NAME ...]
 
-Needs what `driver` needs, and a finished run of the demo scene, of which it takes a copy; the masks
-are written beside a copy of the demo's photos. The pictures go to docs/pictures.
+Needs what `driver` needs, and a finished run of the scene, of which it takes a copy; the masks are
+written beside a copy of the scene's photos. The pictures go to docs/pictures. Without --scene, it
+is the demo. FILE has two scribbles of the box, as for `masks`: the strokes to begin with, and those
+that correct the mask of another photo.
 """
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from roigs_engine.formats.scribbles import BACKGROUND, Scribble, read_scribbles
 
 from .clean_up import IN_WINDOW, SIZE, check
 from .driver import REPOSITORY, Blender, WindowError
 from .pictures import COLOURS, LOOK
 from .scenario import BUSY, SCENE, STATE, addon, parser, prepare, window
 
-PHOTOS = ("vase_00", "vase_03", "vase_05", "vase_07", "vase_09", "vase_10")
-FIRST = f"close/{PHOTOS[0]}.jpg"
-LINES = [[(388, 225), (357, 175)], [(272, 185), (314, 78)], [(296, 147), (321, 287)]]
-AROUND = [
-    *((289, 6), (235, 63), (206, 173), (204, 280), (246, 392), (300, 412), (351, 417)),
-    *((417, 324), (443, 223), (397, 112), (399, 10), (289, 6)),
-]
-"""Strokes on the first photo, in its pixels."""
+DEMO = Path(__file__).with_name("scribbles.json")
+"""Strokes on photos of the demo."""
+DEMO_PHOTOS = tuple(f"close/vase_{number:02}.jpg" for number in (0, 3, 5, 7, 9, 10))
 
-SIDE = 240
-"""Of the photos that are trained on; pixels."""
+WAIT = 3600
+"""Seconds for the training."""
 
 OVERLAY = addon("viewport.photo_overlay")
 STROKES = "sum(len(__import__('json').loads(s.strokes)) for s in BOX.roigs.scribbles)"
-BOX = "bpy.context.scene.objects['vase']"
+BOX = "bpy.context.scene.roigs.active_roi"
 MODAL = "[o.bl_idname for o in view()['window'].modal_operators]"
 PHOTO = "bpy.context.scene.camera.name"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Story:
+    """What is done.
+
+    Attributes:
+        scene: a copy of the scene's folder, with `images` and `rois.json`.
+        box: its name.
+        photos: that get masks.
+        first: the strokes to begin with, on one of these.
+        correction: strokes on another of these.
+    """
+
+    scene: Path
+    box: str
+    photos: tuple[str, ...]
+    first: Scribble
+    correction: Scribble
+
+    @classmethod
+    def of(cls, given: argparse.Namespace, scene: Path) -> Story:
+        """The story that the command line asks for."""
+        found = [each for each in read_scribbles(given.scribbles) if each.box == given.box]
+        if len(found) != 2:
+            raise SystemExit(f"{given.scribbles} needs two scribbles of box '{given.box}'.")
+        drawn = [each.photo for each in found]
+        photos = tuple(dict.fromkeys([*drawn, *given.photo]))
+        return cls(scene=scene, box=given.box, photos=photos, first=found[0], correction=found[1])
+
+    def size(self, photo: str) -> tuple[int, int]:
+        """Width and height of a photo."""
+        with Image.open(self.scene / "images" / photo) as image:
+            return image.size
 
 
 def strokes(blender: Blender) -> int:
@@ -44,8 +84,10 @@ def strokes(blender: Blender) -> int:
     return int(blender.ask(STROKES.replace("BOX", BOX)))
 
 
-def places(blender: Blender, points: list[tuple[int, int]]) -> list[tuple[str, str]]:
-    """Where pixels of the photo, of 640 x 428, are on the screen."""
+def places(
+    blender: Blender, size: tuple[int, int], points: NDArray[np.float64]
+) -> list[tuple[str, str]]:
+    """Where pixels of the photo, of that size, are on the screen."""
     blender.ask(
         "with bpy.context.temp_override(**view()):\n"
         f"    shown = {OVERLAY}.frame_of(bpy.context)\n"
@@ -55,15 +97,17 @@ def places(blender: Blender, points: list[tuple[int, int]]) -> list[tuple[str, s
     left, bottom, right, top = blender.ask("list(shown)")
     x, y = blender.ask("list(corner)")
     found = []
-    for across, down in points:
-        place = left + across / 640 * (right - left), top - down / 428 * (top - bottom)
+    for across, down in points / size:
+        place = left + across * (right - left), top - down * (top - bottom)
         found.append((str(round(x + place[0])), str(round(y - place[1]))))
     return found
 
 
-def drag(blender: Blender, points: list[tuple[int, int]], *, around: bool = False) -> None:
+def drag(
+    blender: Blender, size: tuple[int, int], points: NDArray[np.float64], *, around: bool = False
+) -> None:
     """Draw a stroke with the mouse; `around`: with Ctrl."""
-    there = places(blender, points)
+    there = places(blender, size, points)
     before = strokes(blender)
     blender.screen.do("mousemove", *there[0])
     blender.pause(0.3)
@@ -77,6 +121,13 @@ def drag(blender: Blender, points: list[tuple[int, int]], *, around: bool = Fals
     if around:
         blender.screen.do("keyup", "ctrl")
     blender.until(f"{STROKES.replace('BOX', BOX)} == {before + 1}", 20)
+
+
+def draw(blender: Blender, story: Story, scribble: Scribble) -> None:
+    """Draw all strokes of a scribble on the photo that is shown."""
+    for stroke in scribble.strokes:
+        around = stroke.kind == BACKGROUND
+        drag(blender, story.size(scribble.photo), stroke.points, around=around)
 
 
 def begin(blender: Blender) -> None:
@@ -116,39 +167,41 @@ def open_panel(blender: Blender) -> None:
     raise WindowError("The panel did not open.")
 
 
-def story(blender: Blender, masks: Path, shot: Callable[[str], None]) -> None:
-    """Scribble, make masks, step through five photos, correct one."""
+def play(blender: Blender, story: Story, shot: Callable[[str], None]) -> None:
+    """Scribble, make masks, step through all photos, correct one."""
+    masks = story.scene / "masks" / story.box
     open_panel(blender)
-    for photo in PHOTOS:
-        blender.ask(f"call('roigs.edit_selection', action='ADD', photo='close/{photo}.jpg')")
-    blender.ask(f"call('roigs.look_through', photo={FIRST!r})")
+    for photo in story.photos:
+        blender.ask(f"call('roigs.edit_selection', action='ADD', photo={photo!r})")
+    blender.ask(f"call('roigs.look_through', photo={story.first.photo!r})")
     blender.pause(2.0)
     begin(blender)
-    for line in LINES:
-        drag(blender, line)
-    drag(blender, [(20, 20), (60, 20)])
+    draw(blender, story, replace(story.first, strokes=story.first.strokes[:1]))
+    drag(blender, (100, 100), np.array([[3.0, 5.0], [9.0, 5.0]]))
     blender.press("ctrl+z")
-    blender.until(f"{STROKES.replace('BOX', BOX)} == {len(LINES)}", 20)
+    blender.until(f"{STROKES.replace('BOX', BOX)} == 1", 20)
     check("undo took the wrong stroke back", True)
-    drag(blender, AROUND, around=True)
+    draw(blender, story, replace(story.first, strokes=story.first.strokes[1:]))
     end(blender)
     shot("11-scribble")
     make(blender)
-    found = sorted(path.name for path in (masks / "vase/close").glob("*.png"))
-    check(f"{len(found)} masks", found == sorted(f"{name}.jpg.png" for name in PHOTOS))
+    found = sorted(path.relative_to(masks).as_posix() for path in masks.rglob("*.png"))
+    check(f"{len(found)} masks", found == sorted(f"{photo}.png" for photo in story.photos))
     blender.pause(2.0)
     seen = []
-    for number in range(5):
-        blender.click(blender.find("step_mask(step=1)", x=0.83))
-        blender.pause(3.0)
+    for number in range(len(story.photos) - 1):
+        step(blender)
         seen.append(blender.ask(PHOTO))
         if number == 0:
             shot("12-mask")
-    check(f"five photos: {', '.join(seen)}", len(set(seen)) == 5)
-    corrected = masks / "vase" / f"{seen[-1].removesuffix('.jpg')}.jpg.png"
-    before = corrected.read_bytes() if corrected.is_file() else b""
+    check(f"{len(seen)} photos: {', '.join(seen)}", len(set(seen)) == len(seen))
+    blender.ask(f"call('roigs.look_through', photo={story.correction.photo!r})")
+    blender.pause(3.0)
+    corrected = masks / f"{story.correction.photo}.png"
+    before = corrected.read_bytes()
+    shot("12-wrong")
     begin(blender)
-    drag(blender, [(252, 256), (255, 280)])  # the left side of the belly
+    draw(blender, story, story.correction)
     end(blender)
     make(blender)
     blender.pause(3.0)
@@ -156,37 +209,68 @@ def story(blender: Blender, masks: Path, shot: Callable[[str], None]) -> None:
     shot("13-corrected")
 
 
-def train(blender: Blender, run: Path, shot: Callable[[str], None]) -> None:
-    """Train on the masks, and look at the vase without the table under it."""
+def step(blender: Blender) -> None:
+    """Click the arrow to the next mask."""
+    blender.click(blender.find("step_mask(step=1)", x=0.83))
+    blender.pause(3.0)
+
+
+def train(blender: Blender, box: str, side: int, run: Path, shot: Callable[[str], None]) -> None:
+    """Train on the masks, and look at the object without what it stands on."""
     blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
-    blender.ask(f"bpy.context.scene.roigs.max_side = {SIDE}")
+    blender.ask(f"bpy.context.scene.roigs.max_side = {side}")
     blender.pause(2.0)
-    blender.click(blender.find("active_only=True", x=0.7))
+    try:
+        button = blender.find("active_only=True", x=0.7)
+    except WindowError:  # there is one box
+        button = blender.find("roigs.train_roi", x=0.3)
+    blender.click(button)
     blender.until(f"{BUSY}", 60)
-    blender.until(f"not {BUSY}", 1500)
-    check(f"trained: {blender.ask(STATE + '.outcome')}", (run / "rois/vase.ply").is_file())
+    blender.until(f"not {BUSY}", WAIT)
+    part = run / "rois" / f"{box}.ply"
+    check(f"trained: {blender.ask(STATE + '.outcome')}", part.is_file())
     stages = sorted(path.parent.name for path in run.glob("*/stage.json"))
     check(f"stages: {', '.join(stages)}", "cutout" in stages)
-    blender.until("bpy.data.objects.get('vase Gaussians') is not None", 60)
+    name = f"{box} Gaussians"
+    blender.until(f"bpy.data.objects.get({name!r}) is not None", 60)
     blender.ask(
         "for item in bpy.data.objects:\n"
-        "    if item.name != 'vase Gaussians' and item.type in ('MESH', 'CAMERA', 'EMPTY'):\n"
+        f"    if item.name != {name!r} and item.type in ('MESH', 'CAMERA', 'EMPTY'):\n"
         "        item.hide_set(True)\n"
         "call('view3d.view_all')\n"
     )
     blender.pause(5.0)
     shot("14-alone")
+    for number, axis in enumerate(("FRONT", "RIGHT", "BACK", "TOP")):
+        blender.ask(f"call('view3d.view_axis', type={axis!r})")
+        blender.ask("call('view3d.view_all')")
+        blender.pause(5.0)
+        shot(f"14-alone-{number + 1}")
+
+
+def options() -> argparse.ArgumentParser:
+    """The command line."""
+    made = parser(__doc__)
+    made.add_argument("--run", type=Path, required=True, help="a finished run of the scene")
+    made.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
+    made.add_argument("--scene", type=Path, default=SCENE, help="with sparse, images, rois.json")
+    made.add_argument("--box", default="vase")
+    made.add_argument("--scribbles", type=Path, default=DEMO, metavar="FILE")
+    made.add_argument("--photo", action="append", metavar="NAME", help="one more that gets a mask")
+    made.add_argument("--side", type=int, default=240, help="of the photos in training; pixels")
+    return made
 
 
 def main() -> int:
     """Do it, with pictures."""
-    options = parser(__doc__)
-    options.add_argument("--run", type=Path, required=True, help="a finished run of the demo")
-    options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures")
-    given = options.parse_args()
+    given = options().parse_args()
+    if given.photo is None:
+        given.photo = DEMO_PHOTOS if given.scribbles == DEMO else ()
+    given.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary, window(given, *SIZE) as blender:
         folder = Path(temporary)
-        scene = shutil.copytree(SCENE, folder / "scene")
+        scene = shutil.copytree(given.scene, folder / "scene")
+        story = Story.of(given, scene)
         run = folder / "run"
         run.mkdir()
         shutil.copy(given.run / "result.ply", run)
@@ -202,10 +286,10 @@ def main() -> int:
             blender.ask(f"call('roigs.import_colmap', directory={str(scene)!r})")
             blender.ask(f"call('roigs.load_rois', filepath={str(scene / 'rois.json')!r})")
             blender.ask(f"bpy.context.scene.roigs.run_dir = {str(run)!r}")
-            blender.ask(f"bpy.context.scene.roigs.active_roi = {BOX}")
+            blender.ask(f"bpy.context.scene.roigs.active_roi = bpy.data.objects[{story.box!r}]")
             blender.pause(2.0)
-            story(blender, scene / "masks", shot)
-            train(blender, folder / "trained", shot)
+            play(blender, story, shot)
+            train(blender, story.box, given.side, folder / "trained", shot)
         except Exception:
             blender.screen.picture(given.out / "failed.png")
             raise

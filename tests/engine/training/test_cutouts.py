@@ -74,6 +74,17 @@ def test_a_mask_says_what_is_not_the_object_and_the_model_only_what_is(scene: Sf
         assert (target[~found.shown] == behind).all()
 
 
+def test_boxes_without_masks_are_not_drawn(scene: SfmScene) -> None:
+    model, other = truth(), replace(BOX, name="other")
+    inside = model.in_box(BOX).nonzero()[:, 0]
+    owner = torch.full((len(model),), -1)
+    owner[inside[::2]], owner[inside[1::2]] = 0, 1
+    steps = [Cutouts(model, owner, [BOX, other], scene.images, seed=3).at(k) for k in range(30)]
+    found = [step for step in steps if step is not None]
+    assert found
+    assert all(torch.equal(step.rows, inside[::2]) for step in found)
+
+
 def test_without_an_object_all_steps_are_ordinary(scene: SfmScene) -> None:
     nothing = torch.full((len(truth()),), -1)
     empty = Cutouts(truth(), nothing, [BOX], scene.images, seed=3)
