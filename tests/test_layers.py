@@ -38,6 +38,7 @@ ROOMS = (
     "evaluation",
     "levels",
     "run",
+    "batch",
     "commands",
     "cli",
     "__main__",

@@ -1,0 +1,193 @@
+"""Does the parts of scenes in an order that their needs allow, on an executor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from ..context import Context
+from ..errors import Stopped
+from ..formats.events import Record
+from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome
+from .local import Report
+from .parts import Part, ScenePlan
+
+POLL = 0.5
+WAITING, RUNNING = "waiting", "running"
+MOST_NODES = 3  # on which a part may fail before its error counts
+
+
+class Executor(Protocol):
+    """Where parts are done; `local.LocalExecutor` says what its methods do."""
+
+    def has_room(self, part: Part) -> bool: ...
+    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None: ...
+    def wait(self, seconds: float) -> list[Report]: ...
+    def can_move(self, avoid: tuple[str, ...]) -> bool: ...
+    def close(self) -> None: ...
+
+
+@dataclass(kw_only=True)
+class PartState:
+    """How far a part is.
+
+    Attributes:
+        part: the part.
+        state: `waiting`, `running`, `done`, `failed`.
+        lost: how often its process was lost.
+        avoid: nodes where it failed.
+        progress: the last event with its progress.
+        started: `time.monotonic()` of its start.
+        seconds: it took, once it is done.
+    """
+
+    part: Part
+    state: str = WAITING
+    lost: int = 0
+    avoid: tuple[str, ...] = ()
+    progress: Record = field(default_factory=dict)
+    started: float = 0.0
+    seconds: float = 0.0
+
+
+@dataclass(kw_only=True)
+class SceneState:
+    """How far a scene is; `reason` says why it failed."""
+
+    plan: ScenePlan
+    parts: dict[str, PartState]
+    reason: str = ""
+
+    @property
+    def state(self) -> str:
+        """`waiting`, `running`, `done` or `failed`."""
+        states = {part.state for part in self.parts.values()}
+        if self.reason:
+            return FAILED
+        if self.plan.done or states <= {DONE}:
+            return DONE
+        return WAITING if states == {WAITING} else RUNNING
+
+
+Told = Callable[[SceneState, "PartState", "Record | Outcome"], None]
+
+
+class Scheduler:
+    """Does all parts; a part that fails ends its scene alone.
+
+    Args:
+        scenes: their plans.
+        executor: does parts.
+        context: asked whether to stop; receives warnings.
+        retries: how often a part may be lost before its scene fails.
+        told: called with every event and outcome, after the state has changed.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[ScenePlan],
+        executor: Executor,
+        context: Context,
+        *,
+        retries: int,
+        told: Told,
+    ) -> None:
+        self.scenes = {
+            plan.name: SceneState(
+                plan=plan,
+                parts={
+                    p.name: PartState(part=p, state=DONE if plan.done else WAITING)
+                    for p in plan.parts
+                },
+            )
+            for plan in scenes
+        }
+        self._executor, self._context = executor, context
+        self._retries, self._told = retries, told
+        self._after = {
+            state.part.key: _work_after(state.part, scene.plan.parts)
+            for scene in self.scenes.values()
+            for state in scene.parts.values()
+        }
+
+    def run(self) -> None:
+        """Do all parts.
+
+        Raises:
+            Stopped: on request; what is done so far is kept.
+        """
+        stopped = False
+        while self._running() or (not stopped and self._ready()):
+            stopped = stopped or self._context.should_stop()
+            if not stopped:
+                self._start()
+            for part, report in self._executor.wait(POLL):
+                self._take(part, report)
+        if stopped or self._context.should_stop():
+            raise Stopped
+
+    def _states(self) -> Iterable[tuple[SceneState, PartState]]:
+        return ((s, part) for s in self.scenes.values() for part in s.parts.values())
+
+    def _running(self) -> bool:
+        return any(part.state == RUNNING for _, part in self._states())
+
+    def _ready(self) -> list[tuple[SceneState, PartState]]:
+        """Parts that can start; those with most work after them first, which ends sooner."""
+        ready = [
+            (scene, part)
+            for scene, part in self._states()
+            if part.state == WAITING
+            and not scene.reason
+            and all(scene.parts[name].state == DONE for name in part.part.needs)
+        ]
+        return sorted(ready, key=lambda pair: -self._after[pair[1].part.key])
+
+    def _start(self) -> None:
+        ready = self._ready()
+        for index, (_, state) in enumerate(ready):
+            if self._executor.has_room(state.part):
+                state.state, state.started = RUNNING, time.monotonic()
+                self._executor.start(state.part, len(ready) - index - 1, state.avoid)
+
+    def _take(self, part: Part, report: Record | Outcome) -> None:
+        scene = self.scenes[part.scene]
+        state = scene.parts[part.name]
+        if isinstance(report, Outcome):
+            self._end(scene, state, report)
+        elif report["event"] in ("progress", "stagestarted"):
+            state.progress = report
+        self._told(scene, state, report)
+
+    def _end(self, scene: SceneState, state: PartState, outcome: Outcome) -> None:
+        state.state, label = WAITING, state.part.label
+        if outcome.state == DONE:
+            state.state, state.seconds = DONE, time.monotonic() - state.started
+        elif outcome.state == LOST:
+            state.lost += 1
+            if state.lost > self._retries:
+                self._fail(scene, state, f"{outcome.reason} It was tried {state.lost} times.")
+            else:
+                self._context.warn(f"{label}: {outcome.reason} It is tried again.")
+        elif outcome.state == FAILED:
+            avoid = (*state.avoid, outcome.node)
+            if len(avoid) < MOST_NODES and self._executor.can_move(avoid):
+                state.avoid = avoid
+                self._context.warn(f"{label}: {outcome.reason} It is tried on another machine.")
+            else:
+                self._fail(scene, state, outcome.reason)
+        else:
+            assert outcome.state == STOPPED
+
+    def _fail(self, scene: SceneState, state: PartState, reason: str) -> None:
+        state.state = FAILED
+        scene.reason = scene.reason or f"{state.part.label}: {reason}"
+        self._context.warn(f"{state.part.label}: {reason} The other scenes go on.")
+
+
+def _work_after(part: Part, parts: Sequence[Part]) -> float:
+    """The work of the part and of the longest way from it to the scene's end."""
+    following = [other for other in parts if part.name in other.needs]
+    return part.work + max((_work_after(other, parts) for other in following), default=0.0)
