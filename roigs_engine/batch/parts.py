@@ -22,6 +22,7 @@ class Part:
         needs: names of the scene's parts that must be done before.
         work: steps times megapixels, to compare parts with one another.
         memory: bytes that it may take.
+        gpu: whether it uses a GPU where there is one.
     """
 
     scene: str
@@ -30,6 +31,7 @@ class Part:
     needs: tuple[str, ...] = ()
     work: float = 0.0
     memory: int = 0
+    gpu: bool = False
 
     @property
     def key(self) -> tuple[str, str]:

@@ -114,7 +114,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         device, scenes = checked_plans(table, rows, folder, record, console)
         for row in rows:
             write_json(options_path(row, folder), row.options)
-        executor = _executor(args, device, scenes, console.context)
+        executor = _executor(args, device, console.context)
         try:
             states = _execute(args, executor, scenes, rows, record, console)
         finally:
@@ -149,12 +149,14 @@ def _show(table: Table, rows: list[Row], folder: Path, console: Console) -> dict
     return {}
 
 
-def _executor(
-    args: argparse.Namespace, device: str, scenes: Sequence[ScenePlan], context: Context
-) -> Executor:
+def _executor(args: argparse.Namespace, device: str, context: Context) -> Executor:
     """Where the parts are done."""
     from ..batch.local import LocalExecutor, default_jobs
 
+    if args.cluster:
+        from ..batch.ray_executor import RayExecutor
+
+        return RayExecutor(args.cluster, args.run_dir / BATCH_LOCK, context)
     return LocalExecutor(args.jobs or default_jobs(device), context)
 
 

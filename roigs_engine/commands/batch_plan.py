@@ -161,9 +161,12 @@ def _parts(
     run_dir = folder / row.name
     options = ["run", str(options_path(row, folder)), "--run-dir", str(run_dir), "--update"]
 
+    gpu = row.args.device != "cpu"
+    kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)
+
     def part(name: str, needs: tuple[str, ...], work: float, *before: str) -> Part:
         argv = (*options, *(word for each in (*before, name) for word in ("--part", each)))
-        return Part(scene=row.name, name=name, argv=argv, needs=needs, work=work, memory=memory)
+        return replace(kind, name=name, argv=argv, needs=needs, work=work)
 
     firsts = [name for name, needs, _ in cut if not needs]
     found = [part(PREPARE, (), 0.0)] if len(firsts) > 1 else []
