@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.markdown import table
+from roigs_engine.batch.schedule import SLOW, WORTH_MOVING
 from roigs_engine.batch.times import START
 from roigs_engine.formats.run_files import STAGE
 from roigs_engine.run.stage_folder import CHECKPOINT_SECONDS
@@ -38,12 +39,24 @@ class World:
         lost: share of them that is lost per hour.
         slow: share of stragglers, which take `SLOWNESS` times as long.
         seed: of which, and when.
+        moves: whether parts of stragglers are moved to idle machines.
     """
 
     machines: int
     lost: float = PERCENT_LOST / 100
     slow: float = SLOW_SHARE
     seed: int = 0
+    moves: bool = True
+
+
+@dataclass(frozen=True, order=True)
+class Given:
+    """A part at work: when it ends, where, seconds left after that, when it began."""
+
+    ends: float
+    machine: int
+    left: float
+    began: float
 
 
 @dataclass(frozen=True)
@@ -66,26 +79,53 @@ def simulate(scenes: Sequence[float], world: World) -> Simulated:
     ends = [rng.expovariate(world.lost / HOUR) if world.lost else 1e18 for _ in speed]
     waiting = [-(seconds + START) for seconds in scenes]
     heapq.heapify(waiting)
-    free = sorted(range(world.machines), key=lambda machine: -speed[machine])
-    running: list[tuple[float, int, float]] = []  # when it ends, machine, seconds left after that
+    free = set(range(world.machines))
+    running: list[Given] = []
     now = 0.0
     while waiting or running:
-        for machine in list(free) if waiting else ():
-            if ends[machine] <= now:
-                free.remove(machine)
-            elif waiting:
-                free.remove(machine)
-                running.append(_given(machine, -heapq.heappop(waiting), now, speed, ends, rng))
+        free = {machine for machine in free if ends[machine] > now}
+        while waiting and free:
+            seconds = -heapq.heappop(waiting)
+            free.remove(machine := rng.choice(sorted(free)))
+            running.append(_given(machine, seconds, now, speed, ends, rng))
+        if world.moves and free and not waiting:
+            _move(running, waiting, free, now, speed)
+            if waiting:
+                continue
         if not running:
             raise ValueError("all machines are lost")
-        heapq.heapify(running)
-        now, machine, left = heapq.heappop(running)
-        if left > 0:
-            heapq.heappush(waiting, -left)
+        first = min(running)
+        running.remove(first)
+        now = first.ends
+        if first.left > 0:
+            heapq.heappush(waiting, -first.left)
         else:
-            free.append(machine)
+            free.add(first.machine)
     lost = sum(end < now for end in ends)
     return Simulated(seconds=now, bound=_bound(scenes, speed, ends), lost=lost)
+
+
+def _move(
+    running: list[Given],
+    waiting: list[float],
+    free: set[int],
+    now: float,
+    speed: Sequence[float],
+) -> None:
+    """Stop the slow part that would end last, as `schedule.straggler` does."""
+    slow = [
+        given
+        for given in running
+        if speed[given.machine] < 1 / SLOW
+        and given.began + START < now
+        and given.ends - now > WORTH_MOVING
+    ]
+    if slow:
+        last = max(slow)
+        running.remove(last)
+        free.discard(last.machine)  # so that the part avoids it; it stays idle
+        left = (last.ends - now) * speed[last.machine] + START
+        heapq.heappush(waiting, -left)
 
 
 def _given(
@@ -95,13 +135,13 @@ def _given(
     speed: Sequence[float],
     ends: Sequence[float],
     rng: random.Random,
-) -> tuple[float, int, float]:
+) -> Given:
     """A part on a machine: when that ends, and what is then left to do."""
     done = now + seconds / speed[machine]
     if done <= ends[machine]:
-        return done, machine, 0.0
+        return Given(done, machine, 0.0, now)
     saved = max(0.0, ends[machine] - now - rng.uniform(0, CHECKPOINT_SECONDS)) * speed[machine]
-    return ends[machine], machine, min(seconds, seconds - saved + START)
+    return Given(ends[machine], machine, min(seconds, seconds - saved + START), now)
 
 
 def _bound(scenes: Sequence[float], speed: Sequence[float], ends: Sequence[float]) -> float:

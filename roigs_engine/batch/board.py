@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ..formats.events import MAX_NUMBER, Progress
 from ..formats.text import counted
 from .engine_process import DONE, FAILED
-from .schedule import RUNNING, PartState, SceneState
+from .schedule import RUNNING, PartState, SceneState, share
 
 ENOUGH = 0.01  # of the work must be done before the time left is told
 MOST_LINES = 12  # of running parts
@@ -97,14 +97,6 @@ class Board:
     def _work_done(self) -> float:
         parts = [p for s in self.scenes.values() if not s.reason for p in s.parts.values()]
         return sum(share(part) * part.part.work for part in parts)
-
-
-def share(state: PartState) -> float:
-    """How much of a part is done, 0 to 1; of several stages, the stage at work counts as all."""
-    if state.state == DONE:
-        return 1.0
-    total, step = state.progress.get("total"), state.progress.get("step")
-    return min(1.0, step / total) if total and step and state.state == RUNNING else 0.0
 
 
 def duration(seconds: float) -> str:

@@ -74,6 +74,13 @@ class LocalExecutor:
         """Whether a part that failed may do better elsewhere."""
         return False
 
+    def is_idle(self) -> bool:
+        """Whether a part that runs could go on elsewhere at once."""
+        return False
+
+    def stop(self, part: Part) -> None:
+        """Ask one part to stop; not needed here, as no part can move."""
+
     def close(self) -> None:
         """Nothing to end: parts have ended before."""
 

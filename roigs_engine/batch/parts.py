@@ -23,6 +23,7 @@ class Part:
         work: steps times megapixels, to compare parts with one another.
         memory: bytes that it may take.
         gpu: whether it uses a GPU where there is one.
+        stages: name and work of the stages that it trains, in order.
     """
 
     scene: str
@@ -32,6 +33,7 @@ class Part:
     work: float = 0.0
     memory: int = 0
     gpu: bool = False
+    stages: tuple[tuple[str, float], ...] = ()
 
     @property
     def key(self) -> tuple[str, str]:
@@ -102,22 +104,36 @@ def chains(plan: Plan) -> list[tuple[Stage, ...]]:
     return [tuple(chain) for chain in found.values()]
 
 
-def stage_parts(plan: Plan) -> list[tuple[str, tuple[str, ...], float]]:
-    """Name, needs and work of the plan's parts, in order; empty if one process does as well.
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """Stages for one process: the last one's name, the cuts that it needs, names and work."""
 
-    Splitting pays only if two parts can be done side by side.
+    name: str
+    needs: tuple[str, ...]
+    stages: tuple[tuple[str, float], ...]
+
+
+def cuts(plan: Plan) -> list[Cut]:
+    """The plan's stages for several processes, in order; empty if one process does as well.
+
+    Splitting pays only if two can work side by side.
     """
-    cut = chains(plan)
-    last = {stage.name: chain[-1].name for chain in cut for stage in chain}
+    found = chains(plan)
+    last = {stage.name: chain[-1].name for chain in found for stage in chain}
     parts = [
-        (
-            chain[-1].name,
-            tuple(dict.fromkeys(last[needed.name] for needed in chain[0].inputs)),
-            sum(map(stage_work, chain)),
+        Cut(
+            name=chain[-1].name,
+            needs=tuple(dict.fromkeys(last[needed.name] for needed in chain[0].inputs)),
+            stages=works(chain),
         )
-        for chain in cut
+        for chain in found
     ]
-    return parts if _is_wide([(name, needs) for name, needs, _ in parts]) else []
+    return parts if _is_wide([(cut.name, cut.needs) for cut in parts]) else []
+
+
+def works(stages: Sequence[Stage]) -> tuple[tuple[str, float], ...]:
+    """Name and work of stages."""
+    return tuple((stage.name, stage_work(stage)) for stage in stages)
 
 
 def _is_wide(parts: Sequence[tuple[str, tuple[str, ...]]]) -> bool:

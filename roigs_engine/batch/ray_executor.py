@@ -48,6 +48,7 @@ class RayExecutor:
         self._ray = _connected(address)
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
+        self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
         self._given: Counter[str] = Counter()  # parts that were sent to one machine
         self._looked, self._missed = 0.0, 0
         self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
@@ -102,12 +103,22 @@ class RayExecutor:
         ]
         for reference in ended:
             part, _ = self._running.pop(reference)
+            self._stopped.discard(part.key)
             reports.append((part, self._outcome(reference)))
         return reports
 
     def can_move(self, avoid: tuple[str, ...]) -> bool:
         """Whether there is a machine where the part has not failed."""
         return bool(self._nodes.keys() - set(avoid))
+
+    def is_idle(self) -> bool:
+        """Whether a core is free."""
+        taken = sum(cores for _, cores in self._running.values())
+        return len(self._nodes) > 1 and taken + 1 <= self.cores
+
+    def stop(self, part: Part) -> None:
+        """Ask one part to stop, with a checkpoint."""
+        self._stopped.add(part.key)
 
     def close(self) -> None:
         """Leave the cluster; one that was started for the batch ends."""
@@ -118,7 +129,7 @@ class RayExecutor:
     def _post(self) -> list[Any]:
         """The events that came; none while the mailbox starts again elsewhere."""
         try:
-            found = self._mailbox.take.remote(self._context.should_stop())
+            found = self._mailbox.take.remote(self._context.should_stop(), self._stopped)
             return list(self._ray.get(found, timeout=CONNECT_SECONDS))
         except self._ray.exceptions.RayActorError:
             self._mailbox = self._new_mailbox()
@@ -147,7 +158,16 @@ class RayExecutor:
         if not avoid and not self._misfits:
             return "SPREAD"
         fit = [node for node in self._nodes if node not in avoid] or list(self._nodes)
-        self._given.update([place := min(fit, key=lambda node: self._given[node])])
+        free: dict[str, dict[str, float]] = {}
+        with suppress(AttributeError):  # no public name tells it
+            free = self._ray._private.state.available_resources_per_node()
+        self._given.update(
+            [
+                place := max(
+                    fit, key=lambda node: (free.get(node, {}).get("CPU", 0.0), -self._given[node])
+                )
+            ]
+        )
         return self._affinity(place, soft=False)
 
     def _affinity(self, node: str, *, soft: bool) -> Any:

@@ -58,15 +58,23 @@ class Mailbox:
     def __init__(self) -> None:
         self._events: list[tuple[tuple[str, str], Record]] = []
         self._stop = False
+        self._stopped: set[tuple[str, str]] = set()
 
     def put(self, key: tuple[str, str], events: list[Record]) -> bool:
-        """Leave events; returns whether the parts are asked to stop."""
+        """Leave events; returns whether the part is asked to stop."""
         self._events += [(key, event) for event in events]
-        return self._stop
+        return self._stop or key in self._stopped
 
-    def take(self, stop: bool) -> list[tuple[tuple[str, str], Record]]:
-        """All events since the last time; `stop` is passed on to the parts."""
-        self._stop = stop
+    def take(
+        self, stop: bool, stopped: set[tuple[str, str]]
+    ) -> list[tuple[tuple[str, str], Record]]:
+        """All events since the last time.
+
+        Args:
+            stop: whether all parts are asked to stop.
+            stopped: keys of those that are asked to, else.
+        """
+        self._stop, self._stopped = stop, stopped
         events, self._events = self._events, []
         return events
 

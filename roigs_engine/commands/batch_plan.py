@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..batch.parts import PREPARE, WHOLE, Part, ScenePlan, StagePlan, stage_parts, stage_work
+from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
 from ..batch.record import BatchRecord
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
@@ -73,16 +73,15 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     names = tuple(box_names(args, args.run_dir))
     run, context = train.defined_run(args, quiet)
     if run is None:
-        parts = _parts(row, folder, names, [], PHOTOS_WORK, 0)
+        parts = _parts(row, folder, names, [], (("", PHOTOS_WORK),), 0)
         return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
     memory = run_memory(run, context).total
     plan = plan_run(run, compare, context)
-    cut = stage_parts(plan)
+    cut = cuts(plan)
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
-    work = TEST_WORK * len(run.measured) * largest
-    if not cut:
-        work += sum(map(stage_work, plan.stages))
-    parts = _parts(row, folder, tuple(roi.name for roi in run.rois), cut, work, memory)
+    rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
+    own = rest if cut else (*works(plan.stages), *rest)
+    parts = _parts(row, folder, tuple(roi.name for roi in run.rois), cut, own, memory)
     done = record.is_done(row.name, row.digest, run, written(row, folder, names))
     scene = replace(_scene(row, names, parts, plan), done=done)
     return Planned(scene=scene, run=run, plan=plan, context=context)
@@ -153,8 +152,8 @@ def _parts(
     row: Row,
     folder: Path,
     objects: Sequence[str],
-    cut: Sequence[tuple[str, tuple[str, ...], float]],
-    work: float,
+    cut: Sequence[Cut],
+    own: tuple[tuple[str, float], ...],
     memory: int,
 ) -> tuple[Part, ...]:
     """The parts of a row: of its run, then its outputs."""
@@ -164,17 +163,20 @@ def _parts(
     gpu = row.args.device != "cpu"
     kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)
 
-    def part(name: str, needs: tuple[str, ...], work: float, *before: str) -> Part:
+    def part(
+        name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
+    ) -> Part:
         argv = (*options, *(word for each in (*before, name) for word in ("--part", each)))
-        return replace(kind, name=name, argv=argv, needs=needs, work=work)
+        work = sum(share for _, share in stages)
+        return replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
 
-    firsts = [name for name, needs, _ in cut if not needs]
-    found = [part(PREPARE, (), 0.0)] if len(firsts) > 1 else []
+    firsts = [each.name for each in cut if not each.needs]
+    found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
     opened = tuple(other.name for other in found)
-    for name, needs, share in cut:  # a stage that all others wait for prepares the folder, too
-        before = (PREPARE,) if firsts == [name] else ()
-        found.append(part(name, needs or opened, share, *before))
-    found.append(part(WHOLE, tuple(other.name for other in found), work))
+    for each in cut:  # a stage that all others wait for prepares the folder, too
+        before = (PREPARE,) if firsts == [each.name] else ()
+        found.append(part(each.name, each.needs or opened, each.stages, *before))
+    found.append(part(WHOLE, tuple(other.name for other in found), own))
     sources = [(run_dir / run_files.RESULT, s) for s in row.outputs] + [
         (run_dir / run_files.FINE / f"{name}.ply", suffix)
         for suffix in row.object_outputs

@@ -12,7 +12,10 @@ Ends = Callable[[Part, tuple[str, ...]], Outcome]
 
 
 def part(scene: str, name: str, *needs: str, work: float = 1.0, memory: int = 0) -> Part:
-    return Part(scene=scene, name=name, argv=("run",), needs=needs, work=work, memory=memory)
+    stages = (("joint", work),)
+    return Part(
+        scene=scene, name=name, argv=("run",), needs=needs, work=work, memory=memory, stages=stages
+    )
 
 
 def scene(name: str, *parts: Part, done: bool = False) -> ScenePlan:
@@ -24,6 +27,7 @@ class Instant:
 
     def __init__(self, ends: Ends | None = None, *, room: int = 1, machines: int = 1) -> None:
         self.order: list[str] = []
+        self.asked: list[str] = []
         self.avoided: list[tuple[str, ...]] = []
         self._ends: Ends = ends or (lambda part, avoid: Outcome(state=DONE))
         self._room, self._machines = room, machines
@@ -45,6 +49,12 @@ class Instant:
 
     def can_move(self, avoid: tuple[str, ...]) -> bool:
         return len(set(avoid)) < self._machines
+
+    def is_idle(self) -> bool:
+        return self._machines > 1 and len(self._running) < self._room
+
+    def stop(self, part: Part) -> None:
+        self.asked.append(part.label)
 
     def close(self) -> None:
         pass

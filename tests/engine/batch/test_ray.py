@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 from roigs_engine.batch import ray_executor, ray_tasks
+from roigs_engine.batch.engine_process import STOPPED, Outcome
+from roigs_engine.batch.parts import Part
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError
@@ -104,6 +106,30 @@ def test_killed_drivers_engines_and_machines(cluster: Any, table: Path, tmp_path
         by_hand = tmp_path / "by hand" / name
         assert main(["run", str(run / "rows" / f"{name}.json"), "--run-dir", str(by_hand)]) == 0
         assert contents(run / name) == contents(by_hand)
+
+
+def test_one_part_can_be_stopped_to_go_on_elsewhere(
+    cluster: Any, table: Path, tmp_path: Path
+) -> None:
+    sign = tmp_path / "batch.lock"
+    sign.touch()
+    options = ["run", str(tmp_path / "hall"), "--roi", BOX, "--run-dir", str(tmp_path / "one")]
+    part = Part(scene="hall", name="all", argv=(*options, "--device", "cpu"))
+    executor = ray_executor.RayExecutor(cluster.address, sign, Context())
+    try:
+        executor.start(part, 0)
+        outcome = None
+        while outcome is None:
+            for found, report in executor.wait(0.5):
+                assert found == part
+                if isinstance(report, Outcome):
+                    outcome = report
+                elif report["event"] == "progress":
+                    executor.stop(part)
+        assert outcome.state == STOPPED and outcome.node
+        assert executor.can_move(()) and not executor.can_move((outcome.node,))  # one is left
+    finally:
+        executor.close()
 
 
 def test_machines_with_another_version_are_refused(
