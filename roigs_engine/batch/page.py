@@ -22,9 +22,10 @@ from .schedule import SceneState
 
 THUMBNAIL = 160  # pixels of the longer side
 COLUMNS = ("", "Scene", "Object", "State", "PSNR, dB", "SSIM", "Gaussians", "Training", "Files")
-CLEAR = (
-    "td img { display: block; max-height: 120px; } .failed { color: #d33; white-space: normal; }"
-)
+CLEAR = """\
+th:nth-child(-n+4), td:nth-child(-n+4) { text-align: left; }
+td img { display: block; max-height: 120px; }
+.failed { color: #d33; white-space: normal; }"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ LOOK_SECONDS = 120.0  # for a machine to answer; it imports the engine for that
 CONNECT_SECONDS = 10.0
 REFRESH = 5.0  # seconds between two looks at the machines
 MOST_MISSED = 3  # of these looks may fail until the cluster counts as gone
-LOOPBACK = "127.0.0.1"
+LOOPBACK, CLIENT = "127.0.0.1", "ray://"
 SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
 
 
@@ -221,8 +221,10 @@ class RayExecutor:
 
     def _check_there(self) -> None:
         """EngineError if the cluster has not answered several times; Ray itself would wait long."""
+        if self._address.startswith(CLIENT):  # whose calls fail by themselves
+            return
         place = _host_and_port(self._ray.get_runtime_context().gcs_address)
-        if self._address.startswith("ray://") or place is None:
+        if place is None:
             return
         try:
             with socket.create_connection(place, CONNECT_SECONDS):
@@ -238,7 +240,7 @@ class RayExecutor:
 
 def _connected(address: str) -> Any:
     """The module ray, connected."""
-    place = _host_and_port(address.removeprefix("ray://"))
+    place = _host_and_port(address.removeprefix(CLIENT))
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     if place is not None and place[0] in (LOOPBACK, "localhost"):
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # else it goes outside
@@ -268,7 +270,8 @@ def _connected(address: str) -> Any:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ConfigError(
             f"There is no Ray cluster at {address} ({reason:.100}).",
-            "Start one with `ray start --head`, or use --cluster local.",
+            "Start one with `ray start --head`, or use --cluster local. A cluster that wants a token"
+            " needs RAY_AUTH_MODE=token (docs/many.md).",
         ) from error
     return ray
 
