@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from . import __version__
 from .commands import (
+    batch,
     clean,
     compose,
     convert,
@@ -59,11 +60,13 @@ COMMANDS: dict[str, ModuleType] = {
     "render": render,
     "render-frames": render_frames,
     "run": run,
+    "batch": batch,
     "clean": clean,
 }
 WITH_TORCH = (
     "train",
     "run",
+    "batch",
     "evaluate",
     "render",
     "render-frames",

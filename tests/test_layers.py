@@ -38,6 +38,7 @@ ROOMS = (
     "evaluation",
     "levels",
     "run",
+    "batch",
     "commands",
     "cli",
     "__main__",
@@ -242,6 +243,13 @@ def test_pycolmap_is_imported_in_one_place() -> None:
     assert users == PYCOLMAP
 
 
+def test_ray_is_imported_when_it_is_used() -> None:
+    for name, path in files(ENGINE).items():
+        used = [entry for entry in imports(path) if entry.target.split(".")[0] == "ray"]
+        assert all(entry.late for entry in used), name
+        assert not used or name.startswith(f"{ENGINE}.batch.ray_"), name
+
+
 @pytest.mark.parametrize("package", [ENGINE, ADDON])
 def test_nothing_imports_what_is_not_shipped(package: str) -> None:
     for name, path in files(package).items():
@@ -262,7 +270,7 @@ def test_only_the_command_line_prints() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    used = ("train", "cuda", "flip", "video", "heic", "masks")
+    used = ("train", "cluster", "cuda", "flip", "video", "heic", "masks")
     asked = [*project["dependencies"], *(name for extra in used for name in extras[extra])]
     names = [re.match(r"[\w.-]+", requirement) for requirement in asked]
     declared = {match[0].lower() for match in names if match}

@@ -17,7 +17,7 @@ NOT_KEYS = {"help", "events"}  # options that an options file must not set
 # Of a parsed command line: what decides no result, and what is no option.
 NO_SETTINGS = {
     *("command", "events", "options_given", "options_file", "run_dir", "update", "dry_run"),
-    *("compare", "preview_seconds", "image_cache", "threads", "device"),
+    *("compare", "part", "preview_seconds", "image_cache", "threads", "device"),
 }
 
 
@@ -105,7 +105,7 @@ def _checked(
                 "Remove one.",
             )
         if value is not None:  # null: as if the key were missing
-            values[name] = _typed(options[name], value, f"'{key}' in {path}")
+            values[name] = typed(options[name], value, f"'{key}' in {path}")
     for group in command._mutually_exclusive_groups:
         names = [action.dest for action in group._group_actions]
         if len(both := [name for name in names if name in values]) > 1:
@@ -117,8 +117,14 @@ def _checked(
     return values
 
 
-def _typed(option: argparse.Action, value: Any, where: str) -> Any:
-    """A value of the file, converted as the option would parse it."""
+def typed(option: argparse.Action, value: Any, where: str) -> Any:
+    """A value of a file, converted as the option would parse it; ConfigError if it does not fit.
+
+    Args:
+        option: of a command.
+        value: JSON, or of TOML.
+        where: the value stands, for the message.
+    """
     if isinstance(option, argparse._AppendAction) or option.nargs == "*":
         items = value if isinstance(value, list) else [value]
         return [_one(option, item, where) for item in items]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
 
+from ..context import QUIET
 from ..errors import ConfigError
 from ..formats import run_files
 from ..formats.lock import check_held
@@ -11,7 +14,10 @@ from ..run.config import COMPARISONS
 from . import train
 from .console import Console
 from .options import run_config
+from .values import NAME
 
+PREPARE, ALL = "prepare", "all"
+"""Values of --part: open the folder and look at the photos; do all that is missing."""
 HELP = "do everything: select photos, train, compare with baselines, evaluate"
 EXAMPLES = """\
   python -m roigs_engine run garden --rois garden/rois.json --max-side 640 --run-dir runs/garden
@@ -29,17 +35,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=["full-scene"],
         help="models to train for comparison, with the same number of steps (default: full-scene)",
     )
+    parser.add_argument(
+        "--part",
+        type=NAME,
+        action="append",
+        default=[],
+        metavar="PART",
+        help="do one part only, as `batch` does, so that several engines can work in one run"
+        " folder: 'prepare', then the name of each stage, then 'all' for the rest; repeatable",
+    )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Train and evaluate; an unfinished run resumes."""
-    if run_config(args).test_every == 0:
-        raise ConfigError(
-            "--test-every 0 leaves no test photo to evaluate.", "Use `train` with it."
-        )
-    compare = COMPARISONS if "all" in args.compare else args.compare
+    check(args)
+    compare = compared(args)
     if args.dry_run:
         return train.show_plan(args, console, compare)
+    if args.part and ALL not in args.part:
+        return _parts(args, console, compare)
     import torch
 
     from ..evaluation.crops import write_crops
@@ -81,3 +95,33 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     outputs = {what: str(args.run_dir / where) for what, where in places.items()}
     console.print_places(outputs)
     return outputs
+
+
+def check(args: argparse.Namespace) -> None:
+    """Raise ConfigError if these options train, but leave nothing to evaluate on."""
+    if run_config(args).test_every == 0:
+        raise ConfigError(
+            "--test-every 0 leaves no test photo to evaluate.", "Use `train` with it."
+        )
+
+
+def compared(args: argparse.Namespace) -> Sequence[str]:
+    """The models to compare with."""
+    return COMPARISONS if "all" in args.compare else args.compare
+
+
+def _parts(args: argparse.Namespace, console: Console, compare: Sequence[str]) -> dict[str, str]:
+    """Prepare the folder, or train stages of it."""
+    if PREPARE in args.part:
+        with train.opened_run(args, console):
+            pass
+    stages = [name for name in args.part if name != PREPARE]
+    if stages:
+        from ..run.side_by_side import train_stage
+        from ..run.strategies import plan_run
+
+        run, context = train.prepared_run(args, console)
+        plan = plan_run(run, compare, replace(context, emit=QUIET.emit))  # it was said before
+        for name in stages:
+            train_stage(run, plan, name, context)
+    return {name: str(args.run_dir / name) for name in stages}

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from ..context import QUIET, Context
 from ..formats import run_files
 from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
-from ..formats.lock import locked
 from ..formats.projects import model_folders
 from ..selection.manual import load_manual
 from .automatic import (
@@ -146,10 +145,11 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.manifest import check_version, refuse_other_run
     from ..run.memory import run_memory
     from ..run.provenance import recorded
+    from ..run.side_by_side import PATIENCE, held
 
     console.log_later()
     photos, inputs = check_photos(args), _early_inputs(args)
-    with locked(args.run_dir, console.context.warn):
+    with held(args.run_dir, console.context, PATIENCE if getattr(args, "part", None) else 0):
         refuse_linked_folders(args.run_dir)
         check_version(args.run_dir)
         remove_leftovers(args.run_dir)
@@ -189,14 +189,27 @@ def show_plan(
     args: argparse.Namespace, console: Console, compare: Sequence[str] = ()
 ) -> dict[str, str]:
     """Print the plan of the run; a few steps are trained to measure time, nothing is written."""
+    from ..run.dry_run import describe_plan
+
+    run, context = defined_run(args, console)
+    if run is None:
+        console.print(photos_plan(args))
+    else:
+        console.print(describe_plan(run, compare, context, update=args.update))
+    return {}
+
+
+def defined_run(args: argparse.Namespace, console: Console) -> tuple[Run | None, Context]:
+    """The run of the options by its cameras alone; nothing is written.
+
+    The run is None if its scene is photos, which have no model yet.
+    """
     from ..photos.contents import FILE as CONTENTS
     from ..run.definition import define_run
-    from ..run.dry_run import describe_plan
 
     if check_photos(args):
         if not model_folders(project_of(args)):
-            console.print(photos_plan(args))
-            return {}
+            return None, console.context
         args.scene = project_of(args)
     inputs = _early_inputs(args)
     context = _context(args, console)
@@ -205,9 +218,20 @@ def show_plan(
     cache = cache if (cache / CONTENTS).exists() else None
     scene = load_scene(args, console, cache, pixels=False, masks=_mask_options(args))
     inputs = inputs or _inputs(args, boxes_of(args, scene, args.run_dir))
-    run = define_run(args.run_dir, scene, context=context, **inputs)
-    console.print(describe_plan(run, compare, context, update=args.update))
-    return {}
+    return define_run(args.run_dir, scene, context=context, **inputs), context
+
+
+def prepared_run(args: argparse.Namespace, console: Console) -> tuple[Run, Context]:
+    """The run of a folder that an engine has opened before; the folder is not opened again."""
+    from ..run.definition import define_run
+
+    if check_photos(args):
+        args.scene = project_of(args)
+    inputs, context = _early_inputs(args), _context(args, console)
+    cache, masks = args.run_dir / run_files.CACHE, _mask_options(args)
+    scene = load_scene(args, console, cache, masks=masks)
+    inputs = inputs or _inputs(args, boxes_of(args, scene, args.run_dir))
+    return define_run(args.run_dir, scene, context=context, **inputs), context
 
 
 def _early_inputs(args: argparse.Namespace) -> dict[str, Any]:

@@ -32,7 +32,10 @@ def _say_nothing(text: str) -> None:
 
 @contextmanager
 def locked(
-    folder: Path, warn: Callable[[str], None] = _say_nothing, option: str | None = "--run-dir"
+    folder: Path,
+    warn: Callable[[str], None] = _say_nothing,
+    option: str | None = "--run-dir",
+    name: str = LOCK,
 ) -> Iterator[None]:
     """Hold `folder`/run.lock while the block runs; `{"pid", "started", "events_from"}` is in it.
 
@@ -43,11 +46,12 @@ def locked(
         folder: the run folder; created if it is missing.
         warn: told if the file system has no locks.
         option: of the command, which names another folder; None: it works in this one alone.
+        name: of the lock file.
 
     Raises:
         RunFolderError: another process holds it, or the folder cannot be written to.
     """
-    path = Path(os.path.abspath(folder), LOCK)
+    path = Path(os.path.abspath(folder), name)
     try:
         file = _hold(path, warn)
     except BlockingIOError as error:

@@ -50,6 +50,9 @@ TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its run. No stage is called that."""
 
+BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS = "batch.lock", "batch.json", "rows", "outputs"
+"""In the folder of a batch: its lock, what is done, a folder of options files, one of outputs."""
+
 _FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, BOXES, RESULT, BACKGROUND)
 _RESULTS = (
     PREVIEW,

@@ -1,0 +1,108 @@
+"""A batch as it goes on: objects done, what runs, with step and PSNR, and the time left."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ..formats.events import MAX_NUMBER, Progress
+from ..formats.text import counted
+from .engine_process import DONE, FAILED
+from .schedule import RUNNING, PartState, SceneState, share
+
+ENOUGH = 0.01  # of the work must be done before the time left is told
+MOST_LINES = 12  # of running parts
+BATCH_STAGE = "batch"
+
+
+@dataclass
+class Board:
+    """Counts and lines of a batch.
+
+    Attributes:
+        scenes: their states, by name.
+        started: `time.monotonic()` of the start.
+    """
+
+    scenes: Mapping[str, SceneState]
+    started: float
+
+    def __post_init__(self) -> None:
+        self._before = self._work_done()
+
+    def objects(self, state: str | None = None) -> int:
+        """The number of objects, or of those in scenes of that state."""
+        scenes = (s for s in self.scenes.values() if state in (None, s.state))
+        return sum(len(scene.plan.objects) for scene in scenes)
+
+    def seconds_left(self) -> float:
+        """By the work done since the start; NaN: too little."""
+        whole = sum(scene.plan.work for scene in self.scenes.values() if not scene.reason)
+        done = self._work_done()
+        fresh, elapsed = done - self._before, time.monotonic() - self.started
+        if fresh <= ENOUGH * (whole - self._before) or whole <= 0:
+            return math.nan
+        return max(0.0, whole - done) * elapsed / fresh
+
+    def event(self) -> Progress:
+        """Objects done, of all, for programs."""
+        return Progress(
+            stage=BATCH_STAGE,
+            step=self.objects(DONE),
+            total=self.objects(),
+            loss=math.nan,
+            psnr=math.nan,
+            gaussians=0,
+            seconds_left=min(self.seconds_left(), MAX_NUMBER - 1.0),
+        )
+
+    def head(self) -> str:
+        """One line: objects and time."""
+        failed = self.objects(FAILED)
+        words = [
+            f"{self.objects(DONE)} of {counted(self.objects(), 'object')} done",
+            f"{self.objects(RUNNING)} running",
+            *([f"{failed} failed"] if failed else []),
+        ]
+        left = self.seconds_left()
+        if not math.isnan(left):
+            words.append(f"about {duration(left)} left")
+        return ", ".join(words)
+
+    def lines(self) -> list[str]:
+        """The head, and a line for each running part."""
+        running = [
+            self._line(part)
+            for scene in self.scenes.values()
+            for part in scene.parts.values()
+            if part.state == RUNNING
+        ]
+        more = len(running) - MOST_LINES
+        rest = [f"  and {counted(more, 'more part')}"] if more > 0 else []
+        return [self.head(), *running[:MOST_LINES], *rest]
+
+    def _line(self, state: PartState) -> str:
+        words = [f"  {state.part.label}"]
+        last = state.progress
+        if last.get("stage"):
+            words.append(str(last["stage"]))
+        if last.get("total") and "step" in last:
+            words.append(f"step {last['step']:,} of {last['total']:,}")
+        if "psnr" in last:
+            words.append(f"{last['psnr']:.2f} dB")
+        return "  ".join(words)
+
+    def _work_done(self) -> float:
+        parts = [p for s in self.scenes.values() if not s.reason for p in s.parts.values()]
+        return sum(share(part) * part.part.work for part in parts)
+
+
+def duration(seconds: float) -> str:
+    """'40 seconds', '12 minutes', '3.5 hours', '2.1 days'."""
+    if seconds < 90:
+        return counted(max(1, round(seconds)), "second")
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} minutes"
+    return f"{seconds / 3600:.1f} hours" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"

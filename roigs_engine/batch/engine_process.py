@@ -1,0 +1,113 @@
+"""An engine process: its events as they come, stop requests, and how it ended."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from ..formats.events import Record, parse_event
+
+DONE, STOPPED, FAILED, LOST = "done", "stopped", "failed", "lost"
+POLL = 0.5
+LAST = 2000  # bytes of standard error that may say why a process ended
+HOME = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a part ended.
+
+    Attributes:
+        state: `done`, `stopped` (on request), `failed` (with an error of the engine), or `lost`
+            (the process or its machine is gone; it can be tried again).
+        reason: one line, for `failed` and `lost`.
+        node: where it was; empty: here.
+    """
+
+    state: str
+    reason: str = ""
+    node: str = ""
+
+
+def run_engine(
+    argv: Sequence[str], emit: Callable[[Record], None], should_stop: Callable[[], bool]
+) -> Outcome:
+    """`python -m roigs_engine ARGV` to its end.
+
+    Args:
+        argv: the command line.
+        emit: receives each event, except the final one.
+        should_stop: asked twice a second; a stop lets the engine write a checkpoint.
+    """
+    final: Record = {}
+    paths = [str(HOME), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "roigs_engine", *argv, "--events"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            env=environment,
+        )
+        ended = threading.Event()
+        threading.Thread(target=_stop, args=(process, should_stop, ended), daemon=True).start()
+        try:
+            assert process.stdout is not None
+            for line in process.stdout:
+                event = parse_event(line.decode("utf-8", "replace"))
+                if event is not None and event["event"] in ("done", "failed"):
+                    final = event
+                elif event is not None:
+                    emit(event)
+            status = process.wait()
+        finally:
+            ended.set()
+            with suppress(OSError):
+                assert process.stdin is not None
+                process.stdin.close()
+        return _outcome(status, final, errors)
+
+
+def _stop(
+    process: subprocess.Popen[bytes], should_stop: Callable[[], bool], ended: threading.Event
+) -> None:
+    """Pass a stop request on, once."""
+    while not ended.wait(POLL):
+        if should_stop():
+            with suppress(OSError, ValueError):
+                assert process.stdin is not None
+                process.stdin.write(b"stop\n")
+                process.stdin.flush()
+            return
+
+
+def _outcome(status: int, final: Record, errors: IO[bytes]) -> Outcome:
+    if final.get("stopped"):
+        return Outcome(state=STOPPED)
+    if final.get("event") == "done":
+        return Outcome(state=DONE)
+    if final.get("event") == "failed":
+        reason = f"{final.get('message', '')} {final.get('hint', '')}".strip()
+        return Outcome(state=FAILED, reason=reason)
+    return Outcome(state=LOST, reason=_last_words(status, errors))
+
+
+def _last_words(status: int, errors: IO[bytes]) -> str:
+    """Why a process ended that did not say so itself."""
+    errors.seek(0, os.SEEK_END)
+    errors.seek(max(0, errors.tell() - LAST))
+    lines = errors.read().decode("utf-8", "replace").strip().splitlines()
+    if status < 0:
+        memory = " (is the memory full?)" if status == -9 else ""
+        return f"The engine was ended by signal {-status}{memory}."
+    said = " ".join(lines[-1].split()) if lines else ""
+    return f"The engine ended with status {status}. {said}".strip()

@@ -1,0 +1,100 @@
+"""Parts as processes of this machine, several at a time as cores and memory allow."""
+
+from __future__ import annotations
+
+import queue
+import threading
+
+from ..context import Context
+from ..formats.events import Record
+from ..machine import machine_memory, usable_cores
+from .engine_process import LOST, Outcome, run_engine
+from .parts import Part
+
+Report = tuple[Part, "Record | Outcome"]
+SPARE = 2  # cores per part from which on, by default, another part is started instead
+
+
+def default_jobs(device: str) -> int:
+    """Parts at a time by default: one for every `SPARE` cores; one on a GPU, which they share."""
+    return 1 if device != "cpu" else max(1, usable_cores() // SPARE)
+
+
+class LocalExecutor:
+    """Starts parts here.
+
+    Args:
+        jobs: most parts at a time.
+        context: asked whether to stop.
+    """
+
+    nodes = 1
+
+    def __init__(self, jobs: int, context: Context) -> None:
+        self._jobs, self._context = jobs, context
+        self._running: dict[tuple[str, str], Part] = {}
+        self._reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
+
+    def has_room(self, part: Part) -> bool:
+        """Whether the part can start now; a part that is too large alone starts alone."""
+        if not self._running:
+            return True
+        taken = sum(other.memory for other in self._running.values())
+        return len(self._running) < self._jobs and taken + part.memory <= machine_memory()
+
+    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
+        """Start a part.
+
+        Args:
+            part: to be done.
+            waiting: number of parts that could start now besides; with few, each gets more cores.
+            avoid: nodes where it failed; there is only one here.
+        """
+        self._running[part.key] = part
+        at_a_time = max(len(self._running), min(self._jobs, len(self._running) + waiting))
+        threads = max(1, usable_cores() // at_a_time)
+        work = threading.Thread(target=self._run, args=(part, threads), daemon=True)
+        work.start()
+
+    def wait(self, seconds: float) -> list[Report]:
+        """What was reported, after at most some seconds."""
+        reports: list[Report] = []
+        try:
+            reports.append(self._reports.get(timeout=seconds))
+            while True:
+                reports.append(self._reports.get_nowait())
+        except queue.Empty:
+            pass
+        for part, report in reports:
+            if isinstance(report, Outcome):
+                self._running.pop(part.key, None)
+        return reports
+
+    def can_move(self, avoid: tuple[str, ...]) -> bool:
+        """Whether a part that failed may do better elsewhere."""
+        return False
+
+    def is_idle(self) -> bool:
+        """Whether a part that runs could go on elsewhere at once."""
+        return False
+
+    def stop(self, part: Part) -> None:
+        """Ask one part to stop; not needed here, as no part can move."""
+
+    def close(self) -> None:
+        """Nothing to end: parts have ended before."""
+
+    def _run(self, part: Part, threads: int) -> None:
+        argv = with_threads(part, threads)
+        try:
+            outcome = run_engine(
+                argv, lambda event: self._reports.put((part, event)), self._context.should_stop
+            )
+        except OSError as error:
+            outcome = Outcome(state=LOST, reason=f"The engine cannot be started ({error}).")
+        self._reports.put((part, outcome))
+
+
+def with_threads(part: Part, threads: int) -> list[str]:
+    """The part's command line with a number of threads, if its command has that option."""
+    return [*part.argv, *(["--threads", str(threads)] if part.argv[0] == "run" else [])]

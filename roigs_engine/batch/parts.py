@@ -1,0 +1,144 @@
+"""The parts of a batch: pieces of work for one engine process each, and what each waits for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from ..run.plan import Plan, Stage
+
+PREPARE, WHOLE = "prepare", "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Work for one process.
+
+    Attributes:
+        scene: the scene's name in the table.
+        name: unique in the scene: `prepare`, a stage, `all`, or an output's suffix.
+        argv: the engine's command line.
+        needs: names of the scene's parts that must be done before.
+        work: steps times megapixels, to compare parts with one another.
+        memory: bytes that it may take.
+        gpu: whether it uses a GPU where there is one.
+        stages: name and work of the stages that it trains, in order.
+    """
+
+    scene: str
+    name: str
+    argv: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    work: float = 0.0
+    memory: int = 0
+    gpu: bool = False
+    stages: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Unique in the batch."""
+        return self.scene, self.name
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return self.scene if self.name == WHOLE else f"{self.scene}: {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StagePlan:
+    """A stage for the printed plan: name, photos, longest side of them, steps, work."""
+
+    name: str
+    photos: int
+    side: int
+    steps: int
+    work: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenePlan:
+    """What is to be done for one scene.
+
+    Attributes:
+        name: of the scene in the table.
+        objects: names of its boxes.
+        stages: of its run; empty for photos without a model.
+        parts: in an order in which they can be done.
+        done: whether an earlier batch has done all of it.
+    """
+
+    name: str
+    objects: tuple[str, ...]
+    stages: tuple[StagePlan, ...]
+    parts: tuple[Part, ...]
+    done: bool = False
+
+    @cached_property
+    def work(self) -> float:
+        """Of all parts."""
+        return sum(part.work for part in self.parts)
+
+
+def stage_work(stage: Stage) -> float:
+    """Steps times megapixels of the largest photo."""
+    return stage.config.steps * max(i.camera.width * i.camera.height for i in stage.images) / 1e6
+
+
+def chains(plan: Plan) -> list[tuple[Stage, ...]]:
+    """The plan's stages in chains: within one, each stage serves the next alone.
+
+    A chain is as good as one stage: nothing else can start before it ends.
+    """
+    users: dict[str, list[str]] = {}
+    for stage in plan.stages:
+        for needed in stage.inputs:
+            users.setdefault(needed.name, []).append(stage.name)
+    found: dict[str, list[Stage]] = {}  # by the last stage
+    for stage in plan.stages:
+        names = {needed.name for needed in stage.inputs}
+        only = next(iter(names)) if len(names) == 1 else ""
+        before = found.pop(only) if only in found and set(users[only]) == {stage.name} else []
+        found[stage.name] = [*before, stage]
+    return [tuple(chain) for chain in found.values()]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """Stages for one process: the last one's name, the cuts that it needs, names and work."""
+
+    name: str
+    needs: tuple[str, ...]
+    stages: tuple[tuple[str, float], ...]
+
+
+def cuts(plan: Plan) -> list[Cut]:
+    """The plan's stages for several processes, in order; empty if one process does as well.
+
+    Splitting pays only if two can work side by side.
+    """
+    found = chains(plan)
+    last = {stage.name: chain[-1].name for chain in found for stage in chain}
+    parts = [
+        Cut(
+            name=chain[-1].name,
+            needs=tuple(dict.fromkeys(last[needed.name] for needed in chain[0].inputs)),
+            stages=works(chain),
+        )
+        for chain in found
+    ]
+    return parts if _is_wide([(cut.name, cut.needs) for cut in parts]) else []
+
+
+def works(stages: Sequence[Stage]) -> tuple[tuple[str, float], ...]:
+    """Name and work of stages."""
+    return tuple((stage.name, stage_work(stage)) for stage in stages)
+
+
+def _is_wide(parts: Sequence[tuple[str, tuple[str, ...]]]) -> bool:
+    """Whether two of these can be done at a time."""
+    depth: dict[str, int] = {}
+    for name, needs in parts:
+        depth[name] = 1 + max((depth[needed] for needed in needs), default=0)
+    return len(set(depth.values())) < len(depth)

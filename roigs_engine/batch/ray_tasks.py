@@ -1,0 +1,118 @@
+"""What runs on the machines of a Ray cluster: a look at the machine, and parts."""
+
+from __future__ import annotations
+
+import os
+import threading
+from typing import Any
+
+from .. import __version__
+from ..formats.events import Record
+from .engine_process import FAILED, Outcome, run_engine
+
+POST_SECONDS = 1.0
+KEPT = ("progress",)  # of these events, only the last of a second is posted
+
+
+def look(sign: str) -> dict[str, Any]:
+    """This machine: its version of the engine, and whether it sees a file of the batch."""
+    return {"version": __version__, "sees": os.path.exists(sign)}
+
+
+def do_part(
+    argv: list[str], key: tuple[str, str], mailbox: Any, version: str, sign: str
+) -> Outcome:
+    """Do a part on this machine, with its events to a mailbox.
+
+    Args:
+        argv: the engine's command line.
+        key: of the part.
+        mailbox: a handle to a `Mailbox`.
+        version: of the engine that gives out parts.
+        sign: a file of the batch, which every machine must see.
+    """
+    import ray
+
+    node = ray.get_runtime_context().get_node_id()
+    problem = misfit(look(sign), version, sign)
+    if problem:
+        return Outcome(state=FAILED, reason=f"A machine of the cluster {problem}.", node=node)
+    post = _Post(key, mailbox)
+    ended = run_engine(argv, post.add, lambda: post.stop)
+    post.close()
+    return Outcome(state=ended.state, reason=ended.reason, node=node)
+
+
+def misfit(found: dict[str, Any], version: str, sign: str) -> str:
+    """Why a machine that was looked at cannot be used; empty: it can."""
+    if found["version"] != version:
+        return f"has roigs {found['version']}, this computer {version}; install the same"
+    if not found["sees"]:
+        return f"does not see {os.path.dirname(sign)}; the folder must be shared under that path"
+    return ""
+
+
+class Mailbox:
+    """Events of parts on their way to the batch, and its stop request on the way back."""
+
+    def __init__(self) -> None:
+        self._events: list[tuple[tuple[str, str], Record]] = []
+        self._stop = False
+        self._stopped: set[tuple[str, str]] = set()
+
+    def put(self, key: tuple[str, str], events: list[Record]) -> bool:
+        """Leave events; returns whether the part is asked to stop."""
+        self._events += [(key, event) for event in events]
+        return self._stop or key in self._stopped
+
+    def take(
+        self, stop: bool, stopped: set[tuple[str, str]]
+    ) -> list[tuple[tuple[str, str], Record]]:
+        """All events since the last time.
+
+        Args:
+            stop: whether all parts are asked to stop.
+            stopped: keys of those that are asked to, else.
+        """
+        self._stop, self._stopped = stop, stopped
+        events, self._events = self._events, []
+        return events
+
+
+class _Post:
+    """Posts events once a second, in a thread; a mailbox that is gone stops nothing."""
+
+    def __init__(self, key: tuple[str, str], mailbox: Any) -> None:
+        self.stop = False
+        self._key, self._mailbox = key, mailbox
+        self._events: list[Record] = []
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def add(self, event: Record) -> None:
+        """Keep an event for the next post."""
+        with self._lock:
+            if self._events and event["event"] in KEPT == (self._events[-1]["event"],):
+                self._events.pop()
+            self._events.append(event)
+
+    def close(self) -> None:
+        """Post the rest."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        import ray
+
+        ended = False
+        while not ended:
+            ended = self._ended.wait(POST_SECONDS)
+            with self._lock:
+                events, self._events = self._events, []
+            try:
+                put = self._mailbox.put.remote(self._key, events)
+                self.stop = self.stop or bool(ray.get(put, timeout=10 * POST_SECONDS))
+            except ray.exceptions.RayError:
+                continue

@@ -1,0 +1,65 @@
+"""How long the parts of a batch may take, by training a few steps of stages of each kind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from ..formats.text import json_digest
+from ..run.plan import Plan, Stage
+from .parts import ScenePlan, chains, stage_work
+
+if TYPE_CHECKING:
+    from ..context import Context
+    from ..run.definition import Run
+
+START = 4.0  # seconds until an engine trains: Python, torch, the scene
+ALIKE = 4  # stages share a measurement if their points and photos differ by less than 1 / ALIKE
+
+
+@dataclass
+class Times:
+    """Seconds of parts. Stages with like settings, photos and points are measured once.
+
+    Attributes:
+        measured: how many stages were measured.
+    """
+
+    measured: int = 0
+    _rates: dict[str, float] = field(default_factory=dict)
+
+    def of_scene(
+        self, scene: ScenePlan, run: Run | None, plan: Plan | None, context: Context
+    ) -> dict[tuple[str, str], float]:
+        """Seconds of each part that is left to do, with all cores of this machine.
+
+        Args:
+            scene, run, plan: as planned; None for photos without a model, which count as nothing.
+            context: gives the device; checked for cancellation.
+        """
+        found = {part.key: 0.0 if scene.done else START for part in scene.parts}
+        if scene.done or run is None or plan is None:
+            return found
+        from ..run.forecast import forecast
+
+        points = len(run.train_scene.points)
+        kinds = {stage.name: _kind(stage, points) for stage in plan.stages}
+        if not kinds.keys() <= {n for n, kind in kinds.items() if kind in self._rates}:
+            for expected in forecast(run, plan, context, update=True).stages:
+                work = max(stage_work(expected.stage), 1e-9)
+                self._rates[kinds[expected.stage.name]] = expected.whole.seconds / work
+                self.measured += 1
+        for chain in chains(plan):
+            seconds = sum(self._rates[kinds[s.name]] * stage_work(s) for s in chain)
+            key = (scene.name, chain[-1].name)
+            found[key if key in found else (scene.name, "all")] += seconds
+        return found
+
+
+def _kind(stage: Stage, points: int) -> str:
+    """The same for stages whose steps take about the same time."""
+    config = replace(stage.config, steps=0, densify_from=0, densify_until=0)
+    sizes = max(i.camera.width * i.camera.height for i in stage.images), points
+    rough = [round(ALIKE * math.log(max(size, 1))) for size in sizes]
+    return json_digest([str(config), rough, len(stage.rois)])

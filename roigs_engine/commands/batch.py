@@ -1,0 +1,221 @@
+"""`batch`: the runs of a table of scenes, side by side, here or on a cluster."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..context import Context
+from ..errors import ConfigError, RunFolderError
+from ..formats.files import write_json
+from ..formats.lock import locked
+from ..formats.run_files import BATCH_LOCK, REPORT_PAGE
+from ..formats.text import counted
+from .batch_init import write_table
+from .batch_plan import checked_plans, options_path, plan_row, written
+from .batch_table import Row, Table
+from .console import Console
+from .values import NAME, PATH, integer
+
+if TYPE_CHECKING:
+    from ..batch.engine_process import Outcome
+    from ..batch.parts import ScenePlan
+    from ..batch.record import BatchRecord
+    from ..batch.schedule import Executor, PartState, SceneState
+    from ..formats.events import Record
+
+MOST_JOBS, MOST_RETRIES, RETRIES = 1024, 100, 3
+PAGE_SECONDS = 10.0  # between two pages while the batch goes on
+TABLE = "batch.toml"
+HELP = "do the runs of a table of scenes, several at once, here or on a cluster"
+EXAMPLES = """\
+  python -m roigs_engine batch museum.toml --init scans
+  python -m roigs_engine batch museum.toml --run-dir runs/museum --dry-run
+  python -m roigs_engine batch museum.toml --run-dir runs/museum --jobs 4
+  python -m roigs_engine batch museum.toml --run-dir runs/museum --cluster auto"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument(
+        "table",
+        type=PATH,
+        nargs="?",
+        metavar="TABLE",
+        help="TOML file with the scenes and their settings (docs/many.md)",
+    )
+    parser.add_argument(
+        "--init", type=PATH, metavar="FOLDER", help="write TABLE with the scenes of this folder"
+    )
+    parser.add_argument(
+        "--run-dir", type=PATH, metavar="DIR", help="folder that gets a run folder for each scene"
+    )
+    parser.add_argument(
+        "--only",
+        type=NAME,
+        action="append",
+        default=[],
+        metavar="SCENE",
+        help="only the scene of this name; repeatable",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=integer(1, MOST_JOBS),
+        metavar="N",
+        help="most parts at a time on this machine (default: one for every two cores)",
+    )
+    parser.add_argument(
+        "--cluster",
+        type=NAME,
+        metavar="ADDRESS",
+        help="do the parts on Ray: ray://HOST:10001, auto (the cluster that this machine is part"
+        " of), or local (a Ray of this machine alone)",
+    )
+    parser.add_argument(
+        "--retries",
+        type=integer(0, MOST_RETRIES, zero=True),
+        default=RETRIES,
+        metavar="N",
+        help=f"how often a part is tried again if its process is lost (default: {RETRIES})",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="check the table, print its plan (stages, steps, memory, time), and do nothing",
+    )
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Write a table, print its plan, or do it."""
+    if args.init:
+        table = args.table or args.init / TABLE
+        count = write_table(table, args.init)
+        console.context.info(f"{table} has {counted(count, 'scene')}. Look at it, then start it.")
+        return {"table": str(table)}
+    if args.table is None or args.run_dir is None:
+        raise ConfigError(
+            "A batch needs TABLE and --run-dir.", "To make a table, use --init FOLDER."
+        )
+    if args.jobs and args.cluster:
+        raise ConfigError("--jobs is for this machine.", "Leave it out with --cluster.")
+    from ..batch.record import BatchRecord
+
+    folder = args.run_dir = args.run_dir.absolute()
+    table = Table(args.table)
+    rows = _chosen(table, args.only)
+    if args.dry_run:
+        return _show(table, rows, folder, console)
+    with locked(folder, console.context.warn, name=BATCH_LOCK):
+        record = BatchRecord(folder)
+        device, scenes = checked_plans(table, rows, folder, record, console)
+        for row in rows:
+            write_json(options_path(row, folder), row.options)
+        executor = _executor(args, device, console.context)
+        try:
+            states = _execute(args, executor, scenes, rows, record, console)
+        finally:
+            executor.close()
+    return _finish(folder, states, console)
+
+
+def _chosen(table: Table, only: list[str]) -> list[Row]:
+    """The table's rows, or those that `--only` names; ConfigError if it names another."""
+    names = [row.name for row in table.rows]
+    unknown = [name for name in only if name not in names]
+    if unknown and not table.wrong:
+        hint = f"The scenes are: {', '.join(names)}."
+        raise ConfigError(f"There is no scene '{unknown[0]}'.", hint)
+    return [row for row in table.rows if not only or row.name in only]
+
+
+def _show(table: Table, rows: list[Row], folder: Path, console: Console) -> dict[str, str]:
+    """Print the plan; the time of a step is measured, nothing is written."""
+    from ..batch.record import BatchRecord
+    from ..batch.times import Times
+    from .batch_show import plan_text
+
+    record, times = BatchRecord(folder), Times()
+    _, scenes = checked_plans(table, rows, folder, record, console)
+    seconds: dict[tuple[str, str], float] = {}
+    for row in rows:
+        console.context.check_cancelled()
+        found = plan_row(row, folder, record, console)
+        seconds |= times.of_scene(found.scene, found.run, found.plan, found.context)
+    console.print(plan_text(scenes, seconds, times.measured))
+    return {}
+
+
+def _executor(args: argparse.Namespace, device: str, context: Context) -> Executor:
+    """Where the parts are done."""
+    from ..batch.local import LocalExecutor, default_jobs
+
+    if args.cluster:
+        from ..batch.ray_executor import RayExecutor
+
+        return RayExecutor(args.cluster, args.run_dir / BATCH_LOCK, context)
+    return LocalExecutor(args.jobs or default_jobs(device), context)
+
+
+def _execute(
+    args: argparse.Namespace,
+    executor: Executor,
+    scenes: Sequence[ScenePlan],
+    rows: Sequence[Row],
+    record: BatchRecord,
+    console: Console,
+) -> list[SceneState]:
+    """Do all parts; the page and the record are written as scenes end."""
+    from ..batch.board import Board
+    from ..batch.engine_process import DONE, Outcome
+    from ..batch.page import write_batch_page
+    from ..batch.schedule import Scheduler
+    from .batch_show import Shown
+
+    folder, by_name = args.run_dir, {row.name: row for row in rows}
+    written_at = 0.0
+
+    def told(scene: SceneState, part: PartState, report: Record | Outcome) -> None:
+        nonlocal written_at
+        if isinstance(report, Outcome) and scene.state == DONE:
+            row = by_name[scene.plan.name]
+            files = written(row, folder, scene.plan.objects)
+            record.add(row.name, row.digest, folder / row.name, files)
+        shown.take(scene, part, report)
+        if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
+            write_batch_page(folder, scheduler.scenes.values())
+            written_at = time.monotonic()
+
+    context = replace(console.context, emit=lambda event: shown.message(event))
+    scheduler = Scheduler(scenes, executor, context, retries=args.retries, told=told)
+    board = Board(scheduler.scenes, time.monotonic())
+    shown = Shown(console, board, json_lines=args.events)
+    console.context.info(f"{board.head()}.")
+    try:
+        scheduler.run()
+    finally:
+        shown.draw(now=True)
+        write_batch_page(folder, scheduler.scenes.values())
+    return list(scheduler.scenes.values())
+
+
+def _finish(folder: Path, states: Sequence[SceneState], console: Console) -> dict[str, str]:
+    """Say how it ended.
+
+    Raises:
+        RunFolderError: a scene failed.
+    """
+    failed = [state for state in states if state.reason]
+    page = folder / REPORT_PAGE
+    for state in failed:
+        console.print(f"failed: {state.reason}")
+    console.print_places({"report": str(page), "runs": str(folder)})
+    if failed:
+        raise RunFolderError(
+            f"{counted(len(failed), 'scene')} of {len(states)} failed; {page} says why.",
+            "The same command tries these again, and keeps what is done.",
+        )
+    return {"report": str(page), "runs": str(folder)}

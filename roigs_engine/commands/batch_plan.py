@@ -1,0 +1,190 @@
+"""From the rows of a batch's table to plans: everything is checked before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
+from ..batch.record import BatchRecord
+from ..errors import ConfigError, EngineError
+from ..formats import run_files
+from ..formats.events import Event
+from ..formats.text import counted
+from ..machine import ENGINE
+from . import run as run_command
+from . import train
+from .automatic import box_names
+from .batch_table import Row, Table, Wrong
+from .console import Console
+
+if TYPE_CHECKING:
+    from ..context import Context
+    from ..run.definition import Run
+    from ..run.plan import Plan
+
+TEST_WORK = 10.0  # steps that rendering and comparing a test photo is worth
+PHOTOS_WORK = 1000.0  # of photos without a model: not known, and long
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Planned:
+    """A row's plan, and what it was made from while that is needed; None without a model."""
+
+    scene: ScenePlan
+    run: Run | None
+    plan: Plan | None
+    context: Context
+
+
+class QuietConsole(Console):
+    """Shows nothing: what planning has to say, the run says again."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(json_lines=False)
+        self.should_stop = console.should_stop  # type: ignore[method-assign]
+
+    def emit(self, event: Event) -> None:
+        """Drop the event."""
+
+
+def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> Planned:
+    """The plan of a row; nothing is written.
+
+    Args:
+        row: of the table.
+        folder: of the batch.
+        record: what is done there.
+        console: of the command.
+
+    Raises:
+        EngineError: the row cannot be done.
+    """
+    from ..run.memory import run_memory
+    from ..run.strategies import plan_run
+
+    args, quiet = copy(row.args), QuietConsole(console)
+    args.run_dir, args.threads = folder / row.name, None
+    compare = run_command.compared(args)
+    run_command.check(args)
+    names = tuple(box_names(args, args.run_dir))
+    run, context = train.defined_run(args, quiet)
+    if run is None:
+        parts = _parts(row, folder, names, [], (("", PHOTOS_WORK),), 0)
+        return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
+    memory = run_memory(run, context).total
+    plan = plan_run(run, compare, context)
+    cut = cuts(plan)
+    largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
+    rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
+    own = rest if cut else (*works(plan.stages), *rest)
+    parts = _parts(row, folder, tuple(roi.name for roi in run.rois), cut, own, memory)
+    done = record.is_done(row.name, row.digest, run, written(row, folder, names))
+    scene = replace(_scene(row, names, parts, plan), done=done)
+    return Planned(scene=scene, run=run, plan=plan, context=context)
+
+
+def written(row: Row, folder: Path, objects: Sequence[str]) -> list[Path]:
+    """The files that a row writes outside its run folder."""
+    out = folder / run_files.BATCH_OUTPUTS
+    whole = [out / f"{row.name}{suffix}" for suffix in row.outputs]
+    return whole + [out / row.name / f"{o}{s}" for s in row.object_outputs for o in objects]
+
+
+def checked_plans(
+    table: Table, rows: Sequence[Row], folder: Path, record: BatchRecord, console: Console
+) -> tuple[str, list[ScenePlan]]:
+    """The device of the first row, and the plans of all rows.
+
+    Args:
+        table: of the rows.
+        rows: the scenes to do.
+        folder, record, console: as `plan_row`.
+
+    Raises:
+        ConfigError: a line of the table is wrong, or a scene cannot be done; a warning names each.
+    """
+    device, scenes, wrong = "cpu", [], list(table.wrong)
+    for row in rows:
+        console.context.check_cancelled()
+        try:
+            found = plan_row(row, folder, record, console)
+        except EngineError as error:
+            wrong.append(Wrong(line=row.line, text=f"Scene '{row.name}': {error}"))
+            continue
+        scenes.append(found.scene)
+        device = found.context.device
+    for line in sorted(wrong, key=lambda found: found.line):
+        console.context.warn(f"{table.path}, line {line.line}: {line.text}")
+    if wrong:
+        raise ConfigError(
+            f"{table.path} has {counted(len(wrong), 'mistake')}; nothing was started.",
+            "Correct what is listed above.",
+        )
+    return device, scenes
+
+
+def options_path(row: Row, folder: Path) -> Path:
+    """The options file of a row, which its engines read."""
+    return folder / run_files.BATCH_ROWS / f"{row.name}.json"
+
+
+def _scene(
+    row: Row, names: tuple[str, ...], parts: tuple[Part, ...], plan: Plan | None = None
+) -> ScenePlan:
+    stages = [
+        StagePlan(
+            name=stage.name,
+            photos=len(stage.images),
+            side=max(max(i.camera.width, i.camera.height) for i in stage.images),
+            steps=stage.config.steps,
+            work=stage_work(stage),
+        )
+        for stage in (plan.stages if plan else ())
+    ]
+    return ScenePlan(name=row.name, objects=names, stages=tuple(stages), parts=parts)
+
+
+def _parts(
+    row: Row,
+    folder: Path,
+    objects: Sequence[str],
+    cut: Sequence[Cut],
+    own: tuple[tuple[str, float], ...],
+    memory: int,
+) -> tuple[Part, ...]:
+    """The parts of a row: of its run, then its outputs."""
+    run_dir = folder / row.name
+    options = ["run", str(options_path(row, folder)), "--run-dir", str(run_dir), "--update"]
+
+    gpu = row.args.device != "cpu"
+    kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)
+
+    def part(
+        name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
+    ) -> Part:
+        argv = (*options, *(word for each in (*before, name) for word in ("--part", each)))
+        work = sum(share for _, share in stages)
+        return replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
+
+    firsts = [each.name for each in cut if not each.needs]
+    found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
+    opened = tuple(other.name for other in found)
+    for each in cut:  # a stage that all others wait for prepares the folder, too
+        before = (PREPARE,) if firsts == [each.name] else ()
+        found.append(part(each.name, each.needs or opened, each.stages, *before))
+    found.append(part(WHOLE, tuple(other.name for other in found), own))
+    sources = [(run_dir / run_files.RESULT, s) for s in row.outputs] + [
+        (run_dir / run_files.FINE / f"{name}.ply", suffix)
+        for suffix in row.object_outputs
+        for name in objects
+    ]
+    for (source, _), out in zip(sources, written(row, folder, objects), strict=True):
+        name = out.relative_to(folder / run_files.BATCH_OUTPUTS).as_posix()
+        argv = ("convert", str(source), str(out))
+        made = Part(scene=row.name, name=name, argv=argv, needs=(WHOLE,), memory=4 * ENGINE)
+        found.append(made)
+    return tuple(found)

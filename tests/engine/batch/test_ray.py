@@ -1,0 +1,168 @@
+"""`batch --cluster` on a real Ray: two machines of one core each, all on loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roigs_engine.batch import ray_executor, ray_tasks
+from roigs_engine.batch.engine_process import STOPPED, Outcome
+from roigs_engine.batch.parts import Part
+from roigs_engine.cli import main
+from roigs_engine.context import Context
+from roigs_engine.errors import ConfigError
+from tests.engine.commands.command_line import BOX, refused, start
+from tests.engine.commands.test_batch import contents
+from tests.engine.synthetic_colmap import write_project
+
+SCENES = ("hall", "attic", "yard")
+TABLE = """\
+[defaults]
+roi = ["{box}"]
+steps-factor = 0.01
+test-every = 4
+device = "cpu"
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # loopback only
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
+    from ray.cluster_utils import Cluster
+
+    each = {"num_cpus": 1, "object_store_memory": 80 << 20}
+    head = {**each, "include_dashboard": False, "node_ip_address": "127.0.0.1"}
+    made = Cluster(initialize_head=True, head_node_args=head)
+    made.second = made.add_node(**each)
+    yield made
+    made.shutdown()
+    del os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"], os.environ["RAY_USAGE_STATS_ENABLED"]
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    lines = [TABLE.format(box=BOX)]
+    for name in SCENES:
+        names = [f"{k}.png" for k in range(8)]
+        write_project(tmp_path / name, names=names, dots=True)
+        lines.append(f"[scenes.{name}]\nscene = '{name}'\n")
+    path = tmp_path / "museum.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def events(batch: subprocess.Popen[str]) -> Iterator[dict[str, Any]]:
+    assert batch.stdout is not None
+    return map(json.loads, batch.stdout)
+
+
+def engines(run: Path) -> list[int]:
+    """The processes that do parts of a batch."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"--part" in words and any(word.startswith(bytes(run)) for word in words):
+            found.append(int(entry.parent.name))
+    return found
+
+
+def test_killed_drivers_engines_and_machines(cluster: Any, table: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    options = ("batch", table, "--run-dir", run, "--cluster", cluster.address, "--events")
+    with start(*options) as batch:  # the driver is killed
+        for event in events(batch):
+            if event["event"] == "progress":
+                batch.kill()
+                break
+    with start(*options) as batch:  # then an engine, then a machine
+        said = []
+        left = [lambda: os.kill(engines(run)[0], signal.SIGKILL)]
+        left.append(lambda: cluster.remove_node(cluster.second, allow_graceful=False))
+        for event in events(batch):
+            said.append(event)
+            if event["event"] == "stagestarted" and left:
+                left.pop(0)()
+        assert batch.stderr is not None
+        errors = batch.stderr.read()
+        assert batch.wait(60) == 0, errors
+    assert not left and "Traceback" not in errors
+    texts = [event["text"] for event in said if event["event"] == "message"]
+    assert any("ended by signal 9" in text and "tried again" in text for text in texts)
+    whole = [event for event in said if event.get("stage") == "batch"]
+    assert whole[-1]["step"] == whole[-1]["total"] == 3
+    for name in SCENES:
+        by_hand = tmp_path / "by hand" / name
+        assert main(["run", str(run / "rows" / f"{name}.json"), "--run-dir", str(by_hand)]) == 0
+        assert contents(run / name) == contents(by_hand)
+
+
+def test_one_part_can_be_stopped_to_go_on_elsewhere(
+    cluster: Any, table: Path, tmp_path: Path
+) -> None:
+    sign = tmp_path / "batch.lock"
+    sign.touch()
+    options = ["run", str(tmp_path / "hall"), "--roi", BOX, "--run-dir", str(tmp_path / "one")]
+    part = Part(scene="hall", name="all", argv=(*options, "--device", "cpu"))
+    executor = ray_executor.RayExecutor(cluster.address, sign, Context())
+    try:
+        executor.start(part, 0)
+        outcome = None
+        while outcome is None:
+            for found, report in executor.wait(0.5):
+                assert found == part
+                if isinstance(report, Outcome):
+                    outcome = report
+                elif report["event"] == "progress":
+                    executor.stop(part)
+        assert outcome.state == STOPPED and outcome.node
+        assert executor.can_move(()) and not executor.can_move((outcome.node,))  # one is left
+    finally:
+        executor.close()
+
+
+def test_machines_with_another_version_are_refused(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign = tmp_path / "batch.lock"
+    sign.touch()
+    said: list[str] = []
+    context = Context(emit=lambda event: said.append(event.text))  # type: ignore[union-attr]
+    monkeypatch.setattr(ray_executor, "__version__", "99.0")
+    with pytest.raises(ConfigError, match="No machine of the Ray cluster"):
+        ray_executor.RayExecutor(cluster.address, sign, context)
+    assert said and all("is not used: it has roigs" in text for text in said)
+    monkeypatch.undo()
+    said.clear()
+    with pytest.raises(ConfigError, match="No machine"):
+        ray_executor.RayExecutor(cluster.address, tmp_path / "elsewhere" / "batch.lock", context)
+    assert said and all("does not see" in text for text in said)
+
+
+def test_what_a_machine_needs() -> None:
+    assert not ray_tasks.misfit({"version": "1", "sees": True}, "1", "/runs/batch.lock")
+    assert "install the same" in ray_tasks.misfit({"version": "1", "sees": True}, "2", "/x/y")
+    assert "/runs;" in ray_tasks.misfit({"version": "1", "sees": False}, "1", "/runs/batch.lock")
+
+
+def test_no_cluster_is_one_line(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ("batch", table, "--run-dir", tmp_path / "run", "--cluster")
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    assert "needs Ray, which is not installed" in refused(capsys, *options, "local")
+    monkeypatch.undo()
+    pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
+    assert "no Ray cluster at 127.0.0.1:1 " in refused(capsys, *options, "127.0.0.1:1")
+    assert "is no address" in refused(capsys, *options, "museum")

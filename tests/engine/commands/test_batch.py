@@ -1,0 +1,154 @@
+"""`batch`: whole tables, here, several parts at a time."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.formats import run_files
+from tests.engine.commands.command_line import python, start
+from tests.engine.killing import timeless
+from tests.engine.synthetic_colmap import write_project
+
+NAMES = [f"{k}.png" for k in range(10)]
+HEAD = """\
+[defaults]
+steps-factor = 0.003
+test-every = 4
+device = "cpu"
+outputs = ["compressed.ply"]
+"""
+NO_BYTES = {"events.jsonl", "provenance.json", "report.md", "report.html", "settings.json"}
+
+
+def box(name: str, low: float, high: float) -> dict[str, object]:
+    return {"name": name, "min": [low] * 3, "max": [high] * 3}
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("museum")
+    for name in ("hall", "attic"):
+        write_project(folder / name, names=NAMES, dots=True)
+    return folder
+
+
+def table_of(folder: Path, scans: Path, *, high: float = 0.5, seed: int = 0) -> Path:
+    """The table: a scene that is split, and one that is a single part."""
+    boxes = {
+        "hall": [box("vase", -0.5, high), box("lamp", -0.9, 0.1)],
+        "attic": [box("jar", -1, 1)],
+    }
+    for name, rois in boxes.items():
+        (folder / f"{name}.json").write_text(json.dumps({"rois": rois}), encoding="utf-8")
+    rows = [
+        f"[scenes.{name}]\nscene = '{scans / name}'\nrois = '{name}.json'\nseed = {seed}\n{more}"
+        for name, more in (("hall", "strategy = 'independent'\n"), ("attic", ""))
+    ]
+    path = folder / "museum.toml"
+    path.write_text("\n".join([HEAD, *rows]), encoding="utf-8")
+    return path
+
+
+def contents(folder: Path) -> dict[str, object]:
+    """File -> what it holds, without times."""
+    files = [p for p in folder.rglob("*") if p.is_file() and p.name not in NO_BYTES]
+    return {
+        str(p.relative_to(folder)): timeless(json.loads(p.read_bytes()))
+        if p.suffix == ".json" and p.name != "photos.json"
+        else p.read_bytes()
+        for p in files
+        if p.name != "photos.json"
+    }
+
+
+@pytest.fixture(scope="module")
+def finished(scans: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a table and of its batch, `run`, done by two engines at a time."""
+    folder = tmp_path_factory.mktemp("batch")
+    table = table_of(folder, scans)
+    ended = python("batch", table, "--run-dir", folder / "run", "--jobs", "2")
+    assert ended.returncode == 0, ended.stderr
+    assert "3 of 3 objects done" in ended.stderr
+    return folder
+
+
+def test_the_same_bytes_as_runs_by_hand(finished: Path, tmp_path: Path) -> None:
+    for name in ("hall", "attic"):
+        options = finished / "run" / run_files.BATCH_ROWS / f"{name}.json"
+        assert main(["run", str(options), "--run-dir", str(tmp_path / name)]) == 0
+        assert contents(finished / "run" / name) == contents(tmp_path / name)
+    made = finished / "run" / run_files.BATCH_OUTPUTS
+    found = sorted(p.relative_to(made).as_posix() for p in made.rglob("*.ply"))
+    assert found == ["attic.compressed.ply", "hall.compressed.ply"]
+
+
+def test_one_page_over_all_objects(finished: Path) -> None:
+    page = (finished / "run" / run_files.REPORT_PAGE).read_text(encoding="utf-8")
+    assert "3 of 3 objects done" in page
+    assert page.count("data:image/jpeg") == 3
+    assert 'href="hall/rois/vase.ply"' in page and 'href="attic/report.html"' in page
+
+
+def test_done_objects_are_not_done_again(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {p: p.stat().st_mtime_ns for p in (finished / "run").rglob("*.ply")}
+    table = str(finished / "museum.toml")
+    assert main(["batch", table, "--run-dir", str(finished / "run"), "--dry-run"]) == 0
+    assert capsys.readouterr().out.count(" done\n") == 2
+    assert main(["batch", table, "--run-dir", str(finished / "run")]) == 0
+    assert {p: p.stat().st_mtime_ns for p in (finished / "run").rglob("*.ply")} == before
+
+
+def test_a_dry_run_writes_nothing(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = table_of(tmp_path, scans)
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run"), "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert "3 objects in 2 scenes" in shown and "an estimate" in shown
+    assert not (tmp_path / "run").exists()
+    assert main(["batch", str(table), "--run-dir", "x", "--dry-run", "--only", "cellar"]) == 2
+
+
+def test_a_stop_and_a_scene_that_fails(scans: Path, tmp_path: Path) -> None:
+    table, run = table_of(tmp_path, scans), tmp_path / "run"
+    (run / "attic").mkdir(parents=True)
+    (run / "attic" / run_files.RESULT).write_bytes(b"somebody's")  # a run would replace it
+    with start("batch", table, "--run-dir", run, "--jobs", "2", "--events") as engine:
+        assert engine.stdout is not None and engine.stdin is not None
+        for line in engine.stdout:
+            event = json.loads(line)
+            if event["event"] == "stagestarted" and event["stage"].startswith("hall: "):
+                engine.send_signal(signal.SIGINT)
+                break
+        rest = [json.loads(line) for line in engine.stdout]
+        assert engine.wait(60) == 3
+    assert rest[-1] == {"event": "done", "outputs": {}, "stopped": True}
+    ended = python("batch", table, "--run-dir", run)
+    assert ended.returncode == 2 and "Traceback" not in ended.stderr
+    assert "1 scene of 2 failed" in ended.stderr.splitlines()[-1]
+    assert "attic: " in ended.stdout and "is not a run folder" in ended.stdout
+    assert (run / "hall" / run_files.RESULT).exists()
+    assert (run / "attic" / run_files.RESULT).read_bytes() == b"somebody's"
+    page = (run / run_files.REPORT_PAGE).read_text(encoding="utf-8")
+    assert "failed: attic: " in page and "2 of 3 objects done" in page
+
+
+def test_a_changed_box_redoes_what_depends_on_it(finished: Path, scans: Path) -> None:
+    """Last: it changes the folder."""
+    run = finished / "run"
+    attic = (run / "attic" / run_files.RESULT).stat().st_mtime_ns
+    lamp = (run / "hall" / "object-lamp" / run_files.MODEL).stat().st_mtime_ns
+    table = table_of(finished, scans, high=0.6)
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 0
+    assert (run / "attic" / run_files.RESULT).stat().st_mtime_ns == attic
+    manifest = json.loads((run / "hall" / run_files.MANIFEST).read_text(encoding="utf-8"))
+    assert len(manifest["rois"]) == 2
+    assert (run / "hall" / run_files.ARCHIVE).is_dir()
+    assert (run / "hall" / "object-lamp" / run_files.MODEL).stat().st_mtime_ns >= lamp

@@ -1,0 +1,109 @@
+"""The table of a batch: what is wrong with it, and how `--init` writes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.cli import main
+from roigs_engine.commands.batch_table import Table
+from tests.engine.commands.command_line import BOX, refused
+from tests.engine.synthetic_colmap import write_project
+
+EIGHT = [f"{k}.png" for k in range(8)]
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scans")
+    for name in ("hall", "attic"):
+        write_project(folder / name, names=EIGHT)
+    box = {"name": "vase", "min": [-0.5] * 3, "max": [0.5] * 3}
+    (folder / "hall" / "rois.json").write_text(json.dumps({"rois": [box]}), encoding="utf-8")
+    return folder
+
+
+def test_init_writes_a_table_of_what_is_there(scans: Path, tmp_path: Path) -> None:
+    table = scans / "museum.toml"
+    assert main(["batch", str(table), "--init", str(scans)]) == 0
+    rows = {row.name: row for row in Table(table).rows}
+    assert set(rows) == {"hall", "attic"}
+    assert rows["hall"].options["scene"] == str(scans / "hall")
+    assert rows["hall"].options["rois"] == str(scans / "hall" / "rois.json")
+    assert rows["attic"].options["roi"] == ["auto"]
+    assert main(["batch", str(table), "--init", str(scans)]) == 2  # it is kept
+
+
+def test_init_names_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder, says in ((tmp_path, "has no scene"), (tmp_path / "none", "There is no folder")):
+        assert says in refused(capsys, "batch", tmp_path / "t.toml", "--init", folder)
+    assert not (tmp_path / "t.toml").exists()
+
+
+def test_every_wrong_line_is_named_and_nothing_starts(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "wrong.toml"
+    lines = [
+        "[defaults]",
+        "presett = 'draft'",  # 2
+        "outputs = ['docx']",
+        "[scenes.one]",
+        f"scene = '{scans / 'hall'}'",
+        "max_side = -3",  # 6
+        "[scenes.two]",  # no scene
+        "[scenes.three]",  # a box without points
+        f"scene = '{scans / 'hall'}'",
+        "roi = ['nothing=30,30,30,31,31,31']",
+        "[scenes.four]",  # no such scene
+        f"scene = '{scans / 'cellar'}'",
+        f"roi = ['{BOX}']",
+        '[scenes."result.ply"]',  # 14
+        f"scene = '{scans / 'hall'}'",
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    run = tmp_path / "run"
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 2
+    said = capsys.readouterr().err.splitlines()
+    named = [line.partition("line ")[2].partition(":")[0] for line in said if "line " in line]
+    assert named == ["2", "3", "6", "7", "8", "11", "14"], said
+    assert said[-1].startswith(f"error: {table} has 7 mistakes; nothing was started.")
+    assert not list(run.glob("*"))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[scenes", "is not TOML"),
+        ("", "The table has no scene."),
+        ("scenes = 3", "The table has no scene."),
+    ],
+)
+def test_a_table_that_is_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, says: str
+) -> None:
+    table = tmp_path / "t.toml"
+    table.write_text(text, encoding="utf-8")
+    assert says in refused(capsys, "batch", table, "--run-dir", tmp_path / "run")
+
+
+def test_what_is_asked_for_wrongly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "t.toml"
+    assert "needs TABLE and --run-dir" in refused(capsys, "batch", table)
+    assert "Cannot read" in refused(capsys, "batch", table, "--run-dir", tmp_path / "run")
+
+
+def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -> None:
+    table = tmp_path / "t.toml"
+    lines = [
+        *("[defaults]", "preset = 'draft'", f"roi = ['{BOX}']", "outputs = ['spz']"),
+        *("[scenes.a]", f"scene = '{scans / 'hall'}'", "preset = 'paper'"),
+        *("[scenes.b]", f"scene = '{scans / 'hall'}'", f"rois = '{scans / 'hall/rois.json'}'"),
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    a, b = Table(table).rows
+    assert a.args.preset == "paper" and a.args.roi == [BOX] and a.outputs == (".spz",)
+    assert b.args.preset == "draft" and b.args.roi == [] and b.args.compare == []
+    assert a.digest != b.digest
