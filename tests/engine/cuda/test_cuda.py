@@ -25,7 +25,7 @@ from roigs_engine.training.floaters.consistency import consistent_across_views
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import StageData, Trainer
-from tests.engine.rasterize.test_cuda import CASES, SIZE, ring
+from tests.engine.rasterize.test_gsplat import CASES, SIZE, ring
 from tests.engine.rasterize_cases import (
     cameras,
     differentiate,

@@ -12,7 +12,7 @@ from roigs_engine.cuda import library
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine import fake_gsplat
-from tests.engine.rasterize.test_cuda import ring
+from tests.engine.rasterize.test_gsplat import ring
 from tests.engine.rasterize_cases import cameras, gaussians, relative_error
 
 if not torch.cuda.is_available():
