@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from . import __version__
 from .commands import (
+    check_gpu,
     clean,
     compose,
     convert,
@@ -60,6 +61,7 @@ COMMANDS: dict[str, ModuleType] = {
     "render-frames": render_frames,
     "run": run,
     "clean": clean,
+    "check-gpu": check_gpu,
 }
 WITH_TORCH = (
     "train",
@@ -72,6 +74,7 @@ WITH_TORCH = (
     "masks",
     "cut",
     "floaters",
+    "check-gpu",
 )
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
 MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20

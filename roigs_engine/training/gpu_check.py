@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -89,23 +90,38 @@ def check(device: torch.device) -> dict[str, float]:
 
 def compare(device: torch.device) -> dict[str, float]:
     """The relative error of each result on the GPU, without a limit."""
-    ours, truth = (results(torch.device(d), b) for d, b in ((device, "cuda"), ("cpu", "cpu")))
+    ours, truth = results(device, "cuda"), results(torch.device("cpu"), "cpu")
     return {name: _relative_error(ours[name], truth[name]) for name in truth}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """What is drawn, on one device.
+
+    Attributes:
+        model: tensors by name, in the form that is trained.
+        view: a camera's pose (1, 4, 4) and intrinsics (1, 3, 3).
+        photo: (H, W, 3) uint8.
+    """
+
+    model: dict[str, Tensor]
+    view: tuple[Tensor, Tensor]
+    photo: Tensor
 
 
 def results(device: torch.device, backend: str) -> dict[str, Tensor]:
     """All that a training step computes of the check's scene, by name."""
-    model, view, photo = scene(device)
-    optimizer = VisibleAdam({name: (model[name], 1e-3) for name in NAMES}, fused=True)
-    before = {name: tensor.detach().clone() for name, tensor in model.items()}
-    output = draw(model, view, backend, backward_step=optimizer.backward_step)
-    weights = torch.linspace(0, 2, photo.shape[1], device=device).expand(photo.shape[:2])
-    loss = photo_loss(output.image, photo, weights=weights, backend=backend)
+    made = scene(device, COUNT, SIZE)
+    before = {name: tensor.clone() for name, tensor in made.model.items()}
+    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES}, fused=True)
+    output = draw(made, backend, backward_step=optimizer.backward_step)
+    width, height = SIZE
+    weights = torch.linspace(0, 2, width, device=device).expand(height, width)
+    loss = photo_loss(output.image, made.photo, weights=weights, backend=backend)
     loss.loss.backward()  # type: ignore[no-untyped-call]
-    with torch.no_grad():
-        region = (20, 20, 140, 90)
-        options = {"with_max_weight": True, "with_weight_sum": True, "with_depth": True}
-        part = draw(before, view, backend, mask=region, **options)
+    options: dict[str, Any] = {"with_max_weight": True, "with_weight_sum": True}
+    region = (width // 8, height // 6, width * 7 // 8, height * 3 // 4)
+    part = draw(replace(made, model=before), backend, mask=region, with_depth=True, **options)
     found = {
         "image": output.image,
         "loss": loss.loss,
@@ -133,34 +149,38 @@ def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
     return 1 + ((now - (before - step)).abs() / 1e-3).clamp(min=1e-3)
 
 
-def draw(
-    model: dict[str, Tensor], view: tuple[Tensor, Tensor], backend: str, **options: Any
-) -> RenderOutput:
-    """The check's scene as training draws it."""
-    means, quats, scales, opacities, sh = (model[name] for name in NAMES)
+def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
+    """The scene as training draws it."""
+    means, quats, scales, opacities, sh = (made.model[name] for name in NAMES)
+    height, width, _ = made.photo.shape
     gaussians = means, quats, scales, opacities, sh
-    return rasterize(*gaussians, *view, *SIZE, raw=True, backend=backend, **options)
+    return rasterize(*gaussians, *made.view, width, height, raw=True, backend=backend, **options)
 
 
-def scene(device: torch.device) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor], Tensor]:
-    """Gaussians by name, a camera, a photo: the same on every device."""
+def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
+    """Random Gaussians in front of a camera, and a photo of noise: the same on every device."""
     generator = torch.Generator().manual_seed(0)
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator)
 
     model = {
-        "means": normal(COUNT, 3) + torch.tensor([0.0, 0.0, 4.0]),
-        "quats": normal(COUNT, 4),
-        "log_scales": 0.5 * normal(COUNT, 3) + math.log(0.05),
-        "logit_opacities": normal(COUNT),
-        "sh": 0.3 * normal(COUNT, 16, 3),
+        "means": normal(count, 3) + torch.tensor([0.0, 0.0, 4.0]),
+        "quats": normal(count, 4),
+        "log_scales": 0.5 * normal(count, 3) + math.log(0.6 / count**0.33),
+        "logit_opacities": normal(count),
+        "sh": 0.3 * normal(count, 16, 3),
     }
-    width, height = SIZE
-    K = torch.tensor([[width, 0.0, 0.5 * width], [0.0, width, 0.5 * height], [0.0, 0.0, 1.0]])  # noqa: N806
+    width, height = size
+    intrinsics = torch.tensor(
+        [[width, 0.0, 0.5 * width], [0.0, width, 0.5 * height], [0.0, 0.0, 1.0]]
+    )
     photo = torch.randint(0, 256, (height, width, 3), dtype=torch.uint8, generator=generator)
-    view = (torch.eye(4)[None].to(device), K[None].to(device))
-    return {name: tensor.to(device) for name, tensor in model.items()}, view, photo.to(device)
+    return Scene(
+        model={name: tensor.to(device) for name, tensor in model.items()},
+        view=(torch.eye(4)[None].to(device), intrinsics[None].to(device)),
+        photo=photo.to(device),
+    )
 
 
 def _relative_error(value: Tensor, truth: Tensor) -> float:
