@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import torch
@@ -69,12 +70,14 @@ class Row:
 def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
     """A step of the engine."""
     model = trainable(gaussians, photos.photo.device)
-    optimizer = VisibleAdam({name: (tensor, 0.0) for name, tensor in model.tensors().items()})
+    rates = {name: (tensor, 0.0) for name, tensor in model.tensors().items()}
+    optimizer = VisibleAdam(rates, fused=photos.photo.is_cuda)
 
     def step(pose: Tensor) -> None:
-        output = photos.render(model, pose)
+        output = photos.render(model, pose, backward_step=optimizer.backward_step)
         photo_loss(output.image, photos.photo).loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step(output.visible[0])
+        if optimizer.backward_step is None:
+            optimizer.step(output.visible[0])
 
     return step
 
@@ -114,9 +117,12 @@ def measure(
     size: tuple[int, int],
     rounds: int,
     device: torch.device,
-    makers: Sequence[Callable[[int, SyntheticPhotos], Step]] = (our_step, bare_step),
+    makers: Sequence[Callable[[int, SyntheticPhotos], Step]] | None = None,
 ) -> Row:
-    """One row; `makers`: what is compared, ours first."""
+    """One row; `makers`: what is compared, ours first; None: gsplat too, where it is installed."""
+    if makers is None:
+        bare = [bare_step] if find_spec("gsplat") else []
+        makers = (our_step, *bare)
     row, photos = Row(gaussians=gaussians, size=size), SyntheticPhotos(size, device)
     steps = [make(gaussians, photos) for make in makers]
     for step in steps:

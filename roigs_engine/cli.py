@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 from . import __version__
 from .commands import (
     batch,
+    check_gpu,
     clean,
     compose,
     convert,
@@ -62,6 +63,7 @@ COMMANDS: dict[str, ModuleType] = {
     "run": run,
     "batch": batch,
     "clean": clean,
+    "check-gpu": check_gpu,
 }
 WITH_TORCH = (
     "train",
@@ -75,6 +77,7 @@ WITH_TORCH = (
     "masks",
     "cut",
     "floaters",
+    "check-gpu",
 )
 # Bytes of addresses below which torch and its threads do not start, or only hang: all, and a core.
 MIN_TORCH, MIN_TORCH_CORE = 1200 << 20, 100 << 20

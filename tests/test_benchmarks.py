@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks import cuda_step, flops, large_capture, step, tables
+from benchmarks import cuda_step, flops, gpu, large_capture, step, tables
 from benchmarks.measure import COUNTS, StepBenchmark, kernel_calls, optional_outputs, peak_memory
 from benchmarks.results import STAGES, Measurement, Row, growth
 from benchmarks.synthetic import CAMERAS
+from roigs_engine.cli import build_parser
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import build, library
@@ -190,3 +191,32 @@ def test_the_photos_of_a_large_capture_are_all_different(tmp_path: Path) -> None
     scene = load_colmap(tmp_path, cache=tmp_path / "cache")
     assert len(scene.images) == len({image.digest for image in scene.images}) == 7
     assert scene.skipped == {}
+
+
+def test_a_gpu_is_measured_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What fails or hangs does not stop the others; every part leaves its figures."""
+    found = [
+        gpu.Part(name="good", command=("-c", "print('12 ms')"), minutes=1),
+        gpu.Part(name="bad", command=("-c", "raise SystemExit(2)"), minutes=1),
+        gpu.Part(name="slow", command=("-c", "import time; time.sleep(60)"), minutes=0.01),
+    ]
+    monkeypatch.setattr(gpu, "parts", lambda scene, out: found)
+    assert gpu.main(["--out", str(tmp_path)]) == 1
+    assert (tmp_path / "good.txt").read_text().strip() == "12 ms"
+    summary = (tmp_path / "summary.md").read_text()
+    assert "| good | 0 |" in summary and "| bad | 2 |" in summary
+    assert "| slow | ended after 0.01 minutes |" in summary
+    assert gpu.main(["--out", str(tmp_path), "--only", "good"]) == 0
+
+
+def test_the_parts_are_commands_that_exist(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[1]
+    parser, _ = build_parser()
+    for part in gpu.parts(tmp_path, tmp_path):
+        module, rest = part.command[1], part.command[2:]
+        if module == "roigs_engine":
+            parser.parse_args(rest)
+        if module == "pytest":
+            assert (root / rest[-1]).is_file()
+        if module == "benchmarks.step":
+            step._options(rest[:2])

@@ -1,9 +1,8 @@
 """Removes from this Python's environment what the engine never uses.
 
-    python tools/trim_engine.py [--keep-headers]
+    python tools/trim_engine.py
 
-These are files for tests and for compiling against torch; `--keep-headers` keeps the latter, for
-gsplat compiles its kernels on the user's computer. Packages stay whole otherwise: importing
+These are files for tests and for compiling against torch. Packages stay whole otherwise: importing
 torch and scikit-learn takes parts of every package that they bring. Run it with the Python of an
 environment that was made for the engine; it refuses any other.
 """
@@ -48,10 +47,10 @@ def size(path: Path) -> int:
     return sum(file.lstat().st_size for file in files if not file.is_dir())
 
 
-def trim(packages: Path, *, keep_headers: bool) -> int:
+def trim(packages: Path) -> int:
     """Remove it; the number of bytes. What cannot be removed stays, for it does no harm."""
     removed = 0
-    for path in unneeded(packages, TESTS if keep_headers else TESTS + HEADERS):
+    for path in unneeded(packages, TESTS + HEADERS):
         before = size(path)
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -63,13 +62,11 @@ def trim(packages: Path, *, keep_headers: bool) -> int:
 
 def main() -> int:
     """The exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--keep-headers", action="store_true", help="keep what compiling needs")
-    options = parser.parse_args()
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     if sys.prefix == sys.base_prefix:
         print("error: This Python is not an environment of its own.", file=sys.stderr)
         return 2
-    removed = trim(Path(sysconfig.get_path("purelib")), keep_headers=options.keep_headers)
+    removed = trim(Path(sysconfig.get_path("purelib")))
     print(f"Removed {removed / 1e6:.0f} MB that the engine does not use.")
     return 0
 

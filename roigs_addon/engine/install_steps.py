@@ -31,7 +31,7 @@ class Plan:
 
     Attributes:
         environments: folders of earlier ones; the new one is made in the first.
-        cuda: torch for NVIDIA GPUs instead of the one for the CPU, and gsplat.
+        cuda: torch for NVIDIA GPUs instead of the one for the CPU.
         formats: also what **Export** and **Import** need for other formats than PLY.
         wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
     """
@@ -83,13 +83,12 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     python = str(environment_python(environment))
     pip = [python, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
     cuda = plan.cuda and platform.system() != "Darwin"
-    wanted = requirements(*(["cuda"] if cuda else []))
+    wanted = requirements()
     make = Step(
         title="Creating the environment", command=[str(base), "-m", "venv", str(environment)]
     )
-    keep = ["--keep-headers"] if cuda else []  # gsplat compiles with them
     finish = [
-        Step(title="Removing what is not needed", command=[python, _script("trim_engine"), *keep]),
+        Step(title="Removing what is not needed", command=[python, _script("trim_engine")]),
         Step(title="Testing the environment", command=[python, _script("try_engine")]),
     ]
     if plan.wheels is not None:

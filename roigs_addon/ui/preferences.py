@@ -65,8 +65,8 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     )
     cuda: BoolProperty(
         name="For NVIDIA GPUs",
-        description="Install the CUDA build of torch: several gigabytes."
-        " Training on a GPU also needs NVIDIA's CUDA toolkit",
+        description="Install the CUDA build of torch: several gigabytes. Training on a GPU needs"
+        " nothing else but NVIDIA's driver",
     )
     formats: BoolProperty(
         name="File Formats",

@@ -251,7 +251,7 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="auto (the default) uses an NVIDIA GPU if gsplat can, else the CPU",
+        help="auto (the default) uses an NVIDIA GPU that passes its check, else the CPU",
     )
 
 
@@ -262,10 +262,11 @@ def context_on_device(args: argparse.Namespace, console: Console) -> Context:
         KernelError: the device is not available.
     """
     from ..cuda.device import choose_device
+    from ..training.gpu_check import check_once
 
     context = console.context
     return_large_blocks()
-    return replace(context, device=str(choose_device(args.device, context)))
+    return replace(context, device=str(choose_device(args.device, context, check_once)))
 
 
 def load_scene(

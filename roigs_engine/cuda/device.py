@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,15 +10,21 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..errors import KernelError
-from . import library
+from . import card, library
 
 CPU = torch.device("cpu")
 
 
-def choose_device(name: str, context: Context = QUIET) -> torch.device:
+Check = Callable[[torch.device, Context], None]
+"""Raises KernelError if a GPU computes what it should not."""
+
+
+def choose_device(name: str, context: Context = QUIET, check: Check | None = None) -> torch.device:
     """The device for `--device`: "cpu", "cuda", or "auto", the GPU if one can be used.
 
     A message says why "auto" uses the CPU.
+
+    Args: `check`: tests our kernels on the GPU, before they are used.
 
     Raises:
         KernelError: "cuda" was requested and cannot be used.
@@ -25,24 +32,30 @@ def choose_device(name: str, context: Context = QUIET) -> torch.device:
     if name == "cpu":
         return CPU
     try:
-        check_cuda()
+        device = check_cuda(context)
+        if check is not None and library.own_kernels():
+            check(device, context)
     except KernelError as error:
         if name == "cuda":
             raise
         context.info(f"Using the CPU: {error.message}")
         return CPU
-    device = torch.device("cuda", torch.cuda.current_device())
     context.info(f"Using {torch.cuda.get_device_name(device)}.")
     return device
 
 
-def check_cuda() -> None:
-    """Raise KernelError unless torch finds a GPU and gsplat can render on it."""
+def check_cuda(context: Context = QUIET) -> torch.device:
+    """The GPU that torch finds; KernelError unless it has one, and kernels that draw on it."""
     if torch.version.cuda is None:
         raise KernelError("This torch is built without CUDA.", library.how_to_install())
     if not torch.cuda.is_available():
         raise KernelError("torch finds no NVIDIA GPU.", "Check its driver, or use the CPU.")
-    library.gsplat()
+    device = torch.device("cuda", torch.cuda.current_device())
+    if library.own_kernels():
+        card.prepare(device, context)
+    else:
+        library.gsplat()
+    return device
 
 
 def on_device(state: Any, device: torch.device) -> Any:

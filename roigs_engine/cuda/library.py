@@ -11,6 +11,7 @@ import functools
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -35,6 +36,14 @@ CALLS = {
     ),
 }
 """The gsplat functions that are used, and the arguments that are passed, all by name."""
+
+
+KERNELS_VARIABLE = "ROIGS_CUDA_KERNELS"
+
+
+def own_kernels() -> bool:
+    """Whether our kernels draw on the GPU; ROIGS_CUDA_KERNELS=gsplat chooses gsplat's."""
+    return os.environ.get(KERNELS_VARIABLE, "") != "gsplat"
 
 
 @functools.cache
@@ -80,7 +89,7 @@ def how_to_install() -> str:
     """A hint: how to install gsplat for the installed torch."""
     version, cuda = torch.__version__.partition("+")[0], torch.version.cuda
     if cuda is None:
-        return f"Install torch with CUDA (torch {torch.__version__} is without), then gsplat."
+        return f"Install torch for CUDA (torch {torch.__version__} is without): docs/cuda.md."
     if tuple(map(int, version.split(".")[:2])) <= (2, 4):
         return (
             f"Install a wheel for this torch from gsplat's own index: gsplat {GSPLAT}"
@@ -99,7 +108,7 @@ def has_triton() -> bool:
 
 def has_blending_weights(device: torch.device) -> bool:
     """Whether rendering on the device can return blending weights (`with_max_weight`)."""
-    return device.type != "cuda" or has_triton()
+    return device.type != "cuda" or own_kernels() or has_triton()
 
 
 @functools.cache

@@ -3,9 +3,9 @@
 // memory to keep it in.
 #pragma once
 
-#include "roigs.h"
+#include "constants.h"
 #include "simd_rows.h"
-#include "view.h"
+#include "types.h"
 
 namespace roigs {
 

@@ -154,10 +154,15 @@ def _is_writable(folder: Path) -> bool:
 
 def _user_cache_folder() -> Path:
     """The kernels' folder if the package's is read-only; one folder per source version."""
+    return user_cache() / "kernels" / build.source_key()
+
+
+def user_cache() -> Path:
+    """The folder of what can be made again: compiled kernels, and what was found out about them."""
     if sys.platform == "win32":
         root = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":
         root = Path.home() / "Library" / "Caches"
     else:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return root / "roigs" / "kernels" / build.source_key()
+    return root / "roigs"

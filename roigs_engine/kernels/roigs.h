@@ -17,66 +17,9 @@
 #include <cstdint>
 
 #include "parallel.h"
+#include "types.h"
 
 namespace roigs {
-
-struct Gaussians {
-    const float* means;        // (N, 3)
-    const float* quats;        // (N, 4) wxyz, any length
-    const float* scales;       // (N, 3)
-    const float* opacities;    // (N,)
-    const float* sh;           // (N, sh_coefficients, 3)
-    int64_t count;             // N, at most 2^30
-    int32_t sh_coefficients;   // stored per colour: 1, 4, 9 or 16
-    int32_t sh_degree;         // evaluated: 0 to 3
-    int32_t raw;               // scales are logarithms, opacities are logits
-};
-
-// Buffers that gradients are added to, shaped as the parameters. A null one is skipped.
-struct Gradients {
-    float* means;
-    float* quats;
-    float* scales;
-    float* opacities;
-    float* sh;
-};
-
-// A parameter (rows, width) and its moments, all of that shape.
-struct AdamParameter {
-    float *values, *exp_avg, *exp_avg_sq;
-    float* gradient;     // the same shape; roigs_project_backward_adam does without
-    const float* rates;  // (width,) the columns' learning rates
-    int64_t width;
-};
-
-// A step of the optimiser.
-struct Adam {
-    const AdamParameter* parameters;
-    int64_t count;  // of parameters
-    double beta1, beta2, epsilon;
-    int64_t step;  // counts from 1
-};
-
-struct Camera {
-    float world_to_camera[3][4];
-    float position[3];  // world frame
-    float fx, fy, cx, cy;
-    float background[3];
-    float left, top, right, bottom;  // px: Gaussians with a centre not inside are left out
-    int32_t width, height;
-    int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
-    const uint8_t* tile_mask;  // of these, the ones to work on, row by row; null: all
-};
-
-// What roigs_render writes. A null one of the last four is skipped.
-struct Outputs {
-    float* image;       // (3, H, W)
-    float* alpha;       // (H, W)
-    float* depth;       // (H, W), the mean
-    float* max_weight;  // (N,), raised where this view has a larger weight
-    float* weight_sum;  // (N,), this view's weights are added, each times its pixel's weight:
-    const float* pixel_weights;  // (H, W), read; null: 1 everywhere
-};
 
 // Results below zero are failures.
 enum Failure : int64_t { kOutOfMemory = -1, kTooManyIntersections = -2 };

@@ -48,6 +48,7 @@ ROIGS_INLINE Floats splat(float x) { return x - Floats{}; }
 ROIGS_INLINE Ints bits_of(Floats x) { return (Ints)x; }
 ROIGS_INLINE Floats floats_of(Ints x) { return (Floats)x; }
 ROIGS_INLINE Floats to_floats(Ints x) { return __builtin_convertvector(x, Floats); }
+ROIGS_INLINE Ints to_ints(Floats x) { return __builtin_convertvector(x, Ints); }
 
 ROIGS_INLINE Floats load(const float* p) {
     Floats x;

@@ -9,26 +9,10 @@
 #include <utility>
 #include <vector>
 
+#include "constants.h"
 #include "roigs.h"
 
 namespace roigs {
-
-constexpr int kTile = 16;                        // side of a tile, px
-constexpr float kNear = 0.01f;                   // nearest camera depth, scene units
-constexpr float kBlur = 0.3f;                    // added to the 2D covariance's diagonal, px^2
-constexpr float kAlphaMax = 0.999f;              // opacity cap per pixel
-constexpr float kFrustumMargin = 0.3f;           // see linearisation point, geometry.h
-constexpr float kLog2AlphaMin = -7.9943534369f;  // log2(1 / 255), the smallest alpha drawn
-constexpr float kExponentScale = 0.7213475204f;  // log2(e) / 2: exp(-x / 2) = 2^(-x this)
-
-// Culling takes Gaussians and pixel blocks whose log2(alpha) falls short of the limit by less
-// than this, so that rounding never drops what the blending, which decides, would draw.
-constexpr float kCullSlack = 1e-3f;
-
-// Work on a pixel block ends when every pixel's transmittance is below this. What is dropped
-// changes the image by as much at most, and gradients by a relative 1e-5 where many opaque layers
-// lie behind each other; elsewhere nothing is dropped.
-constexpr float kTransmittanceEnd = 1e-6f;
 
 constexpr int kChunk = 1024;  // Gaussians per task
 constexpr int64_t kMostIntersections = std::numeric_limits<int32_t>::max();  // slots are int32
@@ -112,8 +96,6 @@ struct TileEntry {
     int32_t slot;
 };
 
-// dL / d(whatever) of a (Gaussian, tile) pair, see raster_backward.cpp.
-enum Moment { kS, kSU, kSV, kSUU, kSUV, kSVV, kRed, kGreen, kBlue, kMoments };
 struct alignas(64) SlotGradient {
     float sum[16];  // the first kMoments are used; whole cache lines are written faster
 };

@@ -1,10 +1,11 @@
 """Rendering of 3D Gaussians and its gradient (3D Gaussian Splatting, Kerbl et al. 2023).
 
-`rasterize` is the only entry point. Three backends compute the same function:
+`rasterize` is the only entry point. Four backends compute the same function:
 
     reference   plain torch, float32 or float64, any device: readable, and the tests' reference
     cpu         the compiled kernels: float32 tensors on the CPU
-    cuda        gsplat's kernels: float32 tensors on an NVIDIA GPU
+    cuda        our CUDA kernels: float32 tensors on an NVIDIA GPU
+    gsplat      gsplat's kernels: the same, if they are chosen (cuda.library.own_kernels)
 
 Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
 coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back by
@@ -17,10 +18,10 @@ is larger, or above or below the image and |y / z| is larger. Out there the EWA 
 a needle just before the camera plane would cover the image like fog. `view.render_view` has such a
 limit (`inputs.MAX_SLOPE`), training has none.
 
-Gradients: if an input is a leaf with an allocated `.grad`, the cpu backend adds to that buffer and
-touches only the rows of visible Gaussians. So the cost of a training step does not depend on the
-invisible Gaussians. Otherwise inputs get dense gradients, as in any torch function. Cameras and
-background get none.
+Gradients: if an input is a leaf with an allocated `.grad`, the cpu and cuda backends add to that
+buffer and touch only the rows of visible Gaussians. So the cost of a training step does not depend
+on the invisible Gaussians. Otherwise inputs get dense gradients, as in any torch function. Cameras
+and background get none.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..cuda.library import own_kernels
 from ..errors import EngineError
 from .inputs import (
     BackwardStep,
@@ -46,7 +48,7 @@ from .tiles import active_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
 
-BACKENDS = ("auto", "cpu", "cuda", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "gsplat", "reference")
 
 
 def rasterize(
@@ -64,7 +66,7 @@ def rasterize(
     raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
     max_slope: float | None = None,  # none farther beside the image; None: all
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
-    with_depth: Depth = False,  # also return the mean depth, or with "median" the median (not cuda)
+    with_depth: Depth = False,  # also return the mean depth, or the "median" (not gsplat)
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
     with_weight_sum: bool = False,  # also return the sum of its weights
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
@@ -76,8 +78,8 @@ def rasterize(
 
     `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
     touches are active, forward and backward; other pixels get the background. With `backward_step`
-    (one camera, cpu), `backward` updates the visible Gaussians and returns no gradients; it can be
-    called once.
+    (one camera, not gsplat), `backward` updates the visible Gaussians and returns no gradients; it
+    can be called once.
 
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
@@ -117,8 +119,9 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
     if backend != "auto":
         return backend
     device = parameters[0].device.type
-    native = all(p.dtype == torch.float32 for p in parameters)
-    return device if native and device in ("cpu", "cuda") else "reference"
+    if device not in ("cpu", "cuda") or any(p.dtype != torch.float32 for p in parameters):
+        return "reference"
+    return "gsplat" if device == "cuda" and not own_kernels() else device
 
 
 def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
@@ -131,6 +134,10 @@ def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
         from . import cpu
 
         return cpu.render(inputs)
-    from . import cuda
+    if backend == "cuda":
+        from . import cuda
 
-    return cuda.render(inputs)
+        return cuda.render(inputs)
+    from . import gsplat
+
+    return gsplat.render(inputs)

@@ -1,264 +1,298 @@
-"""The rasterizer on gsplat's CUDA kernels, for float32 tensors on an NVIDIA GPU.
+"""The rasterizer on our CUDA kernels, as one differentiable torch function.
 
-gsplat's model is that of `rasterize`: pixel centres at +0.5, quaternions wxyz of any length, the
-same SH basis, 0.3 px^2 of blur, alpha between 1/255 and 0.999, the Jacobian inside the view widened
-by 0.3. The differences (docs/cuda.md):
-
-* A Gaussian is in the list of every tile that its bounding rectangle touches, also if its ellipse
-  does not reach the tile: `visible` has a few more Gaussians, with zero gradients.
-* A pixel stops before the Gaussian that would leave a transmittance below 1e-4.
-* gsplat does not check for NaN and Inf, and has no `max_slope`. Here such Gaussians are removed
-  after the projection, and their gradients set to zero.
+cuda/kernels/frame.h has the kernels' interface and their order. Between them torch sorts: Gaussians
+by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. A view waits for the card
+once, to know how many pairs there are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-from ..cuda import library
-from ..errors import KernelError
-from .inputs import BLUR, NEAR, TILE, RenderInputs, RenderOutput, centre_bounds, inside
+from ..cuda import card
+from ..cuda.frame import (
+    BUCKETS,
+    CAMERA_VALUES,
+    COLUMNS,
+    GROUP,
+    MOMENTS,
+    PIXELS,
+    ROWS,
+    SHORT_TILES,
+    Frame,
+    Step,
+    address,
+)
+from ..errors import EngineError, KernelError
+from ..kernels import bindings
+from .inputs import RenderInputs, RenderOutput, centre_bounds
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ProjectedGaussians:
-    """All N Gaussians projected to one camera; gsplat does not write rows of radius 0."""
-
-    radii: Tensor  # (1, N, 2) int32 px, 0 for culled Gaussians
-    means2d: Tensor  # (1, N, 2) px in the whole image
-    depths: Tensor  # (1, N)
-    conics: Tensor  # (1, N, 3)
-    opacities: Tensor  # (1, N)
-    colours: Tensor  # (1, N, 3)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Statistics:
-    """Statistics that rendering adds up: fields of `RenderOutput`."""
-
-    visible: Tensor  # (C, N) bool
-    grad2d: Tensor  # (C, N)
-    largest: Tensor | None  # (N,)
-    sums: Tensor | None  # (N,)
+_MOST_PAIRS = 2**31 - 1
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
-    """Render all cameras; see `rasterize`.
-
-    Raises:
-        KernelError: tensors of another type, median depth, or gsplat cannot be used.
-    """
-    if any(p.dtype != torch.float32 for p in inputs.parameters):
-        raise KernelError("rasterize: the cuda backend takes float32 tensors only.")
-    if inputs.with_depth == "median":
-        raise KernelError("rasterize: the cuda backend has no median depth: gsplat has none.")
-    means = inputs.means.detach()
-    cameras, count = len(inputs.viewmats), len(means)
-    zeros = torch.zeros(cameras, count, device=means.device)
-    statistics = Statistics(
-        visible=torch.zeros_like(zeros, dtype=torch.bool),
-        grad2d=zeros,
-        largest=torch.zeros_like(means[:, 0]) if inputs.with_max_weight else None,
-        sums=torch.zeros_like(means[:, 0]) if inputs.with_weight_sum else None,
-    )
-    left, top, right, bottom = inputs.tiles
-    if count and right > left and bottom > top:
-        frames = [_draw(inputs, c, statistics) for c in range(cameras)]
-    else:
-        frames = [_empty_frame(inputs)] * cameras
-    image, alpha, depth = (_stack(part) for part in zip(*frames, strict=True))
+    """Render all cameras; see `rasterize`. Raises KernelError."""
+    for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
+        if tensor.dtype != torch.float32:
+            raise KernelError(f"rasterize: {name[0]} is {tensor.dtype}: the kernels take float32.")
+    image, *rest = _Rasterize.apply(inputs, *inputs.parameters)  # type: ignore[no-untyped-call]
+    alpha, visible, grad2d, depth, max_weight, weight_sum = rest
     return RenderOutput(
-        image=image,
+        image=image.permute(0, 2, 3, 1),  # planar inside: what the kernels and the loss work on
         alpha=alpha,
-        visible=statistics.visible,
-        grad2d=statistics.grad2d,
-        depth=depth if inputs.with_depth else None,
-        max_weight=statistics.largest,
-        weight_sum=statistics.sums,
+        visible=visible,
+        grad2d=grad2d,
+        depth=depth,
+        max_weight=max_weight,
+        weight_sum=weight_sum,
     )
 
 
-def _stack(parts: tuple[Tensor, ...]) -> Tensor:
-    """As torch.stack, but a single part is not copied."""
-    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
+@dataclass(eq=False)
+class View:
+    """One camera's frame, from kernel to kernel.
+
+    Attributes:
+        frame: the kernels' argument.
+        kept: the tensors that it points to, by name.
+        groups: blocks that walk over the pixels, at most.
+    """
+
+    inputs: RenderInputs
+    frame: Frame = field(default_factory=Frame)
+    kept: dict[str, Tensor] = field(default_factory=dict)
+    pairs: int = 0
+    groups: int = 0
+
+    @property
+    def device(self) -> torch.device:
+        """Where all of it is."""
+        return self.inputs.means.device
+
+    def set(self, **tensors: Tensor | None) -> None:
+        """Point fields of the frame to tensors."""
+        for name, tensor in tensors.items():
+            setattr(self.frame, name, address(tensor))
+            if tensor is not None:
+                self.kept[name] = tensor
+
+    def empty(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        """A new tensor on the device."""
+        return torch.empty(*shape, dtype=dtype, device=self.device)
+
+    def launch(self, kernel: str, blocks: int, threads: int) -> None:
+        """Launch a kernel on the frame."""
+        card.program(self.device).launch(kernel, blocks, threads, self.frame)
+
+    def launch_rows(self, kernel: str) -> None:
+        """Launch a kernel with a thread for each Gaussian."""
+        self.launch(kernel, -(-self.frame.gaussians.count // ROWS), ROWS)
 
 
-def _empty_frame(inputs: RenderInputs) -> tuple[Tensor, Tensor, Tensor]:
-    """Image, alpha and depth without Gaussians; to autograd the image is a function of them."""
-    size = inputs.height, inputs.width
-    image = inputs.background.expand(*size, 3) + sum(p[:0].sum() for p in inputs.parameters)
-    blank = inputs.background.new_zeros(size)
-    return image, blank, blank
-
-
-def _draw(
-    inputs: RenderInputs, camera: int, statistics: Statistics
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Image (H, W, 3), alpha (H, W) and depth (H, W) of one camera; adds to the statistics."""
-    gsplat = library.gsplat()
-    splats = _project(gsplat, inputs, camera)
-    _record_grad2d(splats.means2d, statistics.grad2d[camera], inputs)
-    # The window is applied after the projection, which depends on the size of the whole image.
+def prepare(inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Tensor) -> View:
+    """Project and list for camera `c`; `visible` (N,) is written."""
+    view, count = View(inputs), len(parameters[0])
+    frame = view.frame
+    frame.gaussians = bindings.Gaussians(
+        *(address(p) for p in parameters),
+        count,
+        parameters[4].shape[1],
+        inputs.sh_degree,
+        inputs.raw,
+    )
+    _set_camera(view, c)
     left, top, right, bottom = inputs.tiles
-    x0, y0 = left * TILE, top * TILE
-    width, height = min(right * TILE, inputs.width) - x0, min(bottom * TILE, inputs.height) - y0
-    means2d = splats.means2d
-    if x0 or y0:
-        means2d = torch.stack((means2d[..., 0] - x0, means2d[..., 1] - y0), dim=-1)
-    grid: dict[str, Any] = {"tile_width": right - left, "tile_height": bottom - top}
-    touched, pairs, ids = gsplat.isect_tiles(
-        means2d=means2d, radii=splats.radii, depths=splats.depths, tile_size=TILE, **grid
-    )
-    offsets = gsplat.isect_offset_encode(isect_ids=pairs, n_images=1, **grid)
-    mask = inputs.tile_mask
-    colours, background = splats.colours, inputs.background
-    if inputs.with_depth:
-        colours = torch.cat([colours, splats.depths[..., None].detach()], dim=-1)
-        background = torch.cat([background, background.new_zeros(1)])
-    image, alpha = gsplat.rasterize_to_pixels(
-        means2d=means2d,
-        conics=splats.conics,
-        colors=colours,
-        opacities=splats.opacities,
-        image_width=width,
-        image_height=height,
-        tile_size=TILE,
-        isect_offsets=offsets,
-        flatten_ids=ids,
-        backgrounds=background[None],
-        masks=None if mask is None else mask[None],
-    )
-    image, alpha = image[0], alpha.detach()[0, ..., 0]
-    if mask is not None:  # gsplat does not write the alpha of other tiles
-        drawn = mask.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:height, :width]
-        alpha = torch.where(drawn, alpha, 0)
-    depth = alpha
-    if inputs.with_depth:
-        depth = image[..., 3].detach() / torch.where(alpha > 0, alpha, 1)
-        image = image[..., :3]
-    statistics.visible[camera] = touched[0] > 0
-    if statistics.largest is not None or statistics.sums is not None:
-        _add_blending_weights(
-            inputs, camera, splats, means2d, (offsets[0], ids), (x0, y0, width, height), statistics
-        )
-    place = slice(y0, y0 + height), slice(x0, x0 + width)
-    return tuple(_placed(part, place, inputs) for part in (image, alpha, depth))  # type: ignore[return-value]
-
-
-def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussians:
-    """Project and colour all Gaussians; remove those with NaN or Inf, or beyond `max_slope`."""
-    # Views have their own hooks, which zero the gradients of removed Gaussians.
-    means, quats, scales, opacities, sh = (p.view_as(p) for p in inputs.parameters)
-    small = (means, quats, scales, opacities)
-    if inputs.raw:
-        scales, opacities = scales.exp(), opacities.sigmoid()
-    view = inputs.viewmats[camera].to(means)
-    radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
-        means=means,
-        covars=None,
-        quats=quats,
-        scales=scales,
-        viewmats=view[None],
-        Ks=inputs.Ks[camera].to(means)[None],
-        width=inputs.width,
-        height=inputs.height,
-        eps2d=BLUR,
-        near_plane=NEAR,
-        opacities=opacities,
-    )
-    with torch.no_grad():
-        total = means2d.sum(-1) + conics.sum(-1) + depths + opacities
-        drawn = (radii > 0).all(-1) & total.isfinite()  # (1, N)
-        if inputs.max_slope is not None:  # the bounds wait for the GPU: not in training
-            drawn &= inside(means2d, centre_bounds(inputs, camera))
-        pose = view.double()  # differences of large numbers lose digits
-        eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)
-    colours = gsplat.spherical_harmonics(
-        degrees_to_use=inputs.sh_degree, dirs=means - eye, coeffs=sh, masks=drawn[0]
-    )
-    colours = (colours + 0.5).clamp(min=0.0)[None]
-    with torch.no_grad():
-        drawn = drawn & colours.sum(-1).isfinite()
-        culled = ~drawn[0]
-    for parameter in small:  # not sh: its gradient is already zero, as that of the colour is
-        if parameter.requires_grad:
-            parameter.register_hook(_zero_rows(culled))  # type: ignore[no-untyped-call]
-    return ProjectedGaussians(
-        radii=radii * drawn[..., None],
-        means2d=means2d,
+    frame.tile_count = (right - left) * (bottom - top)
+    depths, counts = view.empty(count), view.empty(count, dtype=torch.int32)
+    view.set(
+        splats=view.empty(count, COLUMNS),
         depths=depths,
-        conics=conics,
-        opacities=opacities[None],
-        colours=colours,
+        pair_counts=counts,
+        first_slot=view.empty(count, dtype=torch.int32),
+        visible=visible,
     )
+    if not count or not frame.tile_count:
+        visible.zero_()
+        return view
+    view.launch_rows("project")
+    order = torch.sort(depths, stable=True).indices
+    ends = counts[order].cumsum(0, dtype=torch.int64)
+    view.set(order=order, ends=ends)
+    view.pairs = int(ends[-1])  # waits for the device
+    _list(view)
+    return view
 
 
-def _zero_rows(mask: Tensor) -> Any:
-    """A hook that sets the rows of a mask (N,) to zero in a gradient (N, ...)."""
-
-    def hook(gradient: Tensor) -> Tensor:
-        return gradient.masked_fill(mask.view(-1, *(1,) * (gradient.dim() - 1)), 0)
-
-    return hook
-
-
-def _record_grad2d(means2d: Tensor, grad2d: Tensor, inputs: RenderInputs) -> None:
-    """Make `backward` write the scaled norm of dL / d(means2d) (1, N, 2) into `grad2d` (N,)."""
-    if not means2d.requires_grad:
-        return
-    half_width, half_height = 0.5 * inputs.width, 0.5 * inputs.height
-
-    def write(gradient: Tensor) -> None:
-        x, y = gradient[0].unbind(-1)
-        torch.hypot(x * half_width, y * half_height, out=grad2d)
-
-    means2d.register_hook(write)  # type: ignore[no-untyped-call]
+def _set_camera(view: View, c: int) -> None:
+    inputs, shape = view.inputs, view.frame.shape
+    pose, K = inputs.viewmats[c].to(torch.float64), inputs.Ks[c]
+    eye = -(pose[:3, :3].T @ pose[:3, 3])  # differences of large numbers lose digits
+    focal_and_centre = torch.stack((K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    parts = (pose[:3].flatten(), eye, focal_and_centre, inputs.background)
+    values = torch.cat([part.to(torch.float32) for part in parts])
+    assert len(values) == CAMERA_VALUES
+    shape.centre_bounds[:] = centre_bounds(inputs, c)
+    shape.size[:] = [inputs.width, inputs.height]
+    shape.tiles[:] = inputs.tiles
+    view.set(camera_values=values)
+    if inputs.tile_mask is not None:
+        view.kept["mask"] = inputs.tile_mask.to(torch.uint8).contiguous()
+        shape.tile_mask = address(view.kept["mask"])
 
 
-def _add_blending_weights(
-    inputs: RenderInputs,
-    camera: int,
-    projected: ProjectedGaussians,
-    means2d: Tensor,  # (1, N, 2) px from the window's corner
-    lists: tuple[Tensor, Tensor],  # offsets of the tiles' lists, and the lists
-    window: tuple[int, int, int, int],  # x0, y0, width, height in pixels
-    statistics: Statistics,
-) -> None:
-    """Add one camera's blending weights to the statistics."""
-    if not library.has_triton():
+def _list(view: View) -> None:
+    """Make the tiles' lists of a view whose pairs are counted."""
+    if view.pairs > _MOST_PAIRS:
         raise KernelError(
-            "Blending weights on the GPU need Triton, which is not installed.",
-            "Run pip install triton (on Windows triton-windows), or use a strategy without"
-            " contribution_every (joint), or --device cpu.",
+            f"This view has {view.pairs} pairs of Gaussians and tiles: more than 2^31.",
+            "Render a smaller image, or fewer or smaller Gaussians.",
         )
-    from .cuda_weights import TileLists, blending_weights
-
-    x0, y0, width, height = window
-    counts = inputs.pixel_weights
-    if counts is not None:
-        counts = counts[camera, y0 : y0 + height, x0 : x0 + width]
-    blending_weights(
-        means2d[0].detach(),
-        projected.conics[0].detach(),
-        projected.opacities[0].detach(),
-        TileLists(
-            offsets=lists[0], ids=lists[1], mask=inputs.tile_mask, width=width, height=height
-        ),
-        pixel_weights=counts,
-        largest=statistics.largest,
-        sums=statistics.sums,
+    tiles = view.frame.tile_count
+    short = tiles <= SHORT_TILES
+    keys = view.empty(view.pairs, dtype=torch.int16 if short else torch.int32)
+    ids = view.empty(view.pairs, dtype=torch.int32)
+    view.set(**{"short_tiles" if short else "tiles": keys}, ids=ids)
+    view.launch_rows("list_tiles")
+    by_tile, entries = torch.sort(keys, stable=True)
+    numbers = torch.arange(tiles + 1, device=view.device, dtype=torch.int32)
+    begin = torch.searchsorted(by_tile.to(torch.int32), numbers, out_int32=True)
+    groups = torch.zeros(tiles + 1, dtype=torch.int32, device=view.device)
+    groups[1:] = ((begin.diff() + (GROUP - 1)) // GROUP).cumsum(0)
+    view.groups = view.pairs // GROUP + tiles  # the number itself is on the device
+    view.set(
+        entries=entries,
+        tile_begin=begin,
+        group_begin=groups,
+        reached=view.empty(tiles, dtype=torch.int32),
     )
 
 
-def _placed(part: Tensor, place: tuple[slice, slice], inputs: RenderInputs) -> Tensor:
-    """A rendered rectangle in the whole image; around it is background (image) or zeros."""
-    size = inputs.height, inputs.width
-    if part.shape[:2] == size:
-        return part
-    whole = part.new_zeros(size) if part.dim() == 2 else inputs.background.expand(*size, 3).clone()
-    whole[place] = part
-    return whole
+def blend(view: View, outputs: dict[str, Tensor | None], *, walked: bool) -> None:
+    """Draw a prepared view into the tensors of `outputs`, which hold background.
+
+    Args: `walked`: weights or gradients are wanted, of this view or later.
+    """
+    if not view.pairs:
+        return
+    if walked:
+        view.set(checkpoints=view.empty(view.groups, BUCKETS, PIXELS, 4))
+    median = outputs.pop("median", None)
+    view.frame.out = bindings.Outputs(**{name: address(t) for name, t in outputs.items()})
+    view.kept.update({f"out {name}": t for name, t in outputs.items() if t is not None})
+    view.launch("blend", view.frame.tile_count, PIXELS)
+    if median is not None:
+        view.set(median=median)
+        view.launch("median_depth", view.frame.tile_count, PIXELS)
+    if outputs["max_weight"] is not None or outputs["weight_sum"] is not None:
+        view.set(slot_largest=view.empty(view.pairs), slot_sums=view.empty(view.pairs))
+        view.launch("weigh", view.groups, GROUP)
+        view.launch_rows("fold_weights")
+
+
+class _Rasterize(torch.autograd.Function):
+    """(inputs, five parameters) -> planar image (C, 3, H, W), and outputs without gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, inputs: RenderInputs, *parameters: Tensor) -> tuple[Tensor | None, ...]:
+        means, views = parameters[0], len(inputs.viewmats)
+        size, count = (inputs.height, inputs.width), len(means)
+        image = inputs.background.to(means.dtype).view(1, 3, 1, 1).expand(views, 3, *size).clone()
+        alpha = means.new_zeros(views, *size)
+        depth = torch.zeros_like(alpha) if inputs.with_depth else None
+        visible = torch.empty(views, count, dtype=torch.bool, device=means.device)
+        grad2d = means.new_zeros(views, count)
+        max_weight = means.new_zeros(count) if inputs.with_max_weight else None
+        weight_sum = means.new_zeros(count) if inputs.with_weight_sum else None
+        pixel_weights = inputs.pixel_weights
+        if pixel_weights is not None:
+            pixel_weights = pixel_weights.to(torch.float32).contiguous()
+        kind = "median" if inputs.with_depth == "median" else "depth"
+        walked = any(ctx.needs_input_grad) or inputs.with_max_weight or inputs.with_weight_sum
+        packed = [p.detach().contiguous() for p in parameters]
+        ctx.inputs, ctx.views, ctx.grad2d = inputs, [], grad2d
+        for c in range(views):
+            view = prepare(inputs, c, packed, visible[c])
+            outputs: dict[str, Tensor | None] = {
+                "image": image[c],
+                "alpha": alpha[c],
+                "max_weight": max_weight,
+                "weight_sum": weight_sum,
+                "pixel_weights": None if pixel_weights is None else pixel_weights[c],
+            }
+            if depth is not None:
+                outputs[kind] = depth[c]
+            blend(view, outputs, walked=walked)
+            if any(ctx.needs_input_grad):
+                ctx.views.append(view)
+        ctx.save_for_backward(*parameters)
+        statistics = (alpha, visible, grad2d, depth, max_weight, weight_sum)
+        ctx.mark_non_differentiable(*(t for t in statistics if t is not None))
+        ctx.set_materialize_grads(False)
+        return image, *statistics
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *output_gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        image_gradient, parameters = output_gradients[0], ctx.saved_tensors
+        nothing = (None,) * (1 + len(parameters))
+        if image_gradient is None:
+            return nothing
+        if ctx.views is None:
+            raise EngineError("rasterize: backward() can be called only once on this backend.")
+        views, ctx.views = ctx.views, None
+        gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
+        step = ctx.inputs.backward_step
+        targets = [
+            gradient_target(p, needed and step is None)
+            for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
+        ]
+        for c, view in enumerate(views):
+            view.set(image_gradient=gradient[c], grad2d=ctx.grad2d[c])
+            if view.pairs:
+                view.set(moments=view.empty(view.pairs, MOMENTS))
+                view.launch("gradient", view.groups, GROUP)
+            if step is not None:
+                step.take(lambda adam, view=view: _take_step(view, adam._obj))
+            elif view.pairs:
+                buffers = (address(buffer) for buffer, _ in targets)
+                view.frame.gradients = bindings.Gradients(*buffers)
+                view.launch_rows("project_backward")
+        if step is not None:
+            return nothing
+        return (None, *(buffer if is_fresh else None for buffer, is_fresh in targets))
+
+
+def _take_step(view: View, adam: bindings.Adam) -> Tensor:
+    """Adam's step with the gradient; returns the number of skipped rows, on the device."""
+    skipped = torch.zeros((), dtype=torch.int32, device=view.device)
+    if not view.pairs:
+        return skipped
+    beta1, beta2 = adam.betas
+    step = Step(
+        frame=view.frame,
+        parameters=(bindings.AdamParameter * 5)(*adam.parameters[:5]),
+        add1=1 - beta1,
+        add2=1 - beta2,
+        epsilon=adam.epsilon,
+        inverse_sqrt_correction2=(1 - beta2**adam.step) ** -0.5,
+        rate_scale=1 / (1 - beta1**adam.step),
+        skipped=address(skipped),
+    )
+    blocks = -(-view.frame.gaussians.count // ROWS)
+    card.program(view.device).launch("project_backward_adam", blocks, ROWS, step)
+    return skipped
+
+
+def gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
+    """The buffer for a parameter's gradient, and whether it is new; as on the cpu backend."""
+    if not needed:
+        return None, False
+    grad = parameter.grad if parameter.is_leaf else None
+    if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
+        return grad, False
+    return torch.zeros(parameter.shape, dtype=torch.float32, device=parameter.device), True

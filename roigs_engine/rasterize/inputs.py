@@ -55,7 +55,7 @@ class BackwardStep(Protocol):
         """The tensors that the step updates, in the order of `rasterize`'s first five arguments."""
         ...
 
-    def take(self, kernel: Callable[[Any], int]) -> None:
+    def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
         """Take the step with a kernel, which gets the address of a `bindings.Adam`.
 
         The kernel returns the number of rows that it skipped for a NaN or Inf gradient.
@@ -189,10 +189,10 @@ def check_backward_step(
             "rasterize: the backward step's tensors are not the tensors to render.",
             "Pass the optimizer's tensors, in the order of rasterize's arguments.",
         )
-    if cameras != 1 or backend != "cpu":
+    if cameras != 1 or backend not in ("cpu", "cuda"):
         raise EngineError(
             f"rasterize: no backward step with {cameras} cameras on the {backend} backend.",
-            "Pass one camera and float32 tensors on the CPU, or call the optimizer's step.",
+            "Pass one camera and float32 tensors, or call the optimizer's step.",
         )
 
 

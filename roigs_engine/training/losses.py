@@ -21,7 +21,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..cuda.library import fused_ssim
+from ..cuda import card
+from ..cuda.frame import PIXELS, Loss, address
+from ..cuda.library import fused_ssim, own_kernels
 from ..errors import EngineError
 from ..kernels import bindings
 
@@ -29,7 +31,8 @@ WINDOW_RADIUS = 5
 WINDOW_SIGMA = 1.5
 C1 = 0.01**2
 C2 = 0.03**2
-BACKENDS = ("auto", "cpu", "cuda", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "fused-ssim", "reference")
+TILE = 16  # of the CUDA kernel
 
 
 class LossOutput(NamedTuple):
@@ -60,9 +63,10 @@ def photo_loss(
             divided by their sum. The SSIM of a pixel still depends on all pixels around it. If all
             weights are zero, so is the loss.
         counted: the pixels that no mask ignores; None: all.
-        backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (the package fused-ssim:
-            float32 on an NVIDIA GPU, no weights), "reference" (plain torch, any dtype and device),
-            or "auto": the first one that supports the arguments.
+        backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (our kernel: float32 on an
+            NVIDIA GPU), "fused-ssim" (that package: the same without weights, beside gsplat),
+            "reference" (plain torch, any dtype and device), or "auto": the first one that
+            supports the arguments.
 
     Raises:
         EngineError: wrong shapes or types, or an unknown backend.
@@ -77,8 +81,10 @@ def photo_loss(
         backend = "cpu" if native else _without_kernel(planes, weights)
     if backend == "reference":
         return _reference(planes, target, ssim_weight, weights)
-    if backend == "cuda":
+    if backend == "fused-ssim":
         return _fused(planes, target, ssim_weight)
+    if backend == "cuda":
+        return LossOutput(*_CudaLoss.apply(planes, target, ssim_weight, weights))  # type: ignore[no-untyped-call]
     if backend != "cpu":
         raise EngineError(f"photo_loss: unknown backend {backend!r}.", f"Use one of {BACKENDS}.")
     if not native:
@@ -129,8 +135,11 @@ def _reference(
 
 def _without_kernel(image: Tensor, weights: Tensor | None) -> str:
     """The backend for arguments that the compiled kernel does not support."""
-    suits = image.device.type == "cuda" and image.dtype == torch.float32 and weights is None
-    return "cuda" if suits and fused_ssim() is not None else "reference"
+    if image.device.type != "cuda" or image.dtype != torch.float32:
+        return "reference"
+    if own_kernels():
+        return "cuda"
+    return "fused-ssim" if weights is None and fused_ssim() is not None else "reference"
 
 
 def _fused(image: Tensor, target: Tensor, ssim_weight: float) -> LossOutput:
@@ -182,6 +191,50 @@ class _KernelLoss(torch.autograd.Function):
         if scale != 1:  # the usual case needs no pass over the image
             gradient = gradient * scale
         return gradient.permute(1, 2, 0), None, None, None
+
+
+class _CudaLoss(torch.autograd.Function):
+    """cuda/kernels/loss.cu; nothing waits for the device."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, image: Tensor, target: Tensor, ssim_weight: float, weights: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        height, width, _ = image.shape
+        planar = image.permute(2, 0, 1).contiguous()  # no copy when it is planar already
+        photo = target.contiguous()
+        mask = None if weights is None else weights.to(torch.float32).contiguous()
+        blocks = 3 * -(-height // TILE) * -(-width // TILE)
+        if mask is None:
+            total = planar.new_full((1,), 3.0 * width * height)
+        else:
+            total = 3 * mask.sum(dtype=torch.float64).to(torch.float32).view(1)
+        scale = torch.where(total > 0, 1 / total, 0)
+        sums = planar.new_empty(blocks, 2)
+        gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
+        derivatives = None if gradient is None else planar.new_empty(3, *planar.shape)
+        pointers = (address(t) for t in (planar, photo, mask, scale))
+        results = (address(t) for t in (derivatives, sums, gradient))
+        loss = Loss(width, height, *pointers, ssim_weight, *results)
+        program = card.program(image.device)
+        program.launch("loss", blocks, PIXELS, loss)
+        if gradient is not None:
+            program.launch("loss_gradient", blocks, PIXELS, loss)
+        ctx.gradient = gradient
+        similarity, l1 = (sums.sum(dim=0, dtype=torch.float64) * scale).unbind()
+        ssim = torch.where(total[0] > 0, similarity, 1.0)
+        value = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim)
+        terms = tuple(term.to(torch.float32) for term in (value, l1, ssim))
+        ctx.mark_non_differentiable(*terms[1:])
+        ctx.set_materialize_grads(False)
+        return terms  # type: ignore[return-value]
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
+        scale, gradient = upstream[0], ctx.gradient
+        if scale is None or gradient is None:
+            return None, None, None, None
+        return (gradient * scale).permute(1, 2, 0), None, None, None
 
 
 def _check(image: Tensor, target: Tensor, weights: Tensor | None, counted: Tensor | None) -> None:

@@ -8,7 +8,7 @@ Two rules make a step's cost depend on the view and not on the scene:
   applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
   (`VisibleAdam.backward_step`).
 
-On an NVIDIA GPU a gradient is dense in any case: the step applies it and then drops it.
+With gsplat a gradient is dense in any case: the step applies it and then drops it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..cuda.library import has_triton
+from ..cuda.library import has_triton, own_kernels
 from ..errors import EngineError
 from ..kernels import bindings
 from .config import TrainConfig
@@ -59,8 +59,8 @@ class VisibleAdam:
             eps: added to the root of the second moment.
             backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (Triton: float32 on an
                 NVIDIA GPU), "reference" (plain torch), or "auto": the first one that can be used.
-            fused: the rasterizer's backward pass takes the steps (see the module); ignored unless
-                the backend is "cpu".
+            fused: the rasterizer's backward pass takes the steps (see the module); ignored where
+                its kernels are not ours, and with other backends than "auto" and "cpu".
 
         Raises:
             EngineError: wrong numbers of rows or learning rates, or wrong strides.
@@ -131,11 +131,11 @@ class VisibleAdam:
         self.skipped_rows += skipped
         return skipped
 
-    def step_by(self, kernel: Callable[[Any], int]) -> int:
+    def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
         """Take a step with a kernel; returns the number of skipped rows, as `step`.
 
-        Args: `kernel`: gets a pointer to a `bindings.Adam`, whose tensors are float32 in main
-            memory, and returns the number of skipped rows.
+        Args: `kernel`: gets a pointer to a `bindings.Adam`, whose tensors are float32 on their
+            device, and returns the number of skipped rows.
         """
         self.step_count += 1
         parameters = (bindings.AdamParameter * len(self.parameters))()
@@ -147,14 +147,18 @@ class VisibleAdam:
             entry.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
             entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
         adam = bindings.Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
-        skipped = int(kernel(ctypes.byref(adam)))
+        skipped = kernel(ctypes.byref(adam))
         self.skipped_rows += skipped
         return skipped
 
     @property
     def fused(self) -> bool:
         """Whether the backward pass takes the steps; then parameters have no `.grad`."""
-        return self._may_fuse and self._backend() == "cpu"
+        if not self._may_fuse or self.backend != "auto":
+            return self._may_fuse and self.backend == "cpu"
+        first = next(iter(self.parameters.values()))
+        own = first.device.type == "cpu" or (first.device.type == "cuda" and own_kernels())
+        return own and first.dtype == torch.float32
 
     @property
     def backward_step(self) -> FusedStep | None:
@@ -319,7 +323,7 @@ class FusedStep:
         """The tensors that the step updates."""
         return tuple(self.optimizer.parameters.values())
 
-    def take(self, kernel: Callable[[Any], int]) -> None:
+    def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
         """Take the step with a kernel, see `VisibleAdam.step_by`."""
         self.optimizer.step_by(kernel)
 

@@ -239,13 +239,10 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
     own = ("install_torch", "trim_engine", "try_engine")
     assert scripts == [str(ROOT / "tools" / f"{name}.py") for name in own]
-    cuda_keeps = [step for step in online if "--keep-headers" in step.command]
-    assert len(cuda_keeps) == (sys.platform != "darwin")
     index = install_steps.CUDA_INDEX
     assert sys.platform == "darwin" or any(index in step.command for step in online)
     asked = [part for step in online for part in step.command]
-    assert sys.platform == "darwin" or any(part.startswith("gsplat==") for part in asked)
-    assert not any(part.startswith("gsplat") for part in offline[1].command)
+    assert not any(part.startswith("gsplat") for part in asked)  # it would need a compiler
 
 
 def test_check_says_what_works_and_what_is_missing(

@@ -12,7 +12,7 @@ from roigs_engine.cuda import library
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine import fake_gsplat
-from tests.engine.rasterize.test_cuda import ring
+from tests.engine.rasterize.test_gsplat import ring
 from tests.engine.rasterize_cases import cameras, gaussians, relative_error
 
 if not torch.cuda.is_available():
@@ -41,7 +41,7 @@ def test_weights_are_those_of_the_reference(masked: bool) -> None:
         "pixel_weights": pixel_weights,
     }
     truth = rasterize(*scene[0], *scene[1:], **options, backend="reference")
-    ours = rasterize(*scene[0], *scene[1:], **options, backend="cuda")
+    ours = rasterize(*scene[0], *scene[1:], **options, backend="gsplat")
     assert truth.max_weight is not None and truth.max_weight.max() > 0.5
     assert (ours.max_weight - truth.max_weight).abs().max() < 1e-5
     assert relative_error(ours.weight_sum, truth.weight_sum) < 1e-5
@@ -52,7 +52,7 @@ def test_opaque_layers_end_a_pixel_as_in_the_picture() -> None:
     means, quats, scales, opacities, sh = gaussians(24, size=1.5)
     scene = (means, quats, scales, torch.full_like(opacities, 0.9), sh)
     output = rasterize(
-        *scene, *(c[:1] for c in cameras(*SIZE)), *SIZE, with_weight_sum=True, backend="cuda"
+        *scene, *(c[:1] for c in cameras(*SIZE)), *SIZE, with_weight_sum=True, backend="gsplat"
     )
     assert output.alpha.max() > 0.999
     assert output.weight_sum is not None

@@ -123,9 +123,12 @@ def test_every_box_counts() -> None:
     assert consistent_across_views(model, one_sees_it, [BOX, near], 3).tolist() == [True]
 
 
-def test_a_card_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gsplat_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """The card itself is in test_cuda.py."""
     card = torch.device("cuda")
+    monkeypatch.setattr(library, "has_triton", lambda: False)
+    assert library.has_blending_weights(card)
+    monkeypatch.setenv(library.KERNELS_VARIABLE, "gsplat")
     monkeypatch.setattr(library, "has_triton", lambda: True)
     assert library.has_blending_weights(card)
     monkeypatch.setattr(library, "has_triton", lambda: False)

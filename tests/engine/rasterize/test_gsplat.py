@@ -1,4 +1,4 @@
-"""The CUDA backend without a card: what is passed to gsplat, and what is made of its answers."""
+"""The gsplat backend without a card: what is passed to gsplat, and what is made of its answers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_it_draws_what_the_reference_draws(name: str, raw: bool) -> None:
     scene = (gaussians(60, raw=raw), *cameras(*SIZE), *SIZE)
     options = {"raw": raw, **CASES[name]}
     truth, true_gradients = differentiate("reference", torch.float64, *scene, **options)
-    ours, gradients = differentiate("cuda", torch.float32, *scene, **options)
+    ours, gradients = differentiate("gsplat", torch.float32, *scene, **options)
     # the last 1e-4 of the light is not drawn
     assert (ours.image - truth.image).abs().max() < 1e-4
     assert (ours.alpha - truth.alpha).abs().max() < 1e-4
@@ -67,7 +67,7 @@ def test_it_draws_what_the_reference_draws(name: str, raw: bool) -> None:
 
 def test_gaussians_that_are_not_finite_are_left_out_with_their_gradients() -> None:
     parameters = gaussians(40, raw=True)
-    whole = rasterize(*parameters, *cameras(*SIZE), *SIZE, raw=True, backend="cuda")
+    whole = rasterize(*parameters, *cameras(*SIZE), *SIZE, raw=True, backend="gsplat")
     seen = whole.visible.all(dim=0).nonzero()[:5, 0].tolist()
     broken = [p.clone() for p in parameters]
     values = [torch.nan, torch.inf, 60.0, torch.nan, torch.nan]  # exp(60) squared is infinite
@@ -75,8 +75,10 @@ def test_gaussians_that_are_not_finite_are_left_out_with_their_gradients() -> No
         tensor[row].fill_(value)
     rest = [i for i in range(40) if i not in seen]
     few = [p[rest] for p in parameters]
-    ours, gradients = differentiate("cuda", torch.float32, broken, *cameras(*SIZE), *SIZE, raw=True)
-    expected, right = differentiate("cuda", torch.float32, few, *cameras(*SIZE), *SIZE, raw=True)
+    ours, gradients = differentiate(
+        "gsplat", torch.float32, broken, *cameras(*SIZE), *SIZE, raw=True
+    )
+    expected, right = differentiate("gsplat", torch.float32, few, *cameras(*SIZE), *SIZE, raw=True)
     assert torch.equal(ours.image, expected.image)
     assert not ours.visible[:, seen].any()
     for ours_, right_ in zip(gradients, right, strict=True):
@@ -90,7 +92,7 @@ def test_where_nothing_is_drawn_there_is_the_background(
 ) -> None:
     leaves = [p.requires_grad_() for p in gaussians(count)]
     output = rasterize(
-        *leaves, *cameras(*SIZE), *SIZE, background=BACKGROUND, mask=region, backend="cuda"
+        *leaves, *cameras(*SIZE), *SIZE, background=BACKGROUND, mask=region, backend="gsplat"
     )
     output.image.sum().backward()
     assert torch.equal(output.image, BACKGROUND.expand(2, *SIZE[::-1], 3))
@@ -100,18 +102,18 @@ def test_where_nothing_is_drawn_there_is_the_background(
 def test_it_takes_float32_only() -> None:
     parameters = [p.double() for p in gaussians(3)]
     with pytest.raises(KernelError, match="float32"):
-        rasterize(*parameters, *(c.double() for c in cameras(*SIZE)), *SIZE, backend="cuda")
+        rasterize(*parameters, *(c.double() for c in cameras(*SIZE)), *SIZE, backend="gsplat")
 
 
 def test_weights_without_triton_say_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(library, "has_triton", lambda: False)
     with pytest.raises(KernelError, match="pip install triton"):
-        rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, with_max_weight=True, backend="cuda")
+        rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, with_max_weight=True, backend="gsplat")
 
 
 def test_a_median_depth_is_refused() -> None:
     with pytest.raises(KernelError, match="no median depth"):
-        rasterize(*gaussians(3), *cameras(*SIZE), *SIZE, with_depth="median", backend="cuda")
+        rasterize(*gaussians(3), *cameras(*SIZE), *SIZE, with_depth="median", backend="gsplat")
 
 
 def test_every_call_fits_the_documented_interface(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,7 +130,7 @@ def test_every_call_fits_the_documented_interface(monkeypatch: pytest.MonkeyPatc
             return call
 
     monkeypatch.setattr(library, "gsplat", Watched)
-    rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, backend="cuda")
+    rasterize(*gaussians(9), *cameras(*SIZE), *SIZE, backend="gsplat")
     assert passed == {name: set(arguments) for name, arguments in library.CALLS.items()}
     library.check_interface(fake_gsplat)
 

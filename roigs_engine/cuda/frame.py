@@ -1,0 +1,79 @@
+"""The CUDA kernels' arguments (kernels/frame.h, kernels/loss.cu) in ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING
+
+from ..kernels.bindings import AdamParameter, Camera, Gaussians, Gradients, Outputs
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+PIXELS = 256  # of a tile: threads of a block that blends
+GROUP = 128  # entries of a tile's list that a block walks with
+BUCKETS = 4  # of a group
+COLUMNS = 16  # of a splat
+MOMENTS = 9  # of a slot
+ROWS = 128  # Gaussians of a block
+CAMERA_VALUES = 22  # floats of a camera that are read on the card
+SHORT_TILES = 1 << 15  # tiles whose numbers fit 16 bits
+
+_ADDRESS = ctypes.c_void_p
+
+
+class Frame(ctypes.Structure):
+    """frame.h: struct Frame."""
+
+    _fields_ = [
+        ("gaussians", Gaussians),
+        ("shape", Camera),
+        *(
+            (name, _ADDRESS)
+            for name in (
+                *("camera_values", "splats", "depths", "pair_counts", "first_slot", "visible"),
+                *("order", "ends", "short_tiles", "tiles", "ids", "moments", "slot_largest"),
+                *("slot_sums", "entries", "tile_begin", "group_begin", "reached", "checkpoints"),
+            )
+        ),
+        ("out", Outputs),
+        ("median", _ADDRESS),
+        ("image_gradient", _ADDRESS),
+        ("gradients", Gradients),
+        ("grad2d", _ADDRESS),
+        ("tile_count", ctypes.c_int32),
+    ]
+
+
+class Step(ctypes.Structure):
+    """frame.h: struct Step."""
+
+    _fields_ = [
+        ("frame", Frame),
+        ("parameters", AdamParameter * 5),
+        *(
+            (name, ctypes.c_float)
+            for name in ("add1", "add2", "epsilon", "inverse_sqrt_correction2", "rate_scale")
+        ),
+        ("skipped", _ADDRESS),
+    ]
+
+
+class Loss(ctypes.Structure):
+    """loss.cu: struct Loss."""
+
+    _fields_ = [
+        ("width", ctypes.c_int64),
+        ("height", ctypes.c_int64),
+        *((name, _ADDRESS) for name in ("image", "target", "weights", "scale")),
+        ("ssim_weight", ctypes.c_float),
+        *((name, _ADDRESS) for name in ("derivatives", "sums", "gradient")),
+    ]
+
+
+def address(tensor: Tensor | None) -> int | None:
+    """The address of a tensor's first element on its device; None: null.
+
+    The caller must check shape, type and strides, and keep the tensor alive until the kernel ends.
+    """
+    return None if tensor is None else tensor.data_ptr()

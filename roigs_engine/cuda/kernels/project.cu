@@ -1,0 +1,111 @@
+// From Gaussians in the world to splats on the image, and the tiles they touch. A thread for each.
+#include "ellipses.h"
+#include "frame.h"
+#include "geometry.h"
+#include "sh.h"
+
+namespace roigs {
+
+// The splat's columns, colours left open; false: it cannot touch a pixel.
+__device__ bool make_splat(const Geometry& g, const PixelBounds& bounds, float (&c)[kColumns]) {
+    const float log2_opacity = log2(g.opacity);
+    const float headroom = log2_opacity - (kLog2AlphaMin - kCullSlack);
+    if (!(log2_opacity > kLog2AlphaMin)) return false;
+    const float reach2 = max(headroom, 0.0f) / kExponentScale;
+    const Whitening w = whitening(g);
+    c[kX] = g.x;
+    c[kY] = g.y;
+    c[kL11] = w.l11;
+    c[kL21] = w.l21;
+    c[kL22] = w.l22;
+    c[kLog2Opacity] = log2_opacity;
+    c[kSlopeY] = g.xy / g.xx;
+    c[kSlopeX] = g.xy / g.yy;
+    c[kColour] = c[kColour + 1] = c[kColour + 2] = 0.0f;
+    c[kDepth] = g.t[2];
+    c[kReachX] = sqrt(reach2 * g.xx);
+    c[kReachY] = sqrt(reach2 * g.yy);
+    c[14] = c[15] = 0.0f;
+    for (int k = 0; k < kColumns; ++k)
+        if (!is_finite(c[k])) return false;
+    return is_finite(g.determinant) && is_finite(g.opacity) &&
+           g.x + c[kReachX] > bounds.left && g.x - c[kReachX] < bounds.right &&
+           g.y + c[kReachY] > bounds.top && g.y - c[kReachY] < bounds.bottom;
+}
+
+// max(SH(direction) + 1/2, 0); false: a colour is not finite.
+__device__ bool colour_splat(const Gaussians& gaussians, const Camera& camera, int64_t n,
+                             const Geometry& g, float (&c)[kColumns]) {
+    const int used = used_coefficients(gaussians);
+    const float* sh = gaussians.sh + n * 3 * gaussians.sh_coefficients;
+    float direction[3], basis[kMaxCoefficients];
+    view_direction(g.mean, camera, direction);
+    sh_basis(direction, basis);
+    for (int k = 0; k < 3; ++k) {
+        float colour = 0.5f;
+        for (int i = 0; i < used; ++i) colour += basis[i] * sh[3 * i + k];
+        if (!is_finite(colour)) return false;
+        c[kColour + k] = max(colour, 0.0f);
+    }
+    return true;
+}
+
+// Calls visit(tile) for the tiles that a splat touches and the camera wants.
+template <class Visit>
+__device__ void for_each_tile(const Camera& camera, const float (&c)[kColumns],
+                              const Visit& visit) {
+    const PixelBounds bounds(camera);
+    const Ellipses ellipse(c, camera);
+    const int rows = to_ints(ellipse.rows.last - ellipse.rows.first) + 1;
+    for (int r = 0; r < rows; ++r) {
+        const TileRuns run = runs_in_row(ellipse, r, bounds, camera);
+        for (int i = 0; i < run.length; ++i)
+            if (!camera.tile_mask || camera.tile_mask[run.first + i]) visit(run.first + i);
+    }
+}
+
+}  // namespace roigs
+
+using namespace roigs;
+
+extern "C" __global__ void __launch_bounds__(128) project(const Frame f) {
+    const int64_t n = thread_index();
+    if (n >= f.gaussians.count) return;
+    int count = 0;
+    float c[kColumns];
+    Geometry g;
+    const int32_t id = int32_t(n);
+    const Camera camera = f.camera();
+    if (project_centres(f.gaussians, camera, &id, g)) {
+        project_shapes(f.gaussians, camera, &id, g);
+        if (make_splat(g, PixelBounds(f.shape), c) &&
+            colour_splat(f.gaussians, camera, n, g, c))
+            for_each_tile(f.shape, c, [&](int) { ++count; });
+    }
+    f.pair_counts[n] = count;
+    f.visible[n] = count > 0;
+    f.depths[n] = count ? c[kDepth] : __int_as_float(0x7f800000);
+    if (count)
+        for (int k = 0; k < kColumns; ++k) f.splats[n * kColumns + k] = c[k];
+}
+
+// Fills the slots, Gaussian by Gaussian from front to back: a stable sort by tile is all that is
+// left to do.
+extern "C" __global__ void __launch_bounds__(128) list_tiles(const Frame f) {
+    const int64_t rank = thread_index();
+    if (rank >= f.gaussians.count) return;
+    const int64_t n = f.order[rank];
+    const int count = f.pair_counts[n];
+    if (!count) return;
+    int64_t slot = f.ends[rank] - count;
+    f.first_slot[n] = int32_t(slot);
+    float c[kColumns];
+    for (int k = 0; k < kColumns; ++k) c[k] = f.splats[n * kColumns + k];
+    for_each_tile(f.shape, c, [&](int tile) {
+        if (f.short_tiles)
+            f.short_tiles[slot] = int16_t(tile);
+        else
+            f.tiles[slot] = tile;
+        f.ids[slot++] = int32_t(n);
+    });
+}

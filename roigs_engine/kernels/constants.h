@@ -1,0 +1,23 @@
+// The constants of the model, those of rasterize/inputs.py, and what follows from float32.
+#pragma once
+
+namespace roigs {
+
+constexpr int kTile = 16;                        // side of a tile, px
+constexpr float kNear = 0.01f;                   // nearest camera depth, scene units
+constexpr float kBlur = 0.3f;                    // added to the 2D covariance's diagonal, px^2
+constexpr float kAlphaMax = 0.999f;              // opacity cap per pixel
+constexpr float kFrustumMargin = 0.3f;           // see linearisation point, geometry.h
+constexpr float kLog2AlphaMin = -7.9943534369f;  // log2(1 / 255), the smallest alpha drawn
+constexpr float kExponentScale = 0.7213475204f;  // log2(e) / 2: exp(-x / 2) = 2^(-x this)
+
+// Culling takes Gaussians and pixel blocks whose log2(alpha) falls short of the limit by less
+// than this, so that rounding never drops what the blending, which decides, would draw.
+constexpr float kCullSlack = 1e-3f;
+
+// Work on a pixel block ends when every pixel's transmittance is below this. What is dropped
+// changes the image by as much at most, and gradients by a relative 1e-5 where many opaque layers
+// lie behind each other; elsewhere nothing is dropped.
+constexpr float kTransmittanceEnd = 1e-6f;
+
+}  // namespace roigs

@@ -1,0 +1,187 @@
+"""Whether a GPU computes what the CPU does: a small scene, drawn and differentiated on both.
+
+It is done once for each combination of card, driver, torch and kernels; a record on disk says that
+it has passed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..context import QUIET, Context
+from ..cuda import driver, sources
+from ..errors import EngineError, KernelError
+from ..formats.files import read_json, write_json
+from ..kernels.library import user_cache
+from ..rasterize import RenderOutput, rasterize
+from .losses import photo_loss
+from .optimizer import VisibleAdam
+
+LIMIT = 2e-3
+"""The largest relative error (Euclidean norm) of any result. Rounding alone gives about 1e-4: it
+decides whether an alpha next to 1/255 is drawn."""
+
+SIZE = (160, 120)
+COUNT = 2000
+NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
+USE_CPU = "Run `python -m roigs_engine check-gpu` and report what it prints; --device cpu trains."
+
+
+def check_once(device: torch.device, context: Context = QUIET) -> None:
+    """Check a GPU unless a record says that it has passed.
+
+    Raises:
+        KernelError: it has not; the line has the numbers.
+    """
+    path, key = user_cache() / "cuda" / "checked.json", machine_key(device)
+    try:
+        passed = read_json(path)
+    except EngineError:
+        passed = {}
+    if isinstance(passed, dict) and key in passed:
+        return
+    context.info("Checking the GPU against the CPU, once.")
+    errors = check(device)
+    record = {**(passed if isinstance(passed, dict) else {}), key: errors}
+    try:
+        write_json(path, record, durable=False)
+    except EngineError:
+        context.info("The check cannot be recorded; it is repeated next time.")
+
+
+def machine_key(device: torch.device) -> str:
+    """A hash of all that a new check is needed for."""
+    name = str(device)
+    if device.type == "cuda":
+        name = f"{torch.cuda.get_device_name(device)} {torch.cuda.get_device_capability(device)}"
+    parts = (name, driver.build(), torch.__version__, sources.source_key())
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def check(device: torch.device) -> dict[str, float]:
+    """The relative error of each result on the GPU.
+
+    Raises:
+        KernelError: one is above `LIMIT`, or the GPU failed; one line.
+    """
+    try:
+        errors = compare(device)
+    except torch.OutOfMemoryError as error:
+        raise KernelError(
+            "GPU check: the GPU memory is full.", "Close other programs that use the GPU."
+        ) from error
+    except KernelError as error:
+        raise KernelError(f"GPU check: {error.message}", error.hint) from error
+    except RuntimeError as error:  # torch: CUDA error: ..
+        first = (str(error).splitlines() or ["unknown error"])[0]
+        raise KernelError(f"GPU check: {first}.", USE_CPU) from error
+    wrong = {name: error for name, error in errors.items() if not error <= LIMIT}
+    if wrong:
+        worst = ", ".join(f"{name} by {error:.1e}" for name, error in wrong.items())
+        raise KernelError(f"GPU check: differs from the CPU (limit {LIMIT:.0e}): {worst}.", USE_CPU)
+    return errors
+
+
+def compare(device: torch.device) -> dict[str, float]:
+    """The relative error of each result on the GPU, without a limit."""
+    ours, truth = results(device, "cuda"), results(torch.device("cpu"), "cpu")
+    return {name: _relative_error(ours[name], truth[name]) for name in truth}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """What is drawn, on one device.
+
+    Attributes:
+        model: tensors by name, in the form that is trained.
+        view: a camera's pose (1, 4, 4) and intrinsics (1, 3, 3).
+        photo: (H, W, 3) uint8.
+    """
+
+    model: dict[str, Tensor]
+    view: tuple[Tensor, Tensor]
+    photo: Tensor
+
+
+def results(device: torch.device, backend: str) -> dict[str, Tensor]:
+    """All that a training step computes of the check's scene, by name."""
+    made = scene(device, COUNT, SIZE)
+    before = {name: tensor.clone() for name, tensor in made.model.items()}
+    optimizer = VisibleAdam({name: (made.model[name], 1e-3) for name in NAMES}, fused=True)
+    output = draw(made, backend, backward_step=optimizer.backward_step)
+    width, height = SIZE
+    weights = torch.linspace(0, 2, width, device=device).expand(height, width)
+    loss = photo_loss(output.image, made.photo, weights=weights, backend=backend)
+    loss.loss.backward()  # type: ignore[no-untyped-call]
+    options: dict[str, Any] = {"with_max_weight": True, "with_weight_sum": True}
+    region = (width // 8, height // 6, width * 7 // 8, height * 3 // 4)
+    part = draw(replace(made, model=before), backend, mask=region, with_depth=True, **options)
+    found = {
+        "image": output.image,
+        "loss": loss.loss,
+        "visible": output.visible,
+        "grad2d": output.grad2d,
+        "part": part.image,
+        "depth": part.depth,
+        "largest weights": part.max_weight,
+        "weights": part.weight_sum,
+    }
+    for name in NAMES:
+        found[f"gradient of {name}"] = optimizer.exp_avg[name]
+        found[f"step of {name}"] = _misstep(optimizer, name, before[name])
+    return {name: t.detach().double().cpu() for name, t in found.items() if t is not None}
+
+
+def _misstep(optimizer: VisibleAdam, name: str, before: Tensor) -> Tensor:
+    """1 plus how far the first step is from what Adam's moments say, in learning rates.
+
+    The steps themselves cannot be compared: where a gradient is about 0, its sign decides.
+    """
+    mean, square = optimizer.exp_avg[name] / 0.1, optimizer.exp_avg_sq[name] / 0.001
+    step = 1e-3 * mean / (square.sqrt() + optimizer.eps)
+    now = optimizer.parameters[name].detach()
+    return 1 + ((now - (before - step)).abs() / 1e-3).clamp(min=1e-3)
+
+
+def draw(made: Scene, backend: str, **options: Any) -> RenderOutput:
+    """The scene as training draws it."""
+    means, quats, scales, opacities, sh = (made.model[name] for name in NAMES)
+    height, width, _ = made.photo.shape
+    gaussians = means, quats, scales, opacities, sh
+    return rasterize(*gaussians, *made.view, width, height, raw=True, backend=backend, **options)
+
+
+def scene(device: torch.device, count: int, size: tuple[int, int]) -> Scene:
+    """Random Gaussians in front of a camera, and a photo of noise: the same on every device."""
+    generator = torch.Generator().manual_seed(0)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    model = {
+        "means": normal(count, 3) + torch.tensor([0.0, 0.0, 4.0]),
+        "quats": normal(count, 4),
+        "log_scales": 0.5 * normal(count, 3) + math.log(0.6 / count**0.33),
+        "logit_opacities": normal(count),
+        "sh": 0.3 * normal(count, 16, 3),
+    }
+    width, height = size
+    intrinsics = torch.tensor(
+        [[width, 0.0, 0.5 * width], [0.0, width, 0.5 * height], [0.0, 0.0, 1.0]]
+    )
+    photo = torch.randint(0, 256, (height, width, 3), dtype=torch.uint8, generator=generator)
+    return Scene(
+        model={name: tensor.to(device) for name, tensor in model.items()},
+        view=(torch.eye(4)[None].to(device), intrinsics[None].to(device)),
+        photo=photo.to(device),
+    )
+
+
+def _relative_error(value: Tensor, truth: Tensor) -> float:
+    return float((value - truth).norm()) / max(float(truth.norm()), 1e-30)

@@ -1,0 +1,65 @@
+"""`check-gpu`, with the shim in place of a card."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from roigs_engine.cli import main
+from roigs_engine.cuda import card, device, driver
+from roigs_engine.training import gpu_check, gpu_times
+from tests.engine.cuda.shim import ShimProgram, compiled
+
+
+@pytest.fixture
+def _card(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "check_cuda", lambda context: device.CPU)
+    monkeypatch.setattr(driver, "build", lambda: "580.95.05")
+    monkeypatch.setattr(card, "nvrtc_of_torch", lambda: SimpleNamespace(version=(13, 0)))
+    for name, value in (
+        ("get_device_capability", (8, 9)),
+        ("get_device_name", "Some Card"),
+        ("get_device_properties", SimpleNamespace(total_memory=8 << 30)),
+    ):
+        monkeypatch.setattr(torch.cuda, name, lambda _, value=value: value)
+    monkeypatch.setattr(gpu_check, "COUNT", 100)
+    monkeypatch.setattr(gpu_times, "SIZE", (32, 32))
+    monkeypatch.setattr(gpu_times, "COUNT", 100)
+
+
+@pytest.mark.usefixtures("_card")
+def test_it_prints_everything_for_a_bug_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = ShimProgram(compiled())
+    monkeypatch.setattr(card, "program", lambda device: program)
+    monkeypatch.setattr("roigs_engine.commands.check_gpu.GPU_STEPS", 1)
+    assert main(["check-gpu"]) == 0
+    said = capsys.readouterr().out
+    for part in ("580.95.05", "Some Card", "8.9", "8.0 GiB", "NVRTC 13.0", "ok     image"):
+        assert part in said, said
+    assert "GPU " in said and "CPU " in said and "WRONG" not in said
+
+
+@pytest.mark.usefixtures("_card")
+def test_a_wrong_kernel_is_an_error_after_the_figures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit = ("blue += weight * s.blue;", "blue += weight * s.red;")
+    program = ShimProgram(compiled(("-O1",), {"blend.cu": edit}))
+    monkeypatch.setattr(card, "program", lambda device: program)
+    assert main(["check-gpu"]) == 2
+    said = capsys.readouterr()
+    assert "WRONG  image" in said.out and "ok     visible" in said.out
+    assert "error: GPU check: differs from the CPU" in said.err
+
+
+def test_without_a_card_it_says_why(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(torch.version, "cuda", None)
+    assert main(["check-gpu"]) == 2
+    said = capsys.readouterr()
+    assert "torch" in said.out and "error: This torch is built without CUDA." in said.err
