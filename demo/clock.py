@@ -7,6 +7,7 @@ import math
 
 import bpy
 import numpy as np
+import prints
 import textures as tx
 from build import (
     attribute_material,
@@ -23,8 +24,8 @@ from build import (
     sheet,
     text,
 )
+from materials import Library
 from mathutils import Matrix, Vector
-from room import Library
 
 ROMAN = ["XII", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX", "X", "XI"]
 
@@ -93,8 +94,8 @@ def clock(lib: Library, frame: Matrix) -> None:
 
 
 def _dial(lib: Library, frame: Matrix, size: float) -> None:
-    pixels = tx.dial(1200, 231)
-    corner = tx.filigree(1200, 1200, 232, (0.30, 0.16, 0.10), (0.86, 0.68, 0.34))
+    pixels = prints.dial(1200, 231)
+    corner = prints.filigree(1200, 1200, 232, (0.30, 0.16, 0.10), (0.86, 0.68, 0.34))
     y, x = (np.mgrid[0:1200, 0:1200] + 0.5) / 600.0 - 1.0
     outside = np.hypot(x, y) > 0.93
     pixels[outside] = corner[outside]

@@ -18,6 +18,7 @@ import bpy
 import cameras
 import objects
 import room
+from materials import Library
 
 WIDTH, HEIGHT = 640, 428
 SENSOR, LENS = 36.0, 28.0
@@ -116,7 +117,7 @@ def main() -> None:
     args = arguments()
     started = time.time()
     camera = prepare(args.samples, args.quality, args.threads)
-    lib = room.Library()
+    lib = Library()
     room.build_room(lib)
     objects.build_objects(lib)
     print(f"scene built in {time.time() - started:.0f} s")

@@ -20,6 +20,7 @@ import numpy as np
 import objects
 import room
 from make_scene import HEIGHT, HERE, WIDTH, prepare
+from materials import Library
 from mathutils import Matrix
 
 
@@ -100,7 +101,7 @@ def main() -> None:
     truth = json.loads((HERE / "scene/truth.json").read_text())
     rois = list(truth["objects"])
     camera = prepare(1, 80, 0)
-    lib = room.Library()
+    lib = Library()
     room.build_room(lib)
     objects.build_objects(lib)
     paint(rois)

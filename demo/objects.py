@@ -10,8 +10,9 @@ import bpy
 import numpy as np
 from build import place
 from clock import clock
+from materials import Library
 from mathutils import Matrix
-from room import SIDEBOARD, TABLE_TOP, Library
+from measures import SIDEBOARD, TABLE_TOP
 from tin import tin
 from vase import vase
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-import textures as tx
+import prints
 from build import box, image, image_material, lathe, panel, place, plain_material, resample, text
+from materials import Library
 from mathutils import Matrix
-from room import Library
 
 SIDES: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = (
     (
@@ -58,7 +58,9 @@ def tin(
 ) -> None:
     """A tea tin with four different printed sides, twisted edges and a carved lid."""
     w, d, h = size
-    ground = image("tin ground", tx.filigree(900, 900, 211, (0.14, 0.24, 0.22), (0.82, 0.66, 0.32)))
+    ground = image(
+        "tin ground", prints.filigree(900, 900, 211, (0.14, 0.24, 0.22), (0.82, 0.66, 0.32))
+    )
     green = image_material("tin ground", ground, (0.16, 0.16))
     box("tin body", (w - 0.002, d - 0.002, h), (0, 0, h / 2), green, frame, fit=True, roi="tin")
     widths = (w, d, w, d)
@@ -66,7 +68,7 @@ def tin(
         wide = widths[k]
         out = (d, w, d, w)[k] / 2
         facing = frame @ place(turn=(0, 0, 90 * k)) @ place((0, -out, h / 2))
-        pixels = tx.label(int(wide * 6400), int(h * 5800), 212 + k)
+        pixels = prints.label(int(wide * 6400), int(h * 5800), 212 + k)
         mat = image_material(
             f"tin {side}", image(f"tin {side}", pixels), (wide - 0.018, h - 0.02), 0.75
         )
@@ -76,7 +78,7 @@ def tin(
         corner = frame @ place((sx * (w / 2 - 0.001), sy * (d / 2 - 0.001), 0))
         profile = [(0.0045, z) for z in np.linspace(0.0, h, 90)]
         lathe(f"tin edge {k}", profile, lib.gold, corner, 36, "tin", 0.3, 3, 420.0)
-    lid = image("tin lid", tx.filigree(700, 700, 219, (0.50, 0.16, 0.13), (0.90, 0.76, 0.42)))
+    lid = image("tin lid", prints.filigree(700, 700, 219, (0.50, 0.16, 0.13), (0.90, 0.76, 0.42)))
     red = image_material("tin lid", lid, (0.16, 0.16))
     steps = ((0.006, 0.010), (0.012, 0.006), (-0.012, 0.008))
     z = h

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from .driver import Blender
-from .pictures import COLOURS, LOOK
+from .pictures import COLOURS, LOOK, show_result
 from .redraw import DRAWN
 from .scenario import (
     addon,
@@ -41,7 +41,7 @@ from .scenario import (
 FAR = 4.0
 FARTHEST, NEAREST = 5.0, 1.0
 """Of the fly-in."""
-SIZE, SHOWN, CROP = (1200, 800), 1.5, "900x778+300+0"
+SIZE, SHOWN, CROP = (1200, 800), 1.5, "675x778+525+0"
 """Of the window; of the picture."""
 PHOTOS = [f"wide/wide_{number:03}.jpg" for number in (3, 17, 31, 45)]
 TIMES = 7
@@ -212,11 +212,15 @@ def at_photos(blender: Blender) -> None:
 def photograph(blender: Blender, path: Path) -> None:
     """The panel, open, beside the scene from as far as some levels are drawn."""
     blender.ask(LOOK)
-    blender.ask(f"use(True)\ngo({SHOWN})", 120)
+    blender.ask("[item.hide_set(True) for item in details] and None")  # finding buttons is faster
     open_result_panel(blender, "roigs.make_levels", x=0.5)
+    blender.ask("[item.hide_set(False) for item in details] and None")
+    blender.ask(f"use(True)\ngo({SHOWN})", 120)
     blender.screen.do("mousemove", "3", "450")
     blender.until("draw.painter().idle()", 120)
-    blender.pause(6.0)
+    show_result(blender)
+    blender.screen.do("mousemove", "3", "450")  # away from the sidebar: no tooltip
+    blender.pause(3.0)
     blender.screen.picture(path, CROP, *COLOURS)
 
 

@@ -45,6 +45,16 @@ def look_at_boxes(blender: Blender) -> None:
     blender.ask("call('roigs.select_roi', name='vase')")
 
 
+def show_result(blender: Blender) -> None:
+    """Only Gaussians in the view, and the last panel beside them."""
+    blender.ask(
+        "space = view()['area'].spaces.active\n"
+        "space.overlay.show_overlays = space.show_gizmo = False"
+    )
+    blender.scroll(100)
+    blender.pause(10.0)
+
+
 def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     """Go from the empty file to the result."""
 
@@ -82,8 +92,7 @@ def story(blender: Blender, out: Path, run: Path, max_side: int) -> None:
     picture("4-training")
 
     blender.until(f"not {BUSY}", 3600)
-    blender.ask("view()['area'].spaces.active.overlay.show_overlays = False")
-    blender.pause(10.0)
+    show_result(blender)
     picture("5-result")
 
     blender.screen.do("mousemove", *(str(side // 2) for side in SIZE))  # the window opens there
