@@ -270,8 +270,8 @@ def _connected(address: str) -> Any:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ConfigError(
             f"There is no Ray cluster at {address} ({reason:.100}).",
-            "Start one with `ray start --head`, or use --cluster local. A cluster that wants a"
-            " token needs RAY_AUTH_MODE=token (docs/many.md).",
+            "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
+            " RAY_AUTH_MODE=token (docs/many.md).",
         ) from error
     return ray
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..errors import EngineError
+from ..errors import EngineError, RunFolderError
 from ..formats.files import read_json, write_json
 from ..formats.run_files import BATCH, MANIFEST, REPORT_DATA, RESULT
 from ..formats.text import json_digest
@@ -57,17 +57,24 @@ class BatchRecord:
             return False
 
     def add(self, name: str, row: str, folder: Path, files: Iterable[Path]) -> None:
-        """Write down that a scene is finished; RunFolderError if that fails.
+        """Write down that a scene is finished.
 
         Args:
             name, row, files: as `is_done`.
             folder: of its run.
+
+        Raises:
+            RunFolderError: a file of the scene cannot be read (a network drive may show it late)
+                or the record cannot be written.
         """
-        self._scenes[name] = {
-            "row": row,
-            "manifest": json_digest(read_manifest(folder / MANIFEST)),
-            "files": self._stamps(folder, files),
-        }
+        try:
+            self._scenes[name] = {
+                "row": row,
+                "manifest": json_digest(read_manifest(folder / MANIFEST)),
+                "files": self._stamps(folder, files),
+            }
+        except OSError as error:
+            raise RunFolderError(f"Cannot read {error.filename} ({error.strerror}).") from error
         write_json(self._folder / BATCH, {"version": VERSION, "scenes": self._scenes})
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[int]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..context import Context
-from ..errors import ConfigError, RunFolderError
+from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.files import write_json
 from ..formats.lock import locked
 from ..formats.run_files import BATCH_LOCK, REPORT_PAGE
@@ -183,7 +183,10 @@ def _execute(
         if isinstance(report, Outcome) and scene.state == DONE:
             row = by_name[scene.plan.name]
             files = written(row, folder, scene.plan.objects)
-            record.add(row.name, row.digest, folder / row.name, files)
+            try:
+                record.add(row.name, row.digest, folder / row.name, files)
+            except EngineError as error:
+                context.warn(f"{row.name}: {error} The next batch looks at this scene again.")
         shown.take(scene, part, report)
         if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
             write_batch_page(folder, scheduler.scenes.values())

@@ -19,6 +19,7 @@ from roigs_engine.batch.schedule import RUNNING, Scheduler
 from roigs_engine.commands.batch_show import Shown
 from roigs_engine.commands.console import Console
 from roigs_engine.context import QUIET
+from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.events import parse_event
 from tests.engine.batch.parts_of_scenes import Instant, part, scene
 
@@ -122,3 +123,10 @@ def test_the_page_is_safe_text(scheduler: Scheduler, tmp_path: Path) -> None:
 def test_a_record_that_is_damaged_counts_as_empty(tmp_path: Path, text: str) -> None:
     (tmp_path / "batch.json").write_text(text, encoding="utf-8")
     assert BatchRecord(tmp_path)._scenes == {}
+
+
+def test_a_result_that_a_network_drive_shows_late_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "hall").mkdir()
+    (tmp_path / "hall" / "manifest.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"Cannot read .*result\.ply"):
+        BatchRecord(tmp_path).add("hall", "row", tmp_path / "hall", [])
