@@ -107,7 +107,7 @@ def check_kernels(archive: zipfile.ZipFile, targets: list[str]) -> None:
 def check_sources(names: Iterable[str]) -> None:
     """Every module of the engine is there, and the kernels' sources: they may be compiled later."""
     engine = ROOT / "roigs_engine"
-    wanted = [path for path in engine.rglob("*") if path.suffix in (".py", ".cpp", ".h")]
+    wanted = [path for path in engine.rglob("*") if path.suffix in (".py", ".cpp", ".cu", ".h")]
     missing = {path.relative_to(ROOT).as_posix() for path in wanted} - set(names)
     if missing:
         raise CheckError(f"missing {sorted(missing)}")

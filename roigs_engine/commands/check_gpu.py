@@ -53,7 +53,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         console.print(
             f"  {error:.1e}  {'ok   ' if error <= gpu_check.LIMIT else 'WRONG'}  {result}"
         )
-    gpu_check.check(device)
+    gpu_check.check_again(device)
     width, height = gpu_times.SIZE
     console.print(f"Step     {gpu_times.COUNT:,} Gaussians, {width}x{height}:")
     gpu = gpu_times.step_milliseconds(device, "cuda", steps=GPU_STEPS)

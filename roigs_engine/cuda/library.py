@@ -111,6 +111,11 @@ def has_blending_weights(device: torch.device) -> bool:
     return device.type != "cuda" or own_kernels() or has_triton()
 
 
+def has_median_depth(device: torch.device) -> bool:
+    """Whether rendering on the device can return the median depth."""
+    return device.type != "cuda" or own_kernels()
+
+
 @functools.cache
 def fused_ssim() -> Callable[[Tensor, Tensor], Tensor] | None:
     """fused-ssim's mean SSIM of two (1, 3, H, W) tensors, differentiable in the first.

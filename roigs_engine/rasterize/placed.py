@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from ..cuda.device import CPU
+from ..cuda.library import has_median_depth
 from ..model.faded import faded
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
@@ -66,7 +67,7 @@ class Layer:
         alpha: (H, W) from 0 to 1.
         depth: (H, W) along the camera's axis, world units; NOTHING where nothing is. The median: a
             mean would lie between an object that lets a little through and what is behind it, and
-            would put a mesh between the two in front. On CUDA it is the mean: gsplat has no median.
+            would put a mesh between the two in front. With gsplat it is the mean.
     """
 
     image: Tensor
@@ -100,7 +101,7 @@ def render_placed(
         camera,
         np.eye(4),
         max_slope=MAX_SLOPE,
-        with_depth="median" if device.type == "cpu" else True,
+        with_depth="median" if has_median_depth(device) else True,
     )
     assert output.depth is not None
     alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()

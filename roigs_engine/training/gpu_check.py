@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +29,9 @@ LIMIT = 2e-3
 """The largest relative error (Euclidean norm) of any result. Rounding alone gives about 1e-4: it
 decides whether an alpha next to 1/255 is drawn."""
 
+LONGEST = 120.0
+"""Seconds that a check may take."""
+
 SIZE = (160, 120)
 COUNT = 2000
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -37,22 +42,45 @@ def check_once(device: torch.device, context: Context = QUIET) -> None:
     """Check a GPU unless a record says that it has passed.
 
     Raises:
-        KernelError: it has not; the line has the numbers.
+        KernelError: it has not; the line has the numbers. Or an earlier check never ended.
     """
-    path, key = user_cache() / "cuda" / "checked.json", machine_key(device)
-    try:
-        passed = read_json(path)
-    except EngineError:
-        passed = {}
-    if isinstance(passed, dict) and key in passed:
+    key = machine_key(device)
+    before = _records().get(key)
+    if isinstance(before, dict):
         return
+    if isinstance(before, float) and time.time() - before > LONGEST:
+        raise KernelError("GPU check: it did not end the last time.", USE_CPU)
     context.info("Checking the GPU against the CPU, once.")
-    errors = check(device)
-    record = {**(passed if isinstance(passed, dict) else {}), key: errors}
+    errors = None
+    _record(key, time.time())  # stays if the driver hangs, or takes the process with it
     try:
-        write_json(path, record, durable=False)
+        errors = check(device)
+    finally:
+        _record(key, errors)
+
+
+def check_again(device: torch.device) -> None:
+    """Check a GPU, and record it if it passes, whatever the record says. Raises KernelError."""
+    errors = check(device)
+    _record(machine_key(device), errors)
+
+
+def _records() -> dict[str, Any]:
+    """By `machine_key`: the errors of a check that has passed, or when a check began."""
+    try:
+        found = read_json(user_cache() / "cuda" / "checked.json")
     except EngineError:
-        context.info("The check cannot be recorded; it is repeated next time.")
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _record(key: str, value: dict[str, float] | float | None) -> None:
+    """Record a value, or that there is none; if it cannot be written, the check is repeated."""
+    records = {name: found for name, found in _records().items() if name != key}
+    if value is not None:
+        records[key] = value
+    with suppress(EngineError):
+        write_json(user_cache() / "cuda" / "checked.json", records, durable=False)
 
 
 def machine_key(device: torch.device) -> str:

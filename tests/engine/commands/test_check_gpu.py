@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,7 +15,7 @@ from tests.engine.cuda.shim import ShimProgram, compiled
 
 
 @pytest.fixture
-def _card(monkeypatch: pytest.MonkeyPatch) -> None:
+def _card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "check_cuda", lambda context: device.CPU)
     monkeypatch.setattr(driver, "build", lambda: "580.95.05")
     monkeypatch.setattr(card, "nvrtc_of_torch", lambda: SimpleNamespace(version=(13, 0)))
@@ -25,6 +26,7 @@ def _card(monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         monkeypatch.setattr(torch.cuda, name, lambda _, value=value: value)
     monkeypatch.setattr(gpu_check, "COUNT", 100)
+    monkeypatch.setattr(gpu_check, "user_cache", lambda: tmp_path)
     monkeypatch.setattr(gpu_times, "SIZE", (32, 32))
     monkeypatch.setattr(gpu_times, "COUNT", 100)
 

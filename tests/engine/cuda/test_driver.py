@@ -158,6 +158,7 @@ def test_without_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_gsplat_can_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert library.own_kernels()
+    assert library.own_kernels() and library.has_median_depth(GPU)
     monkeypatch.setenv(library.KERNELS_VARIABLE, "gsplat")
-    assert not library.own_kernels()
+    assert not library.own_kernels() and not library.has_median_depth(GPU)
+    assert library.has_median_depth(CPU)

@@ -72,7 +72,7 @@ def test_a_wrong_kernel_is_caught_with_numbers(
     monkeypatch.setattr(card, "program", lambda device: program)
     with pytest.raises(KernelError, match=rf"GPU check: differs .*{what} by \d\.\de") as caught:
         gpu_check.check_once(CPU)
-    assert "\n" not in str(caught.value) and not cache.exists()
+    assert "\n" not in str(caught.value) and json.loads(cache.read_text()) == {}
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,33 @@ def test_a_failing_card_is_one_line_and_the_cpu_trains(
     assert "\n" not in said[-1].text
     with pytest.raises(KernelError, match=line):
         choose_device("cuda", check=gpu_check.check_once)
+
+
+def test_a_check_that_never_ended_is_not_tried_again(
+    shim: ShimProgram, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A driver may hang, or take the process with it; then the record says when it began."""
+    seen: list[Any] = []
+    monkeypatch.setattr(gpu_check, "check", lambda device: seen.append(cache.read_text()) or {})
+    gpu_check.check_once(CPU)
+    began = json.loads(seen[0])
+    assert [type(value) for value in began.values()] == [float]
+    cache.write_text(json.dumps({key: value - 1000 for key, value in began.items()}))
+    with pytest.raises(KernelError, match=r"did not end the last time.*check-gpu"):
+        gpu_check.check_once(CPU)
+    gpu_check.check_again(CPU)
+    gpu_check.check_once(CPU)
+    assert len(seen) == 2
+
+
+def test_a_check_that_is_stopped_is_forgotten(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(device: torch.device) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gpu_check, "check", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        gpu_check.check_once(CPU)
+    assert json.loads(cache.read_text()) == {}
 
 
 def test_a_damaged_record_is_no_obstacle(shim: ShimProgram, cache: Path) -> None:

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from roigs_engine.errors import EngineError
-from roigs_engine.rasterize import RenderOutput, rasterize
+from roigs_engine.errors import EngineError, KernelError
+from roigs_engine.rasterize import RenderOutput, cuda, rasterize
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize.test_gsplat import ring
 from tests.engine.rasterize_cases import (
@@ -82,6 +82,23 @@ def test_random_scenes(seed: int) -> None:
     parameters = gaussians(count, coefficients=4, size=size, seed=seed + 1)
     parameters[0][:, 2] -= 2.0  # some are behind the camera
     agree(*both(parameters, (33, 20)))
+
+
+def test_more_tiles_than_16_bits_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda, "SHORT_TILES", 3)
+    agree(*both(gaussians(60, coefficients=1), (40, 30)))
+
+
+def test_more_pairs_than_32_bits_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda, "_MOST_PAIRS", 20)
+    with pytest.raises(KernelError, match="pairs of Gaussians and tiles"):
+        rasterize(*gaussians(60), *cameras(40, 30), 40, 30, backend="cuda")
+
+
+def test_it_takes_float32_only() -> None:
+    parameters = [p.double() for p in gaussians(3)]
+    with pytest.raises(KernelError, match=r"means is torch\.float64: the kernels take float32"):
+        rasterize(*parameters, *(c.double() for c in cameras(9, 9)), 9, 9, backend="cuda")
 
 
 def test_many_opaque_layers() -> None:
