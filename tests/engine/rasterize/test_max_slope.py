@@ -34,7 +34,7 @@ from tests.engine.rasterize_cases import (
 
 SIZE = (64, 48)
 FOCAL = 60.0
-BACKENDS = ["reference", "cpu", "cuda"]
+BACKENDS = ["reference", "cpu", "gsplat"]
 
 
 @pytest.fixture(autouse=True)
