@@ -23,8 +23,8 @@ MADE = re.compile(r"(?:\S+ +)?Box '.+': (\d+ of \d+ masks?) made anew in .+\.")
 DRAW_FIRST = "Draw strokes on a photo first: on the object, and around it."
 
 
-def spec(scene: bpy.types.Scene, roi: bpy.types.Object) -> JobSpec:
-    """The job that makes the masks of a box.
+def spec(scene: bpy.types.Scene, roi: bpy.types.Object, *, anew: bool = False) -> JobSpec:
+    """The job that makes the masks of a box: those whose strokes have changed, or all `anew`.
 
     Raises:
         AddonError: there is no model, there are no strokes, or files cannot be written.
@@ -50,6 +50,7 @@ def spec(scene: bpy.types.Scene, roi: bpy.types.Object) -> JobSpec:
             "photo": _photos(scene, roi) or None,
             "threads": settings.get().threads or None,
             "device": settings.get().device,
+            "anew": anew or None,
             "out": str(out),
         }
         given = {key: value for key, value in values.items() if value is not None}

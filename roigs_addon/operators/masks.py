@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import bpy
-from bpy.props import IntProperty
+from bpy.props import BoolProperty, IntProperty
 
 from ..blender import registration, scene_of
 from ..engine.python import FOR_MASKS
@@ -21,12 +21,35 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 
+CHANGED = (
+    "Make masks of the box's object on its photos from the strokes: those whose strokes have"
+    " changed. Masks that you made yourself stay"
+)
+ALL_ANEW = (
+    "Make all masks anew. Strokes that correct one photo then help the others, too. Masks that you"
+    " made yourself stay"
+)
+
+
 class MakeMasks(EngineOperator):
     """Make masks of the box's object on its photos from the strokes. Masks that you made yourself \
 stay"""
 
     bl_idname = "roigs.make_masks"
     bl_label = "Make Masks"
+
+    anew: BoolProperty(
+        name="All Anew",
+        description="Make all masks anew: strokes that correct one photo then help the others",
+        options=FRESH,
+    )
+
+    @classmethod
+    def description(
+        cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties
+    ) -> str:
+        """What the button does."""
+        return ALL_ANEW if cast(Any, properties).anew else CHANGED
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -45,7 +68,7 @@ stay"""
         if roi is None:
             raise AddonError(f"{NO_BOX}.")
         scene_props(scene).show_masks = True
-        return masks_job.spec(scene, roi)
+        return masks_job.spec(scene, roi, anew=self.anew)
 
 
 class StepMask(bpy.types.Operator):

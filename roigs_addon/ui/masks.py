@@ -51,7 +51,8 @@ class MasksPanel(SidebarPanel):
         else:
             show.todo(layout, f"{roi.name}: draw on the object, with Ctrl around it")
         row = layout.row(align=True)
-        row.operator(MakeMasks.bl_idname, icon="MOD_MASK")
+        row.operator(MakeMasks.bl_idname, icon="MOD_MASK").anew = False
+        row.operator(MakeMasks.bl_idname, text="", icon="FILE_REFRESH").anew = True
         row.operator(RemoveMasks.bl_idname, text="", icon="TRASH")
         show.job(layout, MASKING)
         if problem := photo_overlay.problem():

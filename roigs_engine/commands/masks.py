@@ -75,6 +75,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a photo to make a mask for; repeatable (default: those that select chooses)",
     )
     parser.add_argument(
+        "--anew",
+        action="store_true",
+        help="make all masks anew: strokes that correct one photo then help the others",
+    )
+    parser.add_argument(
         "--out",
         type=PATH,
         required=True,
@@ -214,6 +219,7 @@ def _make(
         strokes={name: scribble.strokes for name, scribble in scribbles.items()},
         folder=folder,
         basis=basis_digest(args.model, scene, roi, rois),
+        anew=args.anew,
     )
     work.make(knowledge, context)
     return str(folder)

@@ -37,6 +37,7 @@ class BoxMasks:
         strokes: on photos, by their names.
         folder: of the box's masks.
         basis: hash of what carries masks from photo to photo (`basis_digest`).
+        anew: whether masks of the same inputs are made again, so that strokes on other photos help.
     """
 
     scene: SfmScene
@@ -45,11 +46,12 @@ class BoxMasks:
     strokes: Mapping[str, tuple[Stroke, ...]]
     folder: Path
     basis: str = ""
+    anew: bool = False
 
     def make(self, knowledge: Knowledge, context: Context = QUIET) -> list[str]:
         """Make and write the masks; returns the names of their files.
 
-        A person's masks stay, and so do those that were made of the same inputs.
+        A person's masks stay, and so do, unless `anew`, those that were made of the same inputs.
 
         Raises:
             ConfigError: no photo with strokes shows the box, or none is on the object.
@@ -61,7 +63,7 @@ class BoxMasks:
         made = made_masks(self.folder)
         views = self._views(made, context)
         inputs = mask_inputs(views, self.strokes, self.basis)
-        views = self._with_kept(views, made, inputs)
+        views = views if self.anew else self._with_kept(views, made, inputs)
         wanted = [view for view in views if view.known is None]
         found = make_masks(views, knowledge, self.roi.centre, context) if wanted else {}
         files = {}

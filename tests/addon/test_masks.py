@@ -106,6 +106,9 @@ def test_the_engine_is_asked_for_the_boxs_photos(
     assert Path(asked["out"]) == root(scene, folder)
     (scribble,) = read_scribbles(Path(asked["scribbles"]))
     assert (scribble.box, scribble.photo, len(scribble.strokes)) == ("thing", photos[0], 1)
+    assert "anew" not in asked
+    blender.ops.roigs.make_masks(anew=True)
+    assert options(folder, "masks")["anew"] is True
 
 
 def test_the_panel_says_how_many_were_made_anew(

@@ -9,6 +9,7 @@ The scenes are drawn from one seed, so a failure can be repeated; `-m slow` draw
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -200,7 +201,11 @@ def agrees_with_float64(kind: SceneKind) -> None:
     scene = scene_of(kind)
     image, ours = gradients(scene, "cpu", torch.float32)
     true_image, truth = gradients(scene, "reference", torch.float64)
-    assert largest_difference(image, true_image) < IMAGE_TOLERANCE
+    if largest_difference(image, true_image) >= IMAGE_TOLERANCE:
+        # A pixel may be as in the picture on either side of the jump, see `conditioning`.
+        pictures = [true_image, *(moved for moved, _ in beside_alpha_min(scene))]
+        nearest = torch.stack([(image - each).abs() for each in pictures]).min(dim=0).values
+        assert nearest.max() < IMAGE_TOLERANCE
     errors = gradient_errors(ours, truth)
     if max(errors.values()) > GRADIENT_TOLERANCE:
         limits = conditioning(scene, truth)
@@ -217,12 +222,17 @@ def conditioning(scene: Scene, truth: list[Tensor]) -> dict[str, float]:
     """
     _, single = gradients(scene, "reference", torch.float32)
     limits = [3 * error for error in gradient_errors(single, truth).values()]
+    for _, moved in beside_alpha_min(scene):
+        limits = list(map(max, limits, gradient_errors(moved, truth).values()))
+    return dict(zip(NAMES, limits, strict=True))
+
+
+def beside_alpha_min(scene: Scene) -> Iterator[tuple[Tensor, list[Tensor]]]:
+    """The true image and gradients with the least alpha a little smaller, and a little larger."""
     for shift in (-1e-5, 1e-5):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(reference, "ALPHA_MIN", reference.ALPHA_MIN * (1 + shift))
-            _, moved = gradients(scene, "reference", torch.float64)
-        limits = list(map(max, limits, gradient_errors(moved, truth).values()))
-    return dict(zip(NAMES, limits, strict=True))
+            yield gradients(scene, "reference", torch.float64)
 
 
 @few

@@ -145,6 +145,7 @@ def test_masks_of_the_same_inputs_are_kept(ball: BallScene, tmp_path: Path) -> N
     assert iou(masks(tmp_path)["5.png"], ball.true["5.png"]) > 0.9
     Image.fromarray(ball.true["2.png"]).save(tmp_path / "2.png.png")  # a person's now
     assert make(making) == ([], f"Box 'ball': 0 of 5 masks made anew in {tmp_path}.")
+    assert len(make(replace(making, anew=True))[0]) == 5
     # Another model or box, and other strokes to begin with, change all.
     assert len(make(replace(making, basis="another"))[0]) == 5
     begun = corrected | {"1.png": strokes(ball.true["1.png"])}
