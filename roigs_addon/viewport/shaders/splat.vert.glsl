@@ -3,7 +3,7 @@
 // pixels count from the lower left corner.
 
 #define ALPHA_MIN (1.0 / 255.0)
-#define MOST 0.999           // an opacity of 1 could not fade
+#define LEAST 0.2            // see roigs_engine/model/faded.py
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
 #define MAX_SLOPE 3.0        // of centres outside the frame; beyond, EWA splatting fails
@@ -69,8 +69,9 @@ void main()
   int number = int(size.w);
   vec3 mean = body.xyz;
   float opacity = body.w, density = OBJECT(number, 4).w;
-  if (density < 1.0) {  // as roigs_engine/model/faded.py
-    opacity = 1.0 - pow(1.0 - min(opacity, MOST), density);
+  if (density < 1.0) {
+    float through = 1.0 - opacity, upper = max(through, LEAST);
+    opacity = 1.0 - pow(upper, density) * (1.0 - density * (1.0 - through / upper));
   }
   if (opacity <= ALPHA_MIN) {
     return;

@@ -78,7 +78,7 @@ def test_gains_change_the_colours(folder: Path) -> None:
 def test_a_density_lets_more_through(folder: Path) -> None:
     model = {"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}
     whole, same = ask(folder), ask(folder, "b", models=[{**model, "density": 1}])
-    half = ask(folder, "c", models=[{**model, "density": 0.1}])  # 1 - 0.001^0.1
+    half = ask(folder, "c", models=[{**model, "density": 0.2512}])  # 0.2^d (1 - d) = 0.5
     assert main(["render-frames", str(folder), "--once"]) == 0
     first, second, third = (
         np.asarray(Image.open(colour_file(out))).astype(int) for out in (whole, same, half)
