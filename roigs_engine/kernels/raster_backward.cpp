@@ -1,4 +1,5 @@
-// Gradient of the blending, front to back like the blending itself.
+// Gradient of the blending, front to back like the blending itself, splat by splat: its sums stay in
+// registers while the blocks that it touches have their turn, each of which waits for no other.
 //
 // With v = dL / dC at a pixel, and R_i = sum_{j>i} w_j (c_j . v) + T_end (background . v) what the
 // pixel gets from behind splat i,
@@ -17,8 +18,6 @@
 
 namespace roigs {
 namespace {
-
-constexpr int kTogether = 2;  // splats evaluated side by side; for more, registers are too few
 
 struct PixelBlock {
     Floats transmittance;
@@ -42,64 +41,43 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
     }
 }
 
-// What the batch's splats have gathered over the blocks worked on so far: lane i of a sum is the
-// part of the blocks' pixels i.
-struct BatchSums {
-    Floats of[kBatch + 1][kMoments];  // as Batch::splats
-
-    void clear(int count) {
-        for (int i = 0; i < count; ++i) std::fill_n(of[i], kMoments, Floats{});
-        std::fill_n(of[kBatch], kMoments, Floats{});
-    }
-    void store_to_slots(const View& view, const Batch& batch) const {
-        for (int i = 0; i < batch.count; ++i)
-            fold_lanes(of[i], view.slot_gradients[batch.splats[i].slot].sum, Sum{});
-    }
-};
-
-// Takes the splats of a batch whose bits are set in `todo` off block b's pixels, front to back,
-// and adds what they find to their sums: the loop that training spends most of its time in.
-// Returns false when the block has ended.
-ROIGS_INLINE bool block_gradient(const Batch& batch, uint64_t todo, int b, PixelBlock& p,
-                                 BatchSums& sums) {
+// Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
+// most of its time in. Returns false when the block has ended.
+ROIGS_INLINE bool visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)[kMoments]) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
-    const Floats red = p.red, green = p.green, blue = p.blue;
-    Floats transmittance = p.transmittance, behind = p.behind;
-    bool alive = true;
-    do {
-        const Together<kTogether> next(batch, todo, x, y);
-        for (int k = 0; k < kTogether; ++k) {
-            const LocalSplat& s = batch.splats[next.index[k]];
-            const Floats alpha = next.alpha[k], u = next.u[k], v = next.v[k];
-            const Floats weight = alpha * transmittance;
-            const Floats colour = red * s.red + green * s.green + blue * s.blue;
-            behind -= weight * colour;
-            const Floats alpha_gradient =
-                transmittance * colour - behind * reciprocal(1.0f - alpha);
-            transmittance -= weight;
-            const Floats gradient = keep(next.moves[k], alpha * alpha_gradient);
+    const Floats u = s.l11 * x + (s.l21 * y + s.u0);
+    const Floats v = s.l22 * y + s.v0;
+    const Floats exponent = (s.log2_opacity - u * u) - v * v;
+    const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
+    const Floats uncapped = exp2(exponent);
+    const Floats alpha = keep(drawn, min(uncapped, splat(kAlphaMax)));
+    const Mask moves = both(drawn, less(uncapped, splat(kAlphaMax)));
 
-            Floats(&sum)[kMoments] = sums.of[next.index[k]];
-            const Floats gu = gradient * u, gv = gradient * v;
-            sum[kS] += gradient;
-            sum[kSU] += gu;
-            sum[kSV] += gv;
-            sum[kSUU] += gu * u;
-            sum[kSUV] += gu * v;
-            sum[kSVV] += gv * v;
-            sum[kRed] += weight * red;
-            sum[kGreen] += weight * green;
-            sum[kBlue] += weight * blue;
-        }
-        alive = any(greater(transmittance, splat(kTransmittanceEnd)));
-    } while (todo && __builtin_expect(alive, 1));
-    p.transmittance = transmittance;
+    const Floats weight = alpha * p.transmittance;
+    const Floats colour = p.red * s.red + p.green * s.green + p.blue * s.blue;
+    const Floats behind = p.behind - weight * colour;
+    const Floats alpha_gradient = p.transmittance * colour - behind * reciprocal(1.0f - alpha);
+    const Floats transmittance = p.transmittance - weight;
+    const Floats gradient = keep(moves, alpha * alpha_gradient);
     p.behind = behind;
-    return alive;
+    p.transmittance = transmittance;
+
+    const Floats gu = gradient * u, gv = gradient * v;
+    sum[kS] += gradient;
+    sum[kSU] += gu;
+    sum[kSV] += gv;
+    sum[kSUU] += gu * u;
+    sum[kSUV] += gu * v;
+    sum[kSVV] += gv * v;
+    sum[kRed] += weight * p.red;
+    sum[kGreen] += weight * p.green;
+    sum[kBlue] += weight * p.blue;
+    return any(greater(transmittance, splat(kTransmittanceEnd)));
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
-    if (view.tile_begin[tile] == view.tile_begin[tile + 1]) return;
+    const int64_t begin = view.tile_begin[tile], end = view.tile_begin[tile + 1];
+    if (begin == end) return;
     const TilePlace place(view, tile);
     PixelBlock blocks[kBlocks];
     const int64_t plane = int64_t(place.width) * place.height;
@@ -107,31 +85,31 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
         place.prefetch<false>(image + c * plane);
         place.prefetch<false>(gradient + c * plane);
     }
-    uint64_t live = kAllBlocks;
-    for (int b = 0; b < kBlocks; ++b)
-        if (place.block_is_outside(b)) live &= ~(uint64_t(1) << b);
+    load_tile(place, image, gradient, blocks);
 
-    // every slot is written: what is not zero there is from an earlier frame
-    const auto clear = [&](int32_t slot) { view.slot_gradients[slot] = SlotGradient{}; };
-    const int64_t end = view.tile_begin[tile + 1];
-    int64_t k = view.tile_begin[tile];
-    Batch batch;
-    BatchSums sums;
-    bool loaded = false;  // after the first batch is taken: until then the pixels are on their way
-    while (k < end && live) {
-        k += take_batch(view, &view.entries[k], end - k, place, live, batch, clear);
-        if (!loaded) load_tile(place, image, gradient, blocks);
-        loaded = true;
-        sums.clear(batch.count);
-        for (uint64_t todo = live; todo; todo &= todo - 1) {
-            const int b = __builtin_ctzll(todo);
-            const uint64_t splats = batch.splats_of[b];
-            if (splats && !block_gradient(batch, splats, b, blocks[b], sums))
-                live &= ~(uint64_t(1) << b);
+    uint64_t live = kAllBlocks;
+    for (int64_t k = begin; k < end; ++k) {
+        const TileEntry entry = view.entries[k], ahead = view.entries[std::min(k + kAhead, end - 1)];
+        __builtin_prefetch(&view.splats[ahead.splat]);
+        __builtin_prefetch(&view.slot_gradients[ahead.slot], 1);
+        // every slot is written: what is not zero there is from an earlier frame
+        SlotGradient& slot = view.slot_gradients[entry.slot];
+        uint64_t todo = view.touched[k] & live;
+        if (!todo) {
+            slot = SlotGradient{};
+            continue;
         }
-        sums.store_to_slots(view, batch);
+        const Splat& s = view.splats[entry.splat];
+        const LocalSplat local(s, entry.slot, s.x - float(place.x), s.y - float(place.y));
+        Floats sum[kMoments] = {};
+        do {
+            const int b = __builtin_ctzll(todo);
+            if (__builtin_expect(!visit(local, b, blocks[b], sum), 0))
+                live &= ~(uint64_t(1) << b);
+            todo &= todo - 1;
+        } while (todo);
+        fold_lanes(sum, slot.sum, Sum{});
     }
-    for (; k < end; ++k) clear(view.entries[k].slot);
 }
 
 }  // namespace

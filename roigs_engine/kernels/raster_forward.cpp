@@ -129,8 +129,11 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     Batch batch;
     TileWeights<kMax, kSum> weights(place, out.pixel_weights);
     int64_t visits = 0;
-    for (int64_t k = view.tile_begin[tile]; k < end && live;) {
-        k += take_batch(view, &view.entries[k], end - k, place, live, batch, [](int32_t) {});
+    int64_t k = view.tile_begin[tile];
+    while (k < end && live) {
+        BlockSet* touched = &view.touched[k];
+        k += take_batch(view, &view.entries[k], end - k, place, live, batch,
+                        [&](int i, uint64_t these) { touched[i] = BlockSet(these); });
         if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
@@ -143,6 +146,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
         }
         if (kMax || kSum) weights.store_to_slots(view, batch);
     }
+    std::fill_n(&view.touched[k], end - k, BlockSet{0});
     store_tile(view, place, gathered, out);
     view.tile_visits[tile] = visits;
 }
@@ -225,6 +229,7 @@ int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
     using namespace roigs;
     const Outputs& out = *outputs;
     if (!view->tile_visits.reserve(view->tiles)) return kOutOfMemory;
+    if (!view->touched.reserve(view->intersections)) return kOutOfMemory;
     if (out.max_weight && !clear_slots(view->slot_max_weights, view->intersections))
         return kOutOfMemory;
     if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))

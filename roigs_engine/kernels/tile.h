@@ -12,6 +12,7 @@ namespace roigs {
 constexpr int kBlockColumns = kTile / kBlockWidth, kBlockRows = kTile / kBlockHeight;
 constexpr int kBlocks = kBlockColumns * kBlockRows;
 constexpr int kBatch = 64;  // splats at once: a bit each in a 64-bit word
+constexpr int kAhead = 12;  // splats fetched early: they lie scattered in memory
 static_assert(kBlocks <= 64 && kBlocks % kLanes == 0, "a bit per block; whole vectors of blocks");
 
 constexpr uint64_t kAllBlocks = ~uint64_t(0) >> (64 - kBlocks);
@@ -173,13 +174,12 @@ struct Batch {
     }
 };
 
-// Takes up to kBatch entries and keeps those that touch a live block; calls skip(slot) for the
-// others. Returns the number of entries taken.
-template <class Skip>
+// Takes up to kBatch entries and keeps those that touch a live block; calls note(i, blocks) with the
+// live blocks that entry i touches, which may be none. Returns the number of entries taken.
+template <class Note>
 ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t left,
                             const TilePlace& place, uint64_t live, Batch& batch,
-                            const Skip& skip) {
-    constexpr int kAhead = 12;  // the splats lie scattered in memory
+                            const Note& note) {
     const int taken = int(std::min<int64_t>(left, kBatch));
     batch.count = 0;
     std::fill_n(batch.splats_of, kBatch, 0);
@@ -188,10 +188,8 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
         const Splat& s = view.splats[entries[i].splat];
         const float x = s.x - float(place.x), y = s.y - float(place.y);
         const uint64_t blocks = touched_blocks(s, x, y) & live;
-        if (!blocks) {
-            skip(entries[i].slot);
-            continue;
-        }
+        note(i, blocks);
+        if (!blocks) continue;
         batch.splats[batch.count] = LocalSplat(s, entries[i].slot, x, y);
         batch.splats_of[batch.count++] = blocks;  // blocks per splat, as yet
     }

@@ -6,11 +6,13 @@
 #include <cstdint>
 #include <cstdlib>
 #include <limits>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "constants.h"
 #include "roigs.h"
+#include "simd.h"
 
 namespace roigs {
 
@@ -96,6 +98,10 @@ struct TileEntry {
     int32_t slot;
 };
 
+// Blocks of a tile (tile.h), a bit each: 16, 32 or 64 of them.
+using BlockSet = std::conditional_t<
+    kLanes == 16, uint16_t, std::conditional_t<kLanes == 8, uint32_t, uint64_t>>;
+
 struct alignas(64) SlotGradient {
     float sum[16];  // the first kMoments are used; whole cache lines are written faster
 };
@@ -132,6 +138,9 @@ struct View {
     int64_t intersections = 0;  // (Gaussian, tile) pairs
     Scratch<int64_t> tile_begin;  // (tiles + 1,) where a tile's entries begin
     Scratch<TileEntry> entries;   // (intersections,), per tile, front to back
+    // (intersections,) per entry, the tile's blocks that roigs_render found it to touch and that
+    // had not ended
+    Scratch<BlockSet> touched;
 
     Scratch<uint32_t> depth_keys[2];  // (visible,), ping and pong of the radix sort
     Scratch<int32_t> depth_order[2];

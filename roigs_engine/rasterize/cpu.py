@@ -240,6 +240,9 @@ class _Rasterize(torch.autograd.Function):
             else:  # a second backward through the same graph: the first one gave the views back
                 view, visible = KernelView.take(), torch.zeros(len(packed[0]), dtype=torch.bool)
                 _prepare(view, ctx.cameras, c, packed, visible)
+                again, alpha = torch.empty_like(image[c]), torch.empty_like(image[c, 0])
+                outputs = bindings.Outputs(pointer(again), pointer(alpha))
+                view.call("roigs_render", ctypes.byref(outputs))
             view.call("roigs_render_backward", pointer(image[c]), pointer(image_gradient_c))
             view.call(
                 "roigs_project_backward",
