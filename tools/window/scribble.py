@@ -118,9 +118,9 @@ def drag(
         blender.screen.do("mousemove", *place)
         blender.pause(0.25)
     blender.screen.do("mouseup", "1")
-    if around:
-        blender.screen.do("keyup", "ctrl")
     blender.until(f"{STROKES.replace('BOX', BOX)} == {before + 1}", 20)
+    if around:  # only now: a busy Blender asks which keys are held when it comes to the press
+        blender.screen.do("keyup", "ctrl")
 
 
 def draw(blender: Blender, story: Story, scribble: Scribble) -> None:
