@@ -99,7 +99,7 @@ def test_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     plain = trained(scene, config)
-    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=1e-4)
+    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=1e-4)
     assert torch.allclose(weights(plain), weights(kernels), atol=1e-3)
     for name in NAMES:
         ours, truth = getattr(plain.gaussians, name), getattr(kernels.gaussians, name)
@@ -133,7 +133,7 @@ def test_masked_steps_without_kernels_are_those_with_them(
     )
     plain = trained(scene, config)
     assert sent and set(sent) == {(48, 64, 4)}
-    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=1e-4)
+    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=1e-4)
     assert torch.allclose(plain.gaussians.means, kernels.gaussians.means, atol=1e-3)
 
 
@@ -146,7 +146,7 @@ def test_densifying_without_kernels_gives_as_good_a_model(
     plain = trained(scene)
     assert len(plain.gaussians) == pytest.approx(len(kernels.gaussians), rel=0.05)
     assert len(plain.gaussians) > 100
-    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=0.1)
+    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=0.1)
 
 
 def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
