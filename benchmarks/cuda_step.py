@@ -22,6 +22,7 @@ from benchmarks.markdown import table as markdown_table
 from benchmarks.synthetic import SyntheticPhotos, trainable
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
+from roigs_engine.training.steps_ahead import StepsAhead
 
 WARM_UP = 3  # passes over the cameras: kernels are compiled, memory is allocated
 COLUMNS = ("Gaussians", "size", "step", "bare step", "bare / step", "in kernels", "waits", "GiB")
@@ -72,12 +73,19 @@ def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
     model = trainable(gaussians, photos.photo.device)
     rates = {name: (tensor, 0.0) for name, tensor in model.tensors().items()}
     optimizer = VisibleAdam(rates, fused=photos.photo.is_cuda)
+    ahead, taken = StepsAhead(photos.photo.device), 0
 
     def step(pose: Tensor) -> None:
-        output = photos.render(model, pose, backward_step=optimizer.backward_step)
+        nonlocal taken
+        ahead.begin(taken, pose)  # there is no running loss
+        backward_step = ahead.backward_step(optimizer, taken, pose.data_ptr())
+        output = photos.render(model, pose, backward_step=backward_step)
         photo_loss(output.image, photos.photo).loss.backward()  # type: ignore[no-untyped-call]
-        if optimizer.backward_step is None:
+        if backward_step is None:
             optimizer.step(output.visible[0])
+        if ahead.first_void(wait=False):
+            raise RuntimeError("The model stays as it is, so its views need the same room.")
+        taken += 1
 
     return step
 
