@@ -19,7 +19,7 @@ def explained(
         now: where it is: the step, and the number of Gaussians.
 
     Raises:
-        KernelError: the GPU memory is full.
+        GpuMemoryError: the GPU memory is full.
     """
     cameras = [image.camera for image in images]
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
@@ -32,7 +32,7 @@ def explained(
         return (
             "Close other programs that use the GPU, or train with smaller photos"
             f" (--max-side {smaller_side(width, height)}) or fewer Gaussians (a smaller"
-            " --preset). The last checkpoint is kept."
+            " --preset). --device cpu resumes from the last checkpoint."
         )
 
     return explain_out_of_memory(doing, advice)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,71 +12,35 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
-from ..cuda.photos import Photos, photos_on
+from ..cuda.photos import photos_on
 from ..cuda.sending import number, sent
 from ..errors import Stopped
 from ..formats.events import Progress
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
-from ..model.roi import OrientedBox
-from ..model.scene import Float64, PosedImage
 from ..rasterize import RenderOutput, rasterize
 from . import full_memory
 from .averaging import ModelMean
-from .budget import BoxBudget
 from .callbacks import PeriodicCallback
 from .cameras import camera_tensors
 from .config import TrainConfig
-from .cutouts import Cutout, Cutouts
+from .cutouts import Cutout
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
 from .figures import Figures
 from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
-from .masks import RoiMask, RoiMasks, counted_weights, split_mask
+from .masks import RoiMask, counted_weights, split_mask
 from .optimizer import VisibleAdam, learning_rates
-from .photo_order import PhotoAt, is_whole
+from .photo_order import is_whole
+from .stage_data import StageData
 from .steps_ahead import StepsAhead
 from .threads import one_torch_thread
 from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StageData:
-    """The data that a stage trains on.
-
-    Attributes:
-        images: posed photos.
-        photos: their pixels, in the same order.
-        photo_at: step -> position in `images` of the photo that the step uses.
-        extent: the *scene's* extent, world units; scales position learning rates and pruning sizes.
-        rois: boxes that limit densification, if the stage's config says so.
-        budgets: Gaussian budget of each box; None: no limit.
-        masks: masks for the steps that do not use whole photos (`config.full_every`).
-        cutouts: the objects that some steps draw alone; None: there are none. The stage must not
-            densify, and their rows are those of the `z_order` of its first model.
-        points: (P, 3) of the scene, world units; used with `config.min_views`.
-        backgrounds: (P, 3) colour behind all Gaussians, for each photo, on `device`; None: black.
-        seed: for the positions of split Gaussians.
-        device: where to train; devices differ only in rounding.
-    """
-
-    images: Sequence[PosedImage]
-    photos: Photos
-    photo_at: PhotoAt
-    extent: float
-    rois: Sequence[OrientedBox] = ()
-    budgets: Sequence[BoxBudget] | None = None
-    masks: RoiMasks | None = None
-    cutouts: Cutouts | None = None
-    points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
-    backgrounds: Tensor | None = None
-    seed: int = 0
-    device: torch.device = CPU
 
 
 class Trainer:
@@ -103,10 +66,11 @@ class Trainer:
         self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
         self.health = Health([image.name for image in data.images])
-        self._photos = photos_on(data.device, data.photos)
+        self._photos = photos_on(data.device, data.photos, data.card_photos)
         self._viewmats, self._intrinsics = camera_tensors(data.images, data.device)
         self._ahead = StepsAhead(data.device)
         self._figures = Figures(data.device)
+        self._steps_before = 0  # of the optimizer, in front of this step
 
     @property
     def gaussians(self) -> Gaussians:
@@ -162,6 +126,7 @@ class Trainer:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
         config, data = self.config, self.data
         self._ahead.begin(self.step, self._figures.loss)
+        self._steps_before = self._optimizer.step_count
         self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         cutout = None if data.cutouts is None else data.cutouts.at(self.step)
         if cutout is not None:
@@ -244,6 +209,11 @@ class Trainer:
         self.health.forget(step)
         self.step = step
         return True
+
+    @property
+    def is_between_steps(self) -> bool:
+        """Whether a step that failed has changed nothing: the state is that in front of it."""
+        return self._optimizer.step_count == self._steps_before
 
     def check(self) -> None:
         """Raise TrainingError if a loss, a gradient or a parameter is NaN or Inf."""

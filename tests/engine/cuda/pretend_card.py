@@ -7,6 +7,8 @@ without being seen.
 
 from __future__ import annotations
 
+import weakref
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -52,6 +54,11 @@ class Far(Tensor):
         made.near = near
         return made
 
+    def storage_size(self) -> tuple[int, int]:
+        """What the tensor's memory is known by, and its bytes."""
+        storage = self.near.untyped_storage()
+        return storage.data_ptr(), storage.nbytes()
+
     __torch_function__ = torch._C._disabled_torch_function_impl
 
     def data_ptr(self) -> int:
@@ -68,11 +75,33 @@ class Far(Tensor):
 
 
 class PretendCard(TorchDispatchMode):
-    """While it is entered, there is a card; `waits` are the names of what waited for it."""
+    """While it is entered, there is a card.
+
+    Attributes:
+        waits: the names of what waited for it.
+        most: bytes of tensors on it, at most at a time.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.waits: list[str] = []
+        self.most = self._held = 0
+        self._users: Counter[int] = Counter()
+
+    def _far(self, near: Tensor) -> Far:
+        made = Far(near)
+        place, size = made.storage_size()
+        self._users[place] += 1
+        if self._users[place] == 1:
+            self._held += size
+            self.most = max(self.most, self._held)
+        weakref.finalize(made, self._dropped, place, size)
+        return made
+
+    def _dropped(self, place: int, size: int) -> None:
+        self._users[place] -= 1
+        if not self._users[place]:
+            self._held -= size
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         given = dict(kwargs or {})
@@ -90,7 +119,7 @@ class PretendCard(TorchDispatchMode):
         for same in (first, given.get("out")):
             if isinstance(same, Far) and found is same.near:
                 return same
-        return tree_map(lambda x: Far(x) if to_far and isinstance(x, Tensor) else x, found)
+        return tree_map(lambda x: self._far(x) if to_far and isinstance(x, Tensor) else x, found)
 
     def _watch(self, name: str, tensors: list[Tensor], to_far: bool, given: dict[str, Any]) -> None:
         far = [isinstance(t, Far) for t in tensors]
@@ -156,7 +185,7 @@ def use(patch: pytest.MonkeyPatch, card: PretendCard, *, rooms: bool = True, lat
         ),
     )
 
-    def photos_on(device: torch.device, photos: Photos) -> DevicePhotos:
+    def photos_on(device: torch.device, photos: Photos, room: int | None) -> DevicePhotos:
         return DevicePhotos(photos, upload, 1 << 40)
 
     patch.setattr(trainer, "photos_on", photos_on)

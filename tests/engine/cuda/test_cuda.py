@@ -26,7 +26,8 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.floaters.consistency import consistent_across_views
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
 from tests.engine.rasterize.test_gsplat import CASES, SIZE, ring
 from tests.engine.rasterize_cases import (
     cameras,

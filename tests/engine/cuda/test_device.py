@@ -22,7 +22,7 @@ from roigs_engine.context import QUIET, Context
 from roigs_engine.cuda import device, library
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.cuda.photos import DevicePhotos
-from roigs_engine.errors import KernelError
+from roigs_engine.errors import GpuMemoryError, KernelError
 from roigs_engine.formats.events import Message
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.ownership import nearest_owner, owners
@@ -39,7 +39,8 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -129,7 +130,7 @@ def test_masked_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     monkeypatch.setattr(
-        trainer, "photos_on", lambda _, photos: DevicePhotos(photos, upload, limit=1 << 20)
+        trainer, "photos_on", lambda _, photos, room: DevicePhotos(photos, upload, limit=1 << 20)
     )
     plain = trained(scene, config)
     assert sent and set(sent) == {(48, 64, 4)}
@@ -213,7 +214,7 @@ def test_boxes_own_the_same_on_every_device() -> None:
 # --- memory ---
 
 
-def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
+def test_a_full_card_is_one_line_and_keeps_the_steps_before(
     scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = stage_data(scene)
@@ -223,7 +224,6 @@ def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
     for _ in range(3):
         before.train_step()
     save_checkpoint(stage._checkpoint, before.state_dict(), "f")
-    saved = {path.name: path.read_bytes() for path in stage.folder.iterdir()}
     draws = 0
 
     def full(*arguments: Any, **options: Any) -> Any:
@@ -240,8 +240,33 @@ def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
     said = str(caught.value)
     assert "memory" in said and "step 5" in said and "64x48" in said and "\n" not in said
     assert re.search(r"\d+ Gaussians", said) and "--max-side" in said
+    heard: list[Any] = []
+    ended = stage.train(lambda: start, data, CONFIG, Context(emit=heard.append)).gaussians
+    assert any(getattr(event, "text", "") == "scene: resumes at step 5." for event in heard)
+    never_full = Trainer(start, data, CONFIG)
+    assert never_full.run()
+    for name, tensor in never_full.gaussians.tensors().items():
+        assert torch.equal(getattr(ended, name), tensor), name
+
+
+@pytest.mark.parametrize("part", ["observe", "edit"])
+def test_memory_that_is_full_after_a_step_leaves_the_checkpoint(
+    part: str, scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model has changed, what belongs to the step has not: this is no state to go on from."""
+    data = stage_data(scene)
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    stage = StageFolder(name="scene", folder=tmp_path / "scene", fingerprint="f")
+    save_checkpoint(stage._checkpoint, Trainer(start, data, CONFIG).state_dict(), "f")
+    saved = {path.name: path.read_bytes() for path in stage.folder.iterdir()}
+
+    def full(*_: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB")
+
+    monkeypatch.setattr(AdaptiveDensity, part, full)
+    with pytest.raises(GpuMemoryError):
+        stage.train(lambda: start, data, CONFIG, QUIET)
     assert {path.name: path.read_bytes() for path in stage.folder.iterdir()} == saved
-    assert stage.train(lambda: start, data, CONFIG, QUIET).gaussians.means.device == CPU
 
 
 # --- photos ---

@@ -24,7 +24,8 @@ from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
 from roigs_engine.training.z_order import morton_order
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
 from tests.engine.cuda.shim import ShimProgram
