@@ -115,8 +115,13 @@ class Job:
             return
         self.process = _started(self._engine, following)
         self.spec, self.result = following, None
-        warnings = self.state.warnings
-        self.state = JobState(title=following.title, log=following.log, warnings=warnings)
+        before = self.state
+        self.state = JobState(
+            title=following.title,
+            log=following.log,
+            warnings=before.warnings,
+            device=before.device,
+        )
 
     def _end(self, result: JobResult) -> None:
         for option, name in self.spec.words.items():

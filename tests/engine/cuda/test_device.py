@@ -23,7 +23,7 @@ from roigs_engine.cuda import device, library
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.cuda.photos import DevicePhotos
 from roigs_engine.errors import GpuMemoryError, KernelError
-from roigs_engine.formats.events import Message
+from roigs_engine.formats.events import Device
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.ownership import nearest_owner, owners
 from roigs_engine.model.roi import OrientedBox
@@ -302,9 +302,9 @@ def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(torch.version, "cuda", None)
     said: list[Any] = []
     assert choose_device("auto", Context(emit=said.append)) == CPU
-    assert [type(event) for event in said] == [Message]
-    assert "without CUDA" in said[0].text
-    assert choose_device("cpu", Context(emit=said.append)) == CPU and len(said) == 1
+    assert said == [Device(kind="cpu", name="", reason="This torch is built without CUDA")]
+    assert choose_device("cpu", Context(emit=said.append)) == CPU
+    assert said[1:] == [Device(kind="cpu", name="", reason="chosen")]
     with pytest.raises(KernelError, match="Install torch for CUDA"):
         choose_device("cuda")
 

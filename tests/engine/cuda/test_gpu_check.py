@@ -95,8 +95,8 @@ def test_a_failing_card_is_one_line_and_the_cpu_trains(
     said: list[Any] = []
     found = choose_device("auto", Context(emit=said.append), gpu_check.check_once)
     assert found == CPU
-    assert line in said[-1].text and said[-1].text.startswith("Using the CPU: GPU check: ")
-    assert "\n" not in said[-1].text
+    assert line in said[-1].reason and said[-1].reason.startswith("GPU check: ")
+    assert "\n" not in said[-1].reason and said[-1].kind == "cpu"
     with pytest.raises(KernelError, match=line):
         choose_device("cuda", check=gpu_check.check_once)
 
