@@ -10,6 +10,7 @@ import statistics
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any
@@ -141,8 +142,9 @@ def measure(
             times.append(_pass(step, photos))
     if device.type == "cuda":
         row.memory = torch.cuda.max_memory_allocated(device)
-        row.waits = _waits(steps[0], photos)
-        row.kernels = _share_in_kernels(steps[0], photos)
+        with suppress(RuntimeError):  # the times are worth having without them
+            row.waits = _waits(steps[0], photos)
+            row.kernels = _share_in_kernels(steps[0], photos)
     return row
 
 
