@@ -80,7 +80,7 @@ def parts(scene: Path | None, out: Path, *, gsplat: bool) -> list[Part]:
         _step(*first, alone=True),
         Part(name="tests", command=tests, minutes=4),
         *(_step(*row, alone=True) for row in others),
-        Part(name="first-use", command=("-m", "benchmarks.first_use"), minutes=2),
+        Part(name="first-use", command=("-m", "benchmarks.first_use", "--rounds", "1"), minutes=2),
     ]
     if gsplat:
         code = "from roigs_engine.cuda import library; print(library.gsplat().__version__)"

@@ -32,7 +32,7 @@ from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from .inputs import RenderInputs, RenderOutput, centre_bounds
 
-_MOST_PAIRS = 2**31 - 1
+_MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
 
 
 def render(inputs: RenderInputs) -> RenderOutput:

@@ -51,8 +51,8 @@ def test_it_prints_everything_for_a_bug_report(
 def test_a_wrong_kernel_is_an_error_after_the_figures(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    edit = ("blue += weight * s.blue;", "blue += weight * s.red;")
-    program = ShimProgram(compiled(("-O1",), {"blend.cu": edit}))
+    edit = ("blend.cu", "blue += weight * s.blue;", "blue += weight * s.red;")
+    program = ShimProgram(compiled(("-O1",), [edit]))
     monkeypatch.setattr(card, "program", lambda device: program)
     assert main(["check-gpu"]) == 2
     said = capsys.readouterr()

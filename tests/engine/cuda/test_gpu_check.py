@@ -68,7 +68,7 @@ def test_another_driver_is_checked_again(
 def test_a_wrong_kernel_is_caught_with_numbers(
     source: str, old: str, new: str, what: str, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = ShimProgram(compiled(("-O1",), {source: (old, new)}))
+    program = ShimProgram(compiled(("-O1",), [(source, old, new)]))
     monkeypatch.setattr(card, "program", lambda device: program)
     with pytest.raises(KernelError, match=rf"GPU check: differs .*{what} by \d\.\de") as caught:
         gpu_check.check_once(CPU)
