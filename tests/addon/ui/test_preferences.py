@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -150,3 +151,12 @@ def test_all_versions_of_blender_share_the_environments(
     assert shared("/home/a/blender/4.3") == shared("/home/a/blender/5.2")
     assert shared("/home/a/blender/5.2") == Path("/home/a/blender/roigs/engine")
     assert shared("/apps/blender/portable") == Path("/apps/blender/portable/roigs/engine")
+
+
+def test_the_page_has_every_setting(blender: ModuleType, addon: ModuleType) -> None:
+    """Where the add-on is enabled, they are read from there; where it is not, as in tests, not."""
+    from roigs_addon import settings
+    from roigs_addon.ui.preferences import RoigsPreferences
+
+    names = {field.name for field in fields(settings.Settings)}
+    assert names == {name for name in RoigsPreferences.__annotations__ if name != "bl_idname"}

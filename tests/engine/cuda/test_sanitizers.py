@@ -137,8 +137,7 @@ RACES = {
                  "pixels[p] = pixel;\n    }"),
     "project_backward": ("backward.cu", "add_row(f.gradients.means, n, row.mean);",
                          "add_row(f.gradients.means, n, row.mean); f.grad2d[0] = 0;"),
-    "project_backward_adam": ("backward.cu", "row.colour[c];\n        }\n        __syncwarp();",
-                              "row.colour[c];\n        }"),
+    "project_backward_adam": ("backward.cu", "if (lane == owner) {", "{"),
     "loss": ("loss.cu", "photo(l, tile.channel, at);\n    }\n    __syncthreads();",
              "photo(l, tile.channel, at);\n    }"),
     "loss_gradient": ("loss.cu", "tile.channel) * plane + at];\n    }\n    __syncthreads();",
@@ -147,11 +146,12 @@ RACES = {
 """For each kernel, a barrier that is missing or a place that two threads write to."""
 
 
-@pytest.mark.parametrize("alone", [False, True])
-def test_races_are_found(*, alone: bool) -> None:
-    """In few builds: but with too many races, the sanitizer does not report the last kernel's."""
-    edits = {
-        name: edit for name, edit in RACES.items() if (name == "project_backward_adam") == alone
-    }
-    said = run(THREADS, "libtsan.so", list(edits.values()))
-    assert of_kernels(said, "ThreadSanitizer: data race") >= set(edits), said[-3000:]
+def test_races_are_found() -> None:
+    """Of many races in one build a run shows some: which, depends on how the threads take turns."""
+    missing = set(RACES)
+    for _ in range(4):
+        said = run(THREADS, "libtsan.so", [RACES[name] for name in sorted(missing)])
+        missing -= of_kernels(said, "ThreadSanitizer: data race")
+        if not missing:
+            return
+    pytest.fail(f"no race was found in {missing}")
