@@ -46,7 +46,12 @@ def train(code: str, folder: Path) -> None:
     ],
 )
 def test_the_panel_says_it_of_the_training_and_of_its_log(
-    code: str, words: str, blender: ModuleType, addon: ModuleType, tmp_path: Path
+    code: str,
+    words: str,
+    blender: ModuleType,
+    addon: ModuleType,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     from roigs_addon.jobs import current
 
@@ -56,6 +61,7 @@ def test_the_panel_says_it_of_the_training_and_of_its_log(
     train(f"{code}\n{DONE}", tmp_path)
     (said,) = panel(blender)
     assert said.startswith(words)
+    assert words in capsys.readouterr().err  # blender -b
     current.job = current._training = None  # as when Blender is opened again
     assert panel(blender) == [said]
     train(DONE, tmp_path)  # one that says nothing
