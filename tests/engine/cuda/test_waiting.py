@@ -180,7 +180,8 @@ def test_a_view_without_room_is_drawn_again(
         with card:
             trainer = trainer_of(scene, config, **inputs(scene))
             assert trainer.run()
-            states.append(trainer.state_dict())
+            losses = {photo: list(last) for photo, last in trainer.health._recent.items()}
+            states.append({**trainer.state_dict(), "losses": losses})
     assert not small and steps > 2 * config.steps + 3  # those after them were done again as well
     first, second = (dict(leaves(state)) for state in states)
     assert first.keys() == second.keys()
