@@ -154,6 +154,8 @@ class Console:
                     self._open_bar(stage, total)
             case Message(text=text, level=level):
                 self._line(f"warning: {text}" if level == "warning" else text)
+            case Device(reason="chosen"):
+                pass  # whoever reads this has chosen it
             case Device():
                 self._line(f"Device: {device_in_words(asdict(event))}.")
             case Failed(message=message, hint=hint):
