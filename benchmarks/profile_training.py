@@ -30,6 +30,7 @@ from roigs_engine.run.stage_configs import baseline
 from roigs_engine.training import trainer
 from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.densification.statistics import DensityStats
+from roigs_engine.training.figures import Figures
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 
@@ -102,7 +103,7 @@ def watch_training() -> Clock:
     clock.watch(VisibleAdam, "step_by", "optimizer")
     clock.watch(VisibleAdam, "set_lr", "optimizer")
     clock.watch(DensityStats, "add", "statistics")
-    clock.watch(Trainer, "_observe", "running loss and PSNR")
+    clock.watch(Figures, "observe", "running loss and PSNR")
     clock.watch(AdaptiveDensity, "edit", "densification")
     clock.watch(Trainer, "_apply", "densification")
     return clock

@@ -74,7 +74,8 @@ def _on_gpu(options: argparse.Namespace) -> None:
     rows = []
     for gaussians, size in product(options.gaussians, options.size):
         print(gaussians, *size, file=sys.stderr)
-        rows.append(cuda_step.measure(gaussians, size, options.rounds, device))
+        makers = (cuda_step.our_step,) if options.alone else None
+        rows.append(cuda_step.measure(gaussians, size, options.rounds, device, makers))
     print(f"{torch.cuda.get_device_name(device)}, torch {torch.__version__}")
     _section("Milliseconds a step; share of it inside kernels, waits for the GPU in one step")
     print(cuda_step.table(rows))
@@ -121,6 +122,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--isa", nargs="+", default=[""], help="instruction sets, taking turns")
     parser.add_argument("--compare", metavar="REV", help="git revision to take turns with")
     parser.add_argument("--extras", action="store_true", help="optional outputs, not steps")
+    parser.add_argument("--alone", action="store_true", help="on a GPU: not beside gsplat")
     options = parser.parse_args(arguments)
     counts, sizes = DEFAULTS[options.device]
     options.gaussians, options.size = options.gaussians or counts, options.size or sizes

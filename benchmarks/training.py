@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from roigs_engine.model.scene import PosedImage
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.training.photo_order import shuffled
-from roigs_engine.training.trainer import StageData
+from roigs_engine.training.stage_data import StageData
 
 
 def all_photos(

@@ -31,7 +31,7 @@ class Settings:
     device: str = "auto"
     cache: str = ""
     preview_seconds: float = 5.0
-    cuda: bool = False
+    build: str = "AUTO"
     formats: bool = True
     wheels: str = ""
 

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from .selection.split import choose_test_views
     from .training.checkpoint import load_checkpoint, save_checkpoint
     from .training.config import TrainConfig
-    from .training.trainer import StageData, Trainer
+    from .training.stage_data import StageData
+    from .training.trainer import Trainer
 
 _MODULES = {
     "colmap.project": ("load_colmap",),

@@ -43,6 +43,10 @@ class KernelError(EngineError):
     """The compiled kernels are missing, cannot be built, or do not accept their input."""
 
 
+class GpuMemoryError(KernelError):
+    """The GPU memory is full."""
+
+
 class TrainingError(EngineError):
     """Training diverged: a loss, a gradient or a parameter is NaN or Inf."""
 

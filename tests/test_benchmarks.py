@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -193,30 +194,70 @@ def test_the_photos_of_a_large_capture_are_all_different(tmp_path: Path) -> None
     assert scene.skipped == {}
 
 
+def code(name: str, text: str, minutes: float = 1) -> gpu.Part:
+    return gpu.Part(name=name, command=("-c", text), minutes=minutes)
+
+
 def test_a_gpu_is_measured_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What fails or hangs does not stop the others; every part leaves its figures."""
+    """What fails, hangs or is killed does not stop the others; every part leaves its figures."""
     found = [
-        gpu.Part(name="good", command=("-c", "print('12 ms')"), minutes=1),
-        gpu.Part(name="bad", command=("-c", "raise SystemExit(2)"), minutes=1),
-        gpu.Part(name="slow", command=("-c", "import time; time.sleep(60)"), minutes=0.01),
+        code("good", "print('12 ms')"),
+        code("bad", "print('7 ms'); raise SystemExit(2)"),
+        code("killed", "print('8 ms'); import os; os.kill(os.getpid(), 9)"),
+        code("slow", "print('9 ms'); import time; time.sleep(60)", minutes=0.02),
+        code("a/b", "print('no such folder')"),
+        code("bar", r"print('1\r2\r3 %'); import os; os.write(1, bytes([255, 10]))"),
+        code("last", "print('10 ms')"),
     ]
-    monkeypatch.setattr(gpu, "parts", lambda scene, out: found)
+    monkeypatch.setattr(gpu, "parts", lambda scene, out, gsplat: found)
     assert gpu.main(["--out", str(tmp_path)]) == 1
-    assert (tmp_path / "good.txt").read_text().strip() == "12 ms"
     summary = (tmp_path / "summary.md").read_text()
-    assert "| good | 0 |" in summary and "| bad | 2 |" in summary
-    assert "| slow | ended after 0.01 minutes |" in summary
+    for line in ("| good | 0 |", "| bad | 2 |", "| killed | -9 |", "| slow | ended after 0.0 min"):
+        assert line in summary
+    assert "| a/b | not started (" in summary and "| last | 0 |" in summary
+    for figure in ("12 ms", "7 ms", "8 ms", "9 ms", "10 ms", "\n3 %\n"):
+        assert figure in summary
     assert gpu.main(["--out", str(tmp_path), "--only", "good"]) == 0
+
+
+def test_a_gpu_without_time_keeps_what_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [code("first", "print('12 ms')"), code("slow", "import time; time.sleep(60)")]
+    found += [code("never", "print('1 ms')")]
+    monkeypatch.setattr(gpu, "parts", lambda scene, out, gsplat: found)
+    monkeypatch.setattr(gpu, "LEAST_SECONDS", 0.5)
+    assert gpu.main(["--out", str(tmp_path), "--minutes", "0.03"]) == 1
+    summary = (tmp_path / "summary.md").read_text()
+    assert "12 ms" in summary and "| slow | ended after" in summary
+    assert "| never | no time left | 0.0 |" in summary and not (tmp_path / "never.txt").exists()
+
+
+def test_nvidia_smi_may_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu.shutil, "which", lambda name: str(tmp_path / "missing"))
+    assert gpu.do(code("good", "print('12 ms')"), tmp_path).status == "0"
+
+
+def test_the_most_valuable_figures_come_first(tmp_path: Path) -> None:
+    names = [part.name for part in gpu.parts(tmp_path, tmp_path, gsplat=True)]
+    assert names[:3] == ["check-gpu", "step-1000k-1280x853", "tests"] and names[-1] == "paper"
+    rows = [f"step-{k}k-{size}" for size in gpu.SIZES for k in (100, 1000, 4000)]
+    assert {*rows, *(f"{row}-gsplat" for row in rows)} < set(names)
+    assert names.index("gsplat-compiles") > max(names.index(row) for row in rows)
+    alone = [part.name for part in gpu.parts(None, tmp_path, gsplat=False)]
+    assert alone == names[: names.index("gsplat-compiles")]
 
 
 def test_the_parts_are_commands_that_exist(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[1]
     parser, _ = build_parser()
-    for part in gpu.parts(tmp_path, tmp_path):
+    for part in gpu.parts(tmp_path, tmp_path, gsplat=True):
         module, rest = part.command[1], part.command[2:]
         if module == "roigs_engine":
             parser.parse_args(rest)
         if module == "pytest":
             assert (root / rest[-1]).is_file()
         if module == "benchmarks.step":
-            step._options(rest[:2])
+            step._options(rest)
+        if module == "benchmarks.first_use":
+            assert find_spec(module)

@@ -8,6 +8,8 @@ from typing import IO
 from ..shared import events
 
 SHOWN = ("loss", "psnr", "gaussians")
+DEVICE = "Trains on: "
+"""What a log's line about the device begins with."""
 
 
 def in_words(event: events.Record) -> str:
@@ -15,6 +17,8 @@ def in_words(event: events.Record) -> str:
     match event["event"]:
         case "message":
             return str(event.get("text", ""))
+        case "device":
+            return f"{DEVICE}{events.device_in_words(event)}"
         case "stagestarted":
             return f"{event.get('stage')}: {event.get('total')} steps"
         case "progress":

@@ -5,7 +5,6 @@ The packages and their versions are in pyproject.toml alone, which is part of th
 
 from __future__ import annotations
 
-import platform
 import re
 import tomllib
 from dataclasses import dataclass
@@ -14,13 +13,14 @@ from typing import Any
 
 from .python import SOURCE, environment_python
 
-CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
 OPTIONAL = ("video", "heic", "masks")
 """Extras of the project that not every platform has wheels for."""
 FORMATS = "formats"
 """The extra of `Plan.formats`."""
 DOWNLOAD_BYTES, DISK_BYTES = 411e6, 1_260e6
 """What a set-up for the CPU takes, measured with torch 2.13 and Python 3.11 on Linux (x86-64)."""
+CUDA_DOWNLOAD_BYTES = 2.6e9
+"""What torch 2.13 for CUDA 13.0 takes instead, on Linux: as others have reported, not measured."""
 FORMATS_DOWNLOAD_BYTES, FORMATS_DISK_BYTES = 125e6, 520e6
 """What `Plan.formats` adds."""
 
@@ -31,13 +31,13 @@ class Plan:
 
     Attributes:
         environments: folders of earlier ones; the new one is made in the first.
-        cuda: torch for NVIDIA GPUs instead of the one for the CPU.
+        torch_index: where torch comes from, for an NVIDIA GPU; empty: torch for the CPU.
         formats: also what **Export** and **Import** need for other formats than PLY.
         wheels: folder to install from, without a network; None: PyPI and PyTorch's index.
     """
 
     environments: tuple[Path, ...]
-    cuda: bool = False
+    torch_index: str = ""
     formats: bool = True
     wheels: Path | None = None
 
@@ -82,7 +82,6 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
     """The programs that make `environment` with the Python `base`."""
     python = str(environment_python(environment))
     pip = [python, "-m", "pip", "install", "--no-input", "--disable-pip-version-check"]
-    cuda = plan.cuda and platform.system() != "Darwin"
     wanted = requirements()
     make = Step(
         title="Creating the environment", command=[str(base), "-m", "venv", str(environment)]
@@ -95,7 +94,7 @@ def steps(plan: Plan, base: Path, environment: Path) -> list[Step]:
         source = ["--no-index", "--find-links", str(plan.wheels)]
         install = Step(title="Installing", command=[*pip, *source, *wanted])
         return [make, install, *_optional([*pip, *source], plan), *finish]
-    index = ["--index", CUDA_INDEX] if cuda else []
+    index = ["--index", plan.torch_index] if plan.torch_index else []
     torch = [python, _script("install_torch"), *index]
     return [
         make,

@@ -54,6 +54,11 @@ def warnings(title: str) -> list[str]:
     return next((state.warnings for state in found if state.title == title), [])
 
 
+def device() -> str:
+    """Which device the last training uses or has used, and why; empty if that is not known."""
+    return _training.state.device if _training is not None else ""
+
+
 def stopped() -> bool:
     """Whether the last job was stopped."""
     return job is not None and job.result is not None and job.result.stopped

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from ..engine.command import Engine
+from ..engine.event_log import DEVICE
 from ..engine.process import EngineProcess, JobResult
 from ..errors import AddonError
 from ..shared import EngineError, events
@@ -88,6 +89,8 @@ class Job:
         self.state.take(event)
         if event["event"] == "message":
             self.messages.append(event.get("text", ""))
+        elif event["event"] == "device":
+            self.messages.append(f"{DEVICE}{self.state.device}")
         elif event["event"] == "preview":
             path = Path(event.get("path", ""))
             if _is_file_in(self.spec.folder, path):
@@ -115,8 +118,13 @@ class Job:
             return
         self.process = _started(self._engine, following)
         self.spec, self.result = following, None
-        warnings = self.state.warnings
-        self.state = JobState(title=following.title, log=following.log, warnings=warnings)
+        before = self.state
+        self.state = JobState(
+            title=following.title,
+            log=following.log,
+            warnings=before.warnings,
+            device=before.device,
+        )
 
     def _end(self, result: JobResult) -> None:
         for option, name in self.spec.words.items():

@@ -22,6 +22,7 @@ class JobState:
         stage, step, total: where it is; `stage` is empty before the first and after the last one.
         loss, psnr, gaussians, seconds_left: as the engine last said; 0 if it did not.
         message: for the user, replaced by the next one.
+        device: which one trains, and why; empty before the engine has said so.
         warnings: for the user, the first few; they stay after the job.
         error: why the job failed; empty if it did not.
         outcome: what came of it, for the user; empty where the window shows it anyway.
@@ -39,6 +40,7 @@ class JobState:
     message: str = ""
     error: str = ""
     outcome: str = ""
+    device: str = ""
     warnings: list[str] = field(default_factory=list)
 
     def take(self, event: events.Record) -> None:
@@ -53,6 +55,8 @@ class JobState:
                 self.loss, self.psnr = event.get("loss", 0.0), event.get("psnr", 0.0)
                 self.gaussians = event.get("gaussians", 0)
                 self.seconds_left = event.get("seconds_left", 0.0)
+            case "device":
+                self.device = events.device_in_words(event)
             case "message":
                 self._hear(event.get("text", ""), event.get("level", ""))
 

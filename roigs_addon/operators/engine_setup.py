@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from .. import settings
 from ..blender import registration
 from ..engine import check, environments, install, python
+from ..engine.event_log import DEVICE
+from ..engine.graphics_card import BUILDS as TORCH_BUILDS
 from ..engine.install_steps import Plan
 from ..errors import AddonError
-from ..facts import engine_ability
+from ..facts import engine_ability, graphics_card, training_device
 from ..jobs import current, terminal
 from ..shared import clean_up
 from ..windows import Timer, redraw
@@ -26,6 +28,12 @@ if TYPE_CHECKING:
     from ..blender import OperatorResult
 
 POLL_SECONDS = 0.3
+BUILDS = (
+    ("AUTO", "Automatic", "For the NVIDIA card and its driver, if they can be used; else the CPU"),
+    ("CPU", "CPU", "Always for the CPU: the smallest download"),
+    ("CUDA", "NVIDIA GPU", "For an NVIDIA card, also if none is found"),
+)
+"""Identifier, name and description of what may be installed."""
 OFFLINE = (
     "Blender is offline. Allow online access in Preferences ▸ System ▸ Network, or choose a"
     " folder of wheels."
@@ -45,9 +53,10 @@ class SetUpEngine(bpy.types.Operator):
     bl_idname = "roigs.setup_engine"
     bl_label = "Set Up the Engine"
 
-    cuda: BoolProperty(
-        name="For NVIDIA GPUs",
-        description="Install the CUDA build of torch: a download of several gigabytes",
+    build: EnumProperty(
+        name="Build",
+        items=BUILDS,
+        description="Which torch to install; that for NVIDIA cards is a download of gigabytes",
         options=FRESH,
     )
     formats: BoolProperty(
@@ -97,6 +106,15 @@ class SetUpEngine(bpy.types.Operator):
         timer.start()
         return {"FINISHED"}
 
+    def _torch_index(self) -> str:
+        """Where torch comes from; empty: torch for the CPU."""
+        if self.build == "CPU" or sys.platform == "darwin":
+            return ""
+        choice = graphics_card.choice(wait=True)
+        if choice is not None and choice.build is not None:
+            return choice.build.index
+        return TORCH_BUILDS[0].index if self.build == "CUDA" else ""
+
     def _plan(self) -> Plan:
         wheels = Path(bpy.path.abspath(self.wheels)) if self.wheels else None
         if wheels is None and not bpy.app.online_access:
@@ -105,7 +123,7 @@ class SetUpEngine(bpy.types.Operator):
             raise AddonError(f"There is no folder {wheels}. Choose the folder with the wheels.")
         return Plan(
             environments=settings.environments(),
-            cuda=self.cuda,
+            torch_index=self._torch_index(),
             formats=self.formats,
             wheels=wheels,
         )
@@ -124,7 +142,10 @@ timer = Timer(_poll, POLL_SECONDS, persistent=True)
 
 
 def look_again() -> tuple[check.Finding, ...]:
-    """Check what the engine can do."""
+    """Check what the engine can do, and which device it trains on."""
+    graphics_card.forget()
+    training_device.forget()
+    training_device.ask()
     return check.check(settings.chosen_python(), settings.environments())
 
 
@@ -156,6 +177,8 @@ class CheckEngine(bpy.types.Operator):
         """Report every finding."""
         for finding in look_again():
             self.report({"INFO" if finding.works else "WARNING"}, finding.text)
+        if device := training_device.asked():
+            self.report({"INFO"}, f"{DEVICE}{device}")
         return {"FINISHED"}
 
 
@@ -194,6 +217,7 @@ class RemoveEngine(bpy.types.Operator):
             check.forget()
             python.ability.cache_clear()
             engine_ability.forget()
+            training_device.forget()
         self.report({"INFO"}, f"The engine is removed: {freed / 1e6:,.0f} MB freed")
         return {"FINISHED"}
 
@@ -209,6 +233,8 @@ def register() -> None:
 def unregister() -> None:
     """Unregister the classes; an installation that runs is ended."""
     timer.stop()
+    training_device.timer.stop()
+    graphics_card.timer.stop()
     install.forget()
     check.forget()
     _unregister()

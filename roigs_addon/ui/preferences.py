@@ -10,12 +10,17 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from .. import blender, settings
 from ..blender import region_of, registration
 from ..engine import check, install
+from ..engine.event_log import DEVICE
+from ..engine.graphics_card import Choice
 from ..engine.install_steps import (
+    CUDA_DOWNLOAD_BYTES,
     DISK_BYTES,
     DOWNLOAD_BYTES,
     FORMATS_DISK_BYTES,
     FORMATS_DOWNLOAD_BYTES,
 )
+from ..facts import graphics_card, training_device
+from ..operators.engine_setup import BUILDS
 from ..windows import redraw_sidebars
 from .layout import PIXELS_PER_LETTER, wrapped
 
@@ -63,10 +68,11 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         subtype="TIME_ABSOLUTE",
         description="Seconds between previews while training; 0: none",
     )
-    cuda: BoolProperty(
-        name="For NVIDIA GPUs",
-        description="Install the CUDA build of torch: several gigabytes. Training on a GPU needs"
-        " nothing else but NVIDIA's driver",
+    build: EnumProperty(
+        name="Build",
+        items=BUILDS,
+        description="Which torch to install. Training on a GPU needs nothing else but NVIDIA's"
+        " driver",
     )
     formats: BoolProperty(
         name="File Formats",
@@ -97,6 +103,8 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
     row.operator("roigs.check_engine")
     for finding in check.last:
         _lines(layout, finding.text, "CHECKMARK" if finding.works else "ERROR")
+    if device := training_device.asked():
+        _lines(layout, f"{DEVICE}{device}", "SYSTEM")
     made = install.current
     if made is not None and not made.finished:
         row = layout.row(align=True)
@@ -106,20 +114,32 @@ def _draw_engine(layout: bpy.types.UILayout, page: RoigsPreferences) -> None:
         return
     if made is not None:
         _lines(layout, made.message or made.title, "ERROR" if made.message else "CHECKMARK")
-    layout.prop(page, "cuda")
+    choice = graphics_card.choice()
+    layout.prop(page, "build")
     layout.prop(page, "formats")
     layout.prop(page, "wheels")
-    _lines(layout, _needed_space(page), "INFO")
+    _lines(layout, _what_suits(choice), "INFO")
+    _lines(layout, _needed_space(page, choice), "INFO")
     row = layout.row(align=True)
     button = row.operator("roigs.setup_engine", icon="IMPORT")
-    button.cuda, button.formats, button.wheels = page.cuda, page.formats, page.wheels
+    button.build, button.formats, button.wheels = page.build, page.formats, page.wheels
     row.operator("roigs.remove_engine", icon="TRASH")
 
 
-def _needed_space(page: RoigsPreferences) -> str:
+def _what_suits(choice: Choice | None) -> str:
+    """What Automatic installs, and why."""
+    if choice is None:
+        return "Asking NVIDIA's driver …"
+    what = "torch for the CPU" if choice.build is None else f"torch for CUDA ({choice.build.name})"
+    return f"Automatic installs {what}. {choice.reason}"
+
+
+def _needed_space(page: RoigsPreferences, choice: Choice | None) -> str:
     """What setting up takes, in words."""
-    if page.cuda:
-        return "Downloads several gigabytes and takes more of the disk."
+    suits = choice is not None and choice.build is not None
+    if page.build == "CUDA" or (page.build == "AUTO" and suits):
+        size = f"{CUDA_DOWNLOAD_BYTES / 1e9:.1f}"
+        return f"Downloads about {size} GB (on Linux), and takes more of the disk."
     download, disk = DOWNLOAD_BYTES / 1e6, DISK_BYTES / 1e6
     if page.formats:
         download += FORMATS_DOWNLOAD_BYTES / 1e6

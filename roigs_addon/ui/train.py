@@ -5,10 +5,11 @@ from __future__ import annotations
 import bpy
 
 from ..blender import layout_of, registration, scene_of
+from ..engine.event_log import DEVICE
 from ..engine.own_files import stage_in_words
 from ..engine.run_status import RunStatus
 from ..engine.training_steps import training_steps
-from ..facts import engine_ability, outdated, run_facts
+from ..facts import engine_ability, outdated, run_facts, training_device
 from ..jobs import current, estimate_job, run_folders
 from ..jobs.spec import ESTIMATING, TRAINING
 from ..operators.train import EstimateTime, ShowLog, TrainRoi
@@ -31,6 +32,8 @@ class TrainPanel(SidebarPanel):
         for name in ("preset", "max_side"):
             column.prop(scene_props(scene), name)
         _draw_length(layout, scene)
+        if device := training_device.of_run(scene):
+            show.say(layout, f"{DEVICE}{device}", "SYSTEM")
         status = run_facts.run(scene)
         resume = not current.busy() and status.unfinished
         row = layout.row(align=True)

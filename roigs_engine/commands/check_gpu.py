@@ -11,13 +11,17 @@ from .console import Console
 
 HELP = "check an NVIDIA GPU against the CPU, and time training steps on both"
 EXAMPLES = """\
-  python -m roigs_engine check-gpu"""
+  python -m roigs_engine check-gpu
+  python -m roigs_engine check-gpu --brief"""
 
 GPU_STEPS, CPU_STEPS = 50, 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """There are none."""
+    """The command's option."""
+    parser.add_argument(
+        "--brief", action="store_true", help="only say which device training would use, and why"
+    )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -29,9 +33,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     import torch
 
     from ..cuda import card, driver, library
-    from ..cuda.device import CPU, check_cuda
+    from ..cuda.device import CPU, check_cuda, choose_device
     from ..training import gpu_check, gpu_times
 
+    if args.brief:
+        choose_device("auto", console.context, gpu_check.check_once)
+        return {}
     version = ".".join(map(str, sys.version_info[:3]))
     console.print(f"System   {platform.platform()}, Python {version}")
     console.print(f"torch    {torch.__version__}, CUDA {torch.version.cuda or '(none)'}")

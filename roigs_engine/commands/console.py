@@ -7,12 +7,24 @@ import os
 import sys
 import threading
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ..context import Context
 from ..errors import RunFolderError
-from ..formats.events import Done, Event, Failed, Message, Preview, Progress, StageStarted, to_json
+from ..formats.events import (
+    Device,
+    Done,
+    Event,
+    Failed,
+    Message,
+    Preview,
+    Progress,
+    StageStarted,
+    device_in_words,
+    to_json,
+)
 from ..formats.files import cannot_write, open_log
 from ..formats.lock import check_held
 from ..formats.run_files import EVENTS
@@ -142,6 +154,10 @@ class Console:
                     self._open_bar(stage, total)
             case Message(text=text, level=level):
                 self._line(f"warning: {text}" if level == "warning" else text)
+            case Device(reason="chosen"):
+                pass  # whoever reads this has chosen it
+            case Device():
+                self._line(f"Device: {device_in_words(asdict(event))}.")
             case Failed(message=message, hint=hint):
                 self.close_bar()
                 self._line(f"error: {message} {hint}".rstrip())

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..errors import KernelError
+from ..formats.events import Device
 from . import card, library
 
 CPU = torch.device("cpu")
@@ -22,7 +23,7 @@ Check = Callable[[torch.device, Context], None]
 def choose_device(name: str, context: Context = QUIET, check: Check | None = None) -> torch.device:
     """The device for `--device`: "cpu", "cuda", or "auto", the GPU if one can be used.
 
-    A message says why "auto" uses the CPU.
+    An event says which one it is, and why.
 
     Args: `check`: tests our kernels on the GPU, before they are used.
 
@@ -30,17 +31,20 @@ def choose_device(name: str, context: Context = QUIET, check: Check | None = Non
         KernelError: "cuda" was requested and cannot be used.
     """
     if name == "cpu":
+        context.emit(Device(kind="cpu", name="", reason="chosen"))
         return CPU
+    is_checked = check is not None and library.own_kernels()
     try:
         device = check_cuda(context)
-        if check is not None and library.own_kernels():
+        if check is not None and is_checked:
             check(device, context)
     except KernelError as error:
         if name == "cuda":
             raise
-        context.info(f"Using the CPU: {error.message}")
+        context.emit(Device(kind="cpu", name="", reason=error.message.rstrip(".")))
         return CPU
-    context.info(f"Using {torch.cuda.get_device_name(device)}.")
+    reason = "checked" if is_checked else "not checked"
+    context.emit(Device(kind="cuda", name=torch.cuda.get_device_name(device), reason=reason))
     return device
 
 

@@ -10,7 +10,7 @@ import functools
 import sys
 from typing import Any
 
-from ..errors import KernelError
+from ..errors import GpuMemoryError, KernelError
 
 LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 FULL = 2  # CUDA_ERROR_OUT_OF_MEMORY
@@ -83,7 +83,7 @@ class Driver:
         self._library.cuGetErrorString(failed, ctypes.byref(text))
         reason = (text.value or b"unknown error").decode(errors="replace")
         if failed == FULL:
-            raise KernelError(
+            raise GpuMemoryError(
                 "The GPU memory is full.", "Close other programs that use the GPU, or use the CPU."
             )
         hint = "Restart the computer or update the NVIDIA driver, or use the CPU."

@@ -17,7 +17,7 @@ COLUMNS = 16  # of a splat
 MOMENTS = 9  # of a slot
 ROWS = 128  # Gaussians of a block
 CAMERA_VALUES = 22  # floats of a camera that are read on the card
-SHORT_TILES = 1 << 15  # tiles whose numbers fit 16 bits
+SHORT_TILES = 1 << 15  # with fewer tiles, their numbers and that of no tile fit 16 bits
 
 _ADDRESS = ctypes.c_void_p
 
@@ -32,8 +32,9 @@ class Frame(ctypes.Structure):
             (name, _ADDRESS)
             for name in (
                 *("camera_values", "splats", "depths", "pair_counts", "first_slot", "visible"),
-                *("order", "ends", "short_tiles", "tiles", "ids", "moments", "slot_largest"),
-                *("slot_sums", "entries", "tile_begin", "group_begin", "reached", "checkpoints"),
+                *("order", "ends", "void", "short_tiles", "tiles", "ids", "moments"),
+                *("slot_largest", "slot_sums", "entries", "tile_begin", "group_begin"),
+                *("reached", "checkpoints"),
             )
         ),
         ("out", Outputs),

@@ -7,9 +7,17 @@ from contextlib import contextmanager
 
 import torch
 
-from ..errors import KernelError
+from ..errors import GpuMemoryError
 
 GIB = 1 << 30
+SHARE_OF_PHOTOS = 4  # photos may take 1/4 of the free GPU memory
+
+
+def card_memory(device: torch.device) -> tuple[int, int]:
+    """Bytes that this process can still take of a GPU's memory, and all that it has."""
+    free, total = torch.cuda.mem_get_info(device)
+    cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return free + cached, total
 
 
 @contextmanager
@@ -21,13 +29,13 @@ def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -
         advice: what to change, for the hint.
 
     Raises:
-        KernelError: the GPU memory is full.
+        GpuMemoryError: the GPU memory is full.
     """
     try:
         yield
     except torch.OutOfMemoryError as error:
         message = f"The GPU memory is full{_used()}: {doing()}."
-        raise KernelError(message, advice()) from error
+        raise GpuMemoryError(message, advice()) from error
 
 
 def smaller_side(width: int, height: int) -> int:

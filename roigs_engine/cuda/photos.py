@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-SHARE = 4  # photos may take 1/4 of the free GPU memory
+from .memory import SHARE_OF_PHOTOS, card_memory
 
 
 class Photos(Protocol):
@@ -30,12 +30,16 @@ class PhotoTensors(Protocol):
     def prefetch(self, indices: Sequence[int]) -> None: ...
 
 
-def photos_on(device: torch.device, photos: Photos) -> PhotoTensors:
-    """The photos as tensors on the device."""
+def photos_on(device: torch.device, photos: Photos, room: int | None = None) -> PhotoTensors:
+    """The photos as tensors on the device.
+
+    Args: `room`: bytes of a GPU that they may take; None: a share of what is free.
+    """
     if device.type == "cpu":
         return HostPhotos(photos)
-    free, _ = torch.cuda.mem_get_info(device)
-    return DevicePhotos(photos, _Uploads(device), free // SHARE)
+    if room is None:
+        room = card_memory(device)[0] // SHARE_OF_PHOTOS
+    return DevicePhotos(photos, _Uploads(device), room)
 
 
 class HostPhotos:

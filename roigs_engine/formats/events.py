@@ -48,6 +48,21 @@ class Message:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Device:
+    """Which device draws and trains, and why; once for each command that does.
+
+    Attributes:
+        kind: "cpu" or "cuda".
+        name: the GPU's; empty for the CPU.
+        reason: "checked", "not checked", "chosen", or why a GPU is not used, without a full stop.
+    """
+
+    kind: str
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Preview:
     """A picture or model of the run's present state has been written."""
 
@@ -70,17 +85,18 @@ class Failed:
     hint: str = ""
 
 
-Event = StageStarted | Progress | Message | Preview | Done | Failed
+Event = StageStarted | Progress | Message | Device | Preview | Done | Failed
 Record = dict[str, Any]
 """An event as it was read: `event`, its name, and those of its fields that are present."""
 
 _KINDS = {"str": str, "int": int, "float": float, "bool": bool, "dict[str, str]": dict}
 FIELDS: dict[str, dict[str, type]] = {
     kind.__name__.lower(): {f.name: _KINDS[str(f.type)] for f in dataclasses.fields(kind)}
-    for kind in (StageStarted, Progress, Message, Preview, Done, Failed)
+    for kind in (StageStarted, Progress, Message, Device, Preview, Done, Failed)
 }
 """The fields of each event, by its name in JSON; readers ignore anything else on a line."""
 FINAL = ("done", "failed")
+CPU_NAME = "this computer's processor"
 MAX_NUMBER = 1 << 31  # what Blender's integers hold
 MAX_LINE = 1 << 16  # characters; a longer line is not an event
 
@@ -122,6 +138,13 @@ def parse_event(line: str) -> Record | None:
         if value is not None:
             event[key] = value if key == "path" else _printable(value)
     return event
+
+
+def device_in_words(event: Record) -> str:
+    """'NVIDIA RTX 4070 (checked)', or "this computer's processor (why)"."""
+    name = event.get("name") if event.get("kind") != "cpu" else ""
+    reason = event.get("reason")
+    return f"{name or CPU_NAME}{f' ({reason})' if reason else ''}"
 
 
 def _typed(value: Any, kind: type) -> Any:

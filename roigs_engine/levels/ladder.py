@@ -17,7 +17,8 @@ from ..rasterize.inputs import MAX_SLOPE
 from ..rasterize.view import rasterize_view
 from ..training.config import TrainConfig
 from ..training.photo_order import shuffled
-from ..training.trainer import StageData, Trainer
+from ..training.stage_data import StageData
+from ..training.trainer import Trainer
 from .parts import Part, View
 from .teacher import BLACK, WHITE, TeacherPictures, views_at
 

@@ -30,6 +30,7 @@ import torch
 from torch import Tensor
 
 from ..cuda.library import own_kernels
+from ..cuda.sending import sent
 from ..errors import EngineError
 from .inputs import (
     BackwardStep,
@@ -106,7 +107,7 @@ def rasterize(
         with_weight_sum=with_weight_sum,
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),
         tiles=tiles,
-        tile_mask=None if tile_mask is None else tile_mask.to(means.device),
+        tile_mask=None if tile_mask is None else sent(tile_mask, means.device),
         backward_step=backward_step,
     )
     return _render(inputs, backend)

@@ -1,8 +1,8 @@
 """The rasterizer on our CUDA kernels, as one differentiable torch function.
 
 cuda/kernels/frame.h has the kernels' interface and their order. Between them torch sorts: Gaussians
-by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. A view waits for the card
-once, to know how many pairs there are.
+by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. How many pairs there are
+is on the card: a view that has no room for them (`cuda.rooms`) waits for the number, once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from .inputs import RenderInputs, RenderOutput, centre_bounds
 
-_MOST_PAIRS = 2**31 - 1
+_MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
 
 
 def render(inputs: RenderInputs) -> RenderOutput:
@@ -60,6 +60,7 @@ class View:
     Attributes:
         frame: the kernels' argument.
         kept: the tensors that it points to, by name.
+        pairs: of Gaussians and tiles; the room for them, if there is one.
         groups: blocks that walk over the pixels, at most.
     """
 
@@ -123,9 +124,20 @@ def prepare(inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Ten
     order = torch.sort(depths, stable=True).indices
     ends = counts[order].cumsum(0, dtype=torch.int64)
     view.set(order=order, ends=ends)
-    view.pairs = int(ends[-1])  # waits for the device
-    _list(view)
+    _list(view, _count(view, ends[-1]))
     return view
+
+
+def _count(view: View, total: Tensor) -> bool:
+    """Set how many pairs there are, or for how many there is room; whether slots may be left."""
+    step = view.inputs.backward_step
+    room = None if step is None else step.room
+    known = None if room is None else room.pairs
+    view.pairs = int(total) if known is None else known  # int() waits for the device
+    if room is not None:
+        room.report(view.pairs if known is None else total)
+        view.set(void=room.void)
+    return room is not None
 
 
 def _set_camera(view: View, c: int) -> None:
@@ -145,16 +157,18 @@ def _set_camera(view: View, c: int) -> None:
         shape.tile_mask = address(view.kept["mask"])
 
 
-def _list(view: View) -> None:
-    """Make the tiles' lists of a view whose pairs are counted."""
+def _list(view: View, may_leave_slots: bool) -> None:
+    """Make the tiles' lists; slots that are left are sorted behind those of all tiles."""
     if view.pairs > _MOST_PAIRS:
         raise KernelError(
             f"This view has {view.pairs} pairs of Gaussians and tiles: more than 2^31.",
             "Render a smaller image, or fewer or smaller Gaussians.",
         )
     tiles = view.frame.tile_count
-    short = tiles <= SHORT_TILES
+    short = tiles < SHORT_TILES
     keys = view.empty(view.pairs, dtype=torch.int16 if short else torch.int32)
+    if may_leave_slots:
+        keys.fill_(tiles)
     ids = view.empty(view.pairs, dtype=torch.int32)
     view.set(**{"short_tiles" if short else "tiles": keys}, ids=ids)
     view.launch_rows("list_tiles")

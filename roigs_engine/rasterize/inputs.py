@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
+from ..cuda.rooms import Room
 from ..errors import EngineError
 
 TILE = 16
@@ -53,6 +54,11 @@ class BackwardStep(Protocol):
     @property
     def tensors(self) -> tuple[Tensor, ...]:
         """The tensors that the step updates, in the order of `rasterize`'s first five arguments."""
+        ...
+
+    @property
+    def room(self) -> Room | None:
+        """Room for the view's pairs on a GPU, so that nothing waits for it; None: it waits."""
         ...
 
     def take(self, kernel: Callable[[Any], int | Tensor]) -> None:

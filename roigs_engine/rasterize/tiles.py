@@ -14,7 +14,8 @@ def active_tiles(
 ) -> tuple[tuple[int, int, int, int], Tensor | None]:
     """The active tiles: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
 
-    `mask` is that of `rasterize`.
+    `mask` is that of `rasterize`. Of one on a GPU, the rectangle is the whole image: to find a
+    smaller one would wait for the GPU.
 
     Raises:
         EngineError: the mask does not fit the image.
@@ -30,6 +31,8 @@ def active_tiles(
     padded = mask.new_zeros(rows * TILE, columns * TILE)
     padded[:height, :width] = mask
     touched = padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
+    if mask.device.type != "cpu":
+        return (0, 0, columns, rows), touched
     ys, xs = touched.any(dim=1).nonzero()[:, 0], touched.any(dim=0).nonzero()[:, 0]
     if not len(ys):
         return (0, 0, 0, 0), None

@@ -21,8 +21,9 @@ from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage, SfmScene
 from ..training.config import TrainConfig
 from ..training.masks import RoiMasks
+from ..training.stage_data import StageData
 from ..training.threads import one_torch_thread
-from ..training.trainer import StageData, Trainer
+from ..training.trainer import Trainer
 from .plan import Stage
 
 # One densification adds the share GROWTH to a small model, and less to a larger one: half of it to

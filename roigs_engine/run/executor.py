@@ -22,7 +22,7 @@ from ..training.budget import BoxBudget, budgets_from
 from ..training.cutouts import Cutouts
 from ..training.labels import object_owners
 from ..training.masks import RoiMasks
-from ..training.trainer import StageData
+from ..training.stage_data import StageData
 from ..training.z_order import morton_order
 from .definition import Run
 from .memory import run_memory
@@ -91,7 +91,7 @@ class Executor:
     ) -> None:
         self.run, self.context = run, context
         self._update, self._preview_seconds = update, preview_seconds
-        self._photo_memory = run_memory(run, context).cache
+        self._memory = run_memory(run, context)
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
@@ -212,6 +212,7 @@ class Executor:
             points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
+            card_photos=self._memory.card.photos if self._memory.card else None,
         )
 
     def _cutouts(self, stage: Stage, device: torch.device) -> Cutouts:
@@ -258,7 +259,7 @@ class Executor:
         key = tuple((image.name, image.camera.width) for image in images)
         if key not in self._photos:
             self.close()
-            self._photos = {key: PhotoCache(images, self._photo_memory)}
+            self._photos = {key: PhotoCache(images, self._memory.cache)}
         return self._photos[key]
 
     def _write(self, output: Output) -> None:

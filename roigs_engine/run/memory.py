@@ -6,9 +6,13 @@ The constants were measured with `python -m benchmarks.memory` (docs/reliability
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import torch
 
 from ..context import QUIET, Context
+from ..cuda.library import own_kernels
+from ..cuda.memory import card_memory
 from ..errors import SceneError
 from ..formats.events import Message
 from ..formats.text import in_gb
@@ -16,6 +20,7 @@ from ..machine import ENGINE, machine_memory
 from ..model.scene import PosedImage
 from ..rasterize.inputs import TILE
 from ..training.config import TrainConfig
+from .card_memory import CardPlan, plan_card
 from .config import RunConfig
 from .definition import Run
 
@@ -40,6 +45,7 @@ class MemoryPlan:
         picture: training on the largest photo.
         end: the largest number of Gaussians that is expected.
         count: that number (not bytes).
+        card: of the GPU that trains; None: the CPU does.
     """
 
     machine: int
@@ -48,6 +54,7 @@ class MemoryPlan:
     picture: int
     end: int
     count: int
+    card: CardPlan | None = None
 
     @property
     def total(self) -> int:
@@ -75,12 +82,17 @@ class MemoryPlan:
                 " --max-side or --steps-factor if that happens."
             )
             found.append(Message(text=text, level="warning"))
-        return found
+        return [*found, *(self.card.messages() if self.card else ())]
 
 
 def run_memory(run: Run, context: Context = QUIET) -> MemoryPlan:
-    """`plan_memory` of a run."""
-    return plan_memory(run.scene.images, len(run.scene.points), run.config, context.photo_memory)
+    """`plan_memory` of a run, with what a GPU needs where one trains."""
+    images, points = run.scene.images, len(run.scene.points)
+    plan = plan_memory(images, points, run.config, context.photo_memory)
+    device = torch.device(context.device)
+    if device.type != "cuda" or not own_kernels():
+        return plan
+    return replace(plan, card=plan_card(images, points, plan.count, card_memory(device)))
 
 
 def plan_memory(

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU
-from ..errors import RunFolderError, Stopped, TrainingError
+from ..errors import GpuMemoryError, RunFolderError, Stopped, TrainingError
 from ..formats import run_files
 from ..formats.events import Preview, StageStarted
 from ..formats.files import sha256
@@ -33,8 +33,9 @@ from ..training.checkpoint import (
     save_checkpoint,
 )
 from ..training.config import TrainConfig
+from ..training.stage_data import StageData
 from ..training.state import check_state
-from ..training.trainer import StageData, Trainer
+from ..training.trainer import Trainer
 from .archive import archive, archive_damaged, archived, restore
 from .stage_record import DamagedError, StageRecord, check_model, read_record, write_record
 
@@ -215,6 +216,7 @@ class StageFolder:
             Stopped: on request; a checkpoint was written.
             RunFolderError: the checkpoint has other settings, or is damaged.
             TrainingError: training diverged twice.
+            GpuMemoryError: the GPU memory is full; a checkpoint was written if it fits.
         """
         context.emit(StageStarted(stage=self.name, total=config.steps))
         try:
@@ -243,7 +245,14 @@ class StageFolder:
                     self.preview_seconds, lambda: self._write_preview(trainer, context)
                 )
             )
-        if not trainer.run(context, stage=self.name, callbacks=callbacks):
+        try:
+            is_done = trainer.run(context, stage=self.name, callbacks=callbacks)
+        except GpuMemoryError:
+            if trainer.is_between_steps:
+                with suppress(GpuMemoryError, RuntimeError):  # out of memory again, or a broken GPU
+                    self._save(trainer)
+            raise
+        if not is_done:
             self._save(trainer)
             raise Stopped(self.name)
         trainer.check()

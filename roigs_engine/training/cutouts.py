@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..context import QUIET, Context
+from ..cuda.sending import sent
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
@@ -38,6 +39,7 @@ class Cutout:
 
     Attributes:
         photo: its row number.
+        box: the object's, its row number.
         rows: of the object's Gaussians, ascending.
         shown: (H, W) bool, the pixels that show the object.
         counted: (H, W) bool, the pixels to compare.
@@ -46,6 +48,7 @@ class Cutout:
     """
 
     photo: int
+    box: int
     rows: Tensor
     shown: Tensor
     counted: Tensor
@@ -60,7 +63,7 @@ class Cutout:
     def target(self, photo: Tensor) -> Tensor:
         """The photo (H, W, 3) uint8 with the background's colour where it shows something else."""
         behind = (self.background * 255).round().to(photo)
-        return torch.where(self.shown[..., None].to(photo.device), photo, behind)
+        return torch.where(sent(self.shown[..., None], photo.device), photo, behind)
 
 
 class Cutouts:
@@ -126,10 +129,11 @@ class Cutouts:
         colour = np.random.default_rng([self._seed, step]).random(3).astype(np.float32)
         return Cutout(
             photo=photo,
+            box=box,
             rows=self._rows[box],
             shown=both[0],
             counted=both[1],
-            background=torch.from_numpy(colour).to(self._device),
+            background=sent(torch.from_numpy(colour), self._device),
             loss_weight=self._weight,
         )
 

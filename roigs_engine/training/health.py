@@ -44,6 +44,10 @@ class Health:
         """Keep the loss of a step, a scalar tensor, without reading its value."""
         self._new.append((step, photo, loss))
 
+    def forget(self, step: int) -> None:
+        """Drop the losses of this step and later ones, which are done again."""
+        self._new = [record for record in self._new if record[0] < step]
+
     def check(
         self, step: int, parameters: Mapping[str, Tensor], skipped_rows: int | Tensor
     ) -> None:

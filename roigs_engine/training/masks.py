@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..context import QUIET, Context
+from ..cuda.device import CPU
+from ..cuda.sending import sent
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.masks import load_object_mask
@@ -72,7 +74,7 @@ class RoiMasks:
         view_weighting: float = 0.0,
         context: Context = QUIET,
     ) -> None:
-        self._images, self._rois, self._device = images, rois, device
+        self._images, self._rois, self._device = images, rois, device or CPU
         self._weighting = view_weighting
         self._tiles: dict[int, NDArray[np.bool_]] = {}
         self._mean_share = self._geometric_mean(drawn, context) if view_weighting else 0.0
@@ -90,7 +92,7 @@ class RoiMasks:
         return RoiMask(
             pixels=torch.from_numpy(np.ascontiguousarray(mask)),
             window=(x0, y0, x1, y1),
-            weights=torch.from_numpy(weights).to(self._device),
+            weights=sent(torch.from_numpy(weights), self._device),
             loss_weight=self._loss_weight(float(mask.mean())),
         )
 

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from ..cuda.library import has_triton, own_kernels
+from ..cuda.rooms import Room
 from ..errors import EngineError
 from ..kernels import bindings
 from .config import TrainConfig
@@ -317,6 +318,7 @@ class FusedStep:
     """An optimizer step that the backward pass takes (`rasterize.inputs.BackwardStep`)."""
 
     optimizer: VisibleAdam
+    room: Room | None = None
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:

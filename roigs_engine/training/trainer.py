@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,69 +12,35 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
-from ..cuda.memory import explain_out_of_memory, smaller_side
-from ..cuda.photos import Photos, photos_on
+from ..cuda.photos import photos_on
+from ..cuda.sending import number, sent
 from ..errors import Stopped
 from ..formats.events import Progress
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
-from ..model.roi import OrientedBox
-from ..model.scene import Float64, PosedImage
 from ..rasterize import RenderOutput, rasterize
+from . import full_memory
 from .averaging import ModelMean
-from .budget import BoxBudget
 from .callbacks import PeriodicCallback
+from .cameras import camera_tensors
 from .config import TrainConfig
-from .cutouts import Cutout, Cutouts
+from .cutouts import Cutout
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
+from .figures import Figures
 from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
-from .masks import RoiMask, RoiMasks, counted_weights, split_mask
+from .masks import RoiMask, counted_weights, split_mask
 from .optimizer import VisibleAdam, learning_rates
-from .photo_order import PhotoAt, is_whole
+from .photo_order import is_whole
+from .stage_data import StageData
+from .steps_ahead import StepsAhead
 from .threads import one_torch_thread
 from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
-PSNR_EVERY = 50  # steps
-RECENT = 0.98  # weight of the past in the running loss that progress shows
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StageData:
-    """The data that a stage trains on.
-
-    Attributes:
-        images: posed photos.
-        photos: their pixels, in the same order.
-        photo_at: step -> position in `images` of the photo that the step uses.
-        extent: the *scene's* extent, world units; scales position learning rates and pruning sizes.
-        rois: boxes that limit densification, if the stage's config says so.
-        budgets: Gaussian budget of each box; None: no limit.
-        masks: masks for the steps that do not use whole photos (`config.full_every`).
-        cutouts: the objects that some steps draw alone; None: there are none. The stage must not
-            densify, and their rows are those of the `z_order` of its first model.
-        points: (P, 3) of the scene, world units; used with `config.min_views`.
-        backgrounds: (P, 3) colour behind all Gaussians, for each photo, on `device`; None: black.
-        seed: for the positions of split Gaussians.
-        device: where to train; devices differ only in rounding.
-    """
-
-    images: Sequence[PosedImage]
-    photos: Photos
-    photo_at: PhotoAt
-    extent: float
-    rois: Sequence[OrientedBox] = ()
-    budgets: Sequence[BoxBudget] | None = None
-    masks: RoiMasks | None = None
-    cutouts: Cutouts | None = None
-    points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
-    backgrounds: Tensor | None = None
-    seed: int = 0
-    device: torch.device = CPU
 
 
 class Trainer:
@@ -84,7 +49,8 @@ class Trainer:
     Everything random is a function of (seed, step), so `state_dict` needs no random generator, and
     a trainer that loads it continues exactly.
 
-    A step does not wait for its device: the running loss is read only when progress is shown.
+    A step does not wait for its device: the running loss is read only when progress is shown, and
+    that a view had no room on a GPU is heard of later (`StepsAhead`).
     """
 
     def __init__(self, gaussians: Gaussians, data: StageData, config: TrainConfig) -> None:
@@ -100,10 +66,11 @@ class Trainer:
         self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
         self.health = Health([image.name for image in data.images])
-        self._photos = photos_on(data.device, data.photos)
-        self._viewmats, self._intrinsics = _cameras(data.images, data.device)
-        self._loss = torch.tensor(torch.nan, device=data.device)
-        self._psnr = float("nan")
+        self._photos = photos_on(data.device, data.photos, data.card_photos)
+        self._viewmats, self._intrinsics = camera_tensors(data.images, data.device)
+        self._ahead = StepsAhead(data.device)
+        self._figures = Figures(data.device)
+        self._steps_before = 0  # of the optimizer, in front of this step
 
     @property
     def gaussians(self) -> Gaussians:
@@ -125,7 +92,10 @@ class Trainer:
             stage: the stage's name in progress events.
             callbacks: called between steps to write checkpoints and previews.
         """
-        with one_torch_thread(), explain_out_of_memory(self._doing, self._advice):
+        explained = full_memory.explained(
+            self.data.images, lambda: (self.step, len(self._parameters))
+        )
+        with one_torch_thread(), explained:
             return self._run(context, stage, callbacks)
 
     def _run(self, context: Context, stage: str, callbacks: Sequence[PeriodicCallback]) -> bool:
@@ -141,7 +111,8 @@ class Trainer:
             self.cpu_seconds = time.process_time() - cpu_started
             if now - reported > REPORT_SECONDS or self.step == self.config.steps:
                 reported = now
-                left = (now - started) / (self.step - first) * (self.config.steps - self.step)
+                done = max(self.step - first, 1)
+                left = (now - started) / done * (self.config.steps - self.step)
                 context.emit(self._progress(stage, left))
             for callback in callbacks:
                 # Writing files does not count as training time.
@@ -154,6 +125,8 @@ class Trainer:
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
         config, data = self.config, self.data
+        self._ahead.begin(self.step, self._figures.loss)
+        self._steps_before = self._optimizer.step_count
         self._optimizer.set_lr("means", config.position_learning_rate(self.step) * data.extent)
         cutout = None if data.cutouts is None else data.cutouts.at(self.step)
         if cutout is not None:
@@ -174,7 +147,7 @@ class Trainer:
             image, target, ssim_weight=config.ssim_weight, weights=weights, counted=counted
         )
         # A pixel weighs about as much as in a whole photo: gradient thresholds keep their meaning.
-        loss_weight = None if mask is None else loss.loss.new_tensor(mask.loss_weight)
+        loss_weight = None if mask is None else number(mask.loss_weight, data.device)
         if counted is not None:
             weights, share = counted_weights(weights, counted)
             loss_weight = share if loss_weight is None else loss_weight * share
@@ -183,22 +156,25 @@ class Trainer:
         if self._optimizer.backward_step is None:
             self._optimizer.step(visible)
         self._density.observe(visible, output.grad2d[0], output.max_weight)
-        self._observe(loss.loss.detach(), image, target, weights)
-        self._end_step(index, loss.loss.detach())
+        value = loss.loss.detach()
+        self._figures.observe(self.step, value, (image, target), weights)
+        self._end_step(index, value)
 
     def _cutout_step(self, cutout: Cutout) -> None:
         """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
         target, _ = split_mask(self._photos[cutout.photo])
         part = self._optimizer.part(cutout.rows)
-        output = self._rendered(part, cutout.photo, cutout.counted, background=cutout.background)
+        view = cutout.photo, cutout.box
+        output = self._rendered(part, view, cutout.counted, background=cutout.background)
         window = cutout.window()
         loss = photo_loss(
             output.image.squeeze(0)[window],
             cutout.target(target)[window],
             ssim_weight=self.config.ssim_weight,
-            counted=cutout.counted[window].to(target.device),
+            counted=sent(cutout.counted[window], target.device),
         )
-        loss.loss.backward(loss.loss.new_tensor(cutout.loss_weight))  # type: ignore[no-untyped-call]
+        weight = number(cutout.loss_weight, target.device)
+        loss.loss.backward(weight)  # type: ignore[no-untyped-call]
         if part.backward_step is None:
             part.step(output.visible[0])
         self._optimizer.put(part, cutout.rows)
@@ -206,18 +182,42 @@ class Trainer:
 
     def _end_step(self, index: int, loss: Tensor) -> None:
         """Count a step on a photo, look for NaN, edit the model if it is due."""
-        config = self.config
         self.health.record_loss(self.step, index, loss)
         self.step += 1
-        if self.step % min(CHECK_EVERY, config.densify_every) == 0:
+        checks = self.step % min(CHECK_EVERY, self.config.densify_every) == 0
+        edits, averages = self._density.is_due(self.step), self._averages()
+        ends = self.step == self.config.steps
+        reads = checks or edits or averages or ends or self._figures.is_new
+        if self._taken_back(wait=reads):
+            return
+        self._figures.read()
+        if checks:
             self.check()
-        edit = self._density.edit(self._parameters, self.step)
+        edit = self._density.edit(self._parameters, self.step) if edits else None
         if edit is not None:
             self._apply(edit)
         self._average()
 
+    def _taken_back(self, *, wait: bool) -> bool:
+        """Whether steps must be done again; then the trainer is where the first of them begins."""
+        found = self._ahead.first_void(wait=wait)
+        if found is None:
+            return False
+        step, loss = found
+        self._figures.take_back(loss)
+        self._optimizer.step_count -= self.step - step
+        self.health.forget(step)
+        self.step = step
+        return True
+
+    @property
+    def is_between_steps(self) -> bool:
+        """Whether a step that failed has changed nothing: the state is that in front of it."""
+        return self._optimizer.step_count == self._steps_before
+
     def check(self) -> None:
         """Raise TrainingError if a loss, a gradient or a parameter is NaN or Inf."""
+        self._taken_back(wait=True)
         self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
 
     def _mask(self, index: int) -> RoiMask | None:
@@ -230,18 +230,28 @@ class Trainer:
     def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
         active = None if mask is None else mask.pixels
         if counted is not None:
-            active = counted if active is None else active.to(counted.device) & counted
+            active = counted if active is None else sent(active, counted.device) & counted
         colours, needed = self.data.backgrounds, self._density.needs_max_weight
         behind = None if colours is None else colours[index]
-        return self._rendered(
-            self._optimizer, index, active, background=behind, with_max_weight=needed
-        )
+        view = index, "whole" if mask is None else "mask"
+        options: dict[str, Any] = {"background": behind, "with_max_weight": needed}
+        return self._rendered(self._optimizer, view, active, **options)
 
     def _rendered(
-        self, optimizer: VisibleAdam, index: int, active: Tensor | None, **options: Any
+        self,
+        optimizer: VisibleAdam,
+        view: tuple[int, int | str],
+        active: Tensor | None,
+        **options: Any,
     ) -> RenderOutput:
-        """A photo's view of an optimizer's Gaussians; `active`: the pixels that are needed."""
-        p, camera = optimizer.parameters, self.data.images[index].camera
+        """An optimizer's Gaussians.
+
+        Args:
+            view: the photo, and what is drawn of it.
+            active: the pixels that are needed; None: all.
+        """
+        p, index = optimizer.parameters, view[0]
+        camera = self.data.images[index].camera
         return rasterize(
             p["means"],
             p["quats"],
@@ -255,41 +265,30 @@ class Trainer:
             sh_degree=self.config.degree(self.step),
             raw=True,
             mask=active,
-            backward_step=optimizer.backward_step,
+            backward_step=self._ahead.backward_step(optimizer, self.step, view),
             **options,
         )
-
-    def _observe(
-        self, loss: Tensor, rendered: Tensor, target: Tensor, weights: Tensor | None
-    ) -> None:
-        """Update the running loss, and every `PSNR_EVERY` steps the PSNR, which costs more."""
-        self._loss = torch.where(
-            self._loss.isnan(), loss, RECENT * self._loss + (1 - RECENT) * loss
-        )
-        if self.step % PSNR_EVERY == 0:
-            error = (rendered.detach() - target / 255.0).square().mean(dim=-1)
-            if weights is None:
-                mean = error.mean()
-            else:
-                mean = (error * weights).sum() / weights.sum().clamp(min=1)
-            psnr = float(-10 * torch.log10(mean.clamp(min=1e-10)))
-            self._psnr = psnr if self._psnr != self._psnr else 0.7 * self._psnr + 0.3 * psnr
 
     def _progress(self, stage: str, seconds_left: float) -> Progress:
         return Progress(
             stage=stage,
             step=self.step,
             total=self.config.steps,
-            loss=float(self._loss),
-            psnr=self._psnr,
+            loss=float(self._figures.loss),
+            psnr=self._figures.psnr,
             gaussians=len(self._parameters),
             seconds_left=seconds_left,
         )
 
+    def _averages(self) -> bool:
+        """Whether the model is averaged after this step."""
+        last = self.step > self.config.steps - self.config.average_steps
+        return last and self.step % AVERAGE_EVERY == 0
+
     def _average(self) -> None:
         """Add the model to the mean; at the last step, the mean becomes the model."""
         config = self.config
-        if self.step > config.steps - config.average_steps and self.step % AVERAGE_EVERY == 0:
+        if self._averages():
             self._mean.add(self._parameters)
         if self.step == config.steps and self._mean.count:
             self._parameters = _leaves(self._mean.mean())
@@ -309,26 +308,10 @@ class Trainer:
         self.cpu_seconds += time.process_time() - cpu_began
         return True
 
-    def _doing(self) -> str:
-        """Describes the work for the message when memory is full."""
-        width, height = self._largest()
-        photos = f"photos of up to {width}x{height}"
-        return f"step {self.step}, {len(self._parameters):,} Gaussians, {photos}"
-
-    def _advice(self) -> str:
-        return (
-            "Close other programs that use the GPU, or train with smaller photos"
-            f" (--max-side {smaller_side(*self._largest())}) or fewer Gaussians (a smaller"
-            " --preset). The last checkpoint is kept."
-        )
-
-    def _largest(self) -> tuple[int, int]:
-        cameras = [image.camera for image in self.data.images]
-        return max(c.width for c in cameras), max(c.height for c in cameras)
-
     def _apply(self, edit: Edit) -> None:
         """Continue with the edited Gaussians and their optimizer state."""
         if edit.rows is not None:
+            self._ahead.grow(len(self._parameters), len(edit.rows))
             self._mean.clear()
             self._parameters = _leaves(edit.gaussians)
             self._optimizer.replace(self._parameters.tensors(), edit.rows)
@@ -359,12 +342,13 @@ class Trainer:
 
     def state_dict(self) -> dict[str, Any]:
         """The complete training state: tensors on the CPU and plain numbers."""
+        self._taken_back(wait=True)
         state = {
             "step": self.step,
             "seconds": self.seconds,
             "cpu_seconds": self.cpu_seconds,
-            "loss": float(self._loss),
-            "psnr": self._psnr,
+            "loss": float(self._figures.loss),
+            "psnr": self._figures.psnr,
             "parameters": {n: t.detach() for n, t in self._parameters.tensors().items()},
             "optimizer": self._optimizer.state_dict(),
             "mean": self._mean.state_dict(),
@@ -377,23 +361,14 @@ class Trainer:
         state = on_device(state, self.data.device)
         self.step, self.seconds = int(state["step"]), float(state["seconds"])
         self.cpu_seconds = float(state["cpu_seconds"])
-        self._loss, self._psnr = self._loss.new_tensor(state["loss"]), float(state["psnr"])
+        self._figures.loss.fill_(float(state["loss"]))
+        self._figures.psnr = float(state["psnr"])
         self._parameters = _leaves(Gaussians(**state["parameters"]))
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
         self._mean.load_state_dict(state["mean"])
         self._density = self._new_density(len(self._parameters))
         self._density.load_state_dict(state["density"])
-
-
-def _cameras(images: Sequence[PosedImage], device: torch.device) -> tuple[Tensor, Tensor]:
-    """(V, 4, 4) world_to_camera and (V, 3, 3) intrinsics of the photos, float32 on the device."""
-    poses = np.stack([image.world_to_camera for image in images])
-    matrices = np.stack([image.camera.matrix() for image in images])
-    return (
-        torch.from_numpy(poses.astype(np.float32)).to(device),
-        torch.from_numpy(matrices.astype(np.float32)).to(device),
-    )
 
 
 def _leaves(gaussians: Gaussians) -> Gaussians:

@@ -36,6 +36,7 @@ struct Frame {
     uint8_t* visible;        // (N,)
     const int64_t* order;    // (N,) front to back
     const int64_t* ends;     // (N,) in that order: the slot behind the Gaussian's last one
+    const uint8_t* void_;    // (1,) null, or whether there are not enough slots: draw nothing
     // of each slot
     int16_t* short_tiles;    // (pairs,) its tile; this one, or ..
     int32_t* tiles;          // .. where there are too many tiles for it, this one

@@ -90,13 +90,18 @@ extern "C" __global__ void __launch_bounds__(128) project(const Frame f) {
 }
 
 // Fills the slots, Gaussian by Gaussian from front to back: a stable sort by tile is all that is
-// left to do.
+// left to do. Where there are not enough of them, the view is void.
 extern "C" __global__ void __launch_bounds__(128) list_tiles(const Frame f) {
     const int64_t rank = thread_index();
     if (rank >= f.gaussians.count) return;
     const int64_t n = f.order[rank];
     const int count = f.pair_counts[n];
     if (!count) return;
+    if (f.void_ && *f.void_) {  // as if nothing were seen: no kernel after this one finds any
+        f.pair_counts[n] = 0;
+        f.visible[n] = 0;
+        return;
+    }
     int64_t slot = f.ends[rank] - count;
     f.first_slot[n] = int32_t(slot);
     float c[kColumns];

@@ -41,22 +41,38 @@ class AdaptiveDensity:
         """Add the statistics of one training view; all arguments (N,)."""
         self.stats.add(visible, grad2d, max_weight)
 
+    def is_due(self, step: int) -> bool:
+        """Whether to densify, to prune or to reset after `step` steps."""
+        return self._densifies(step) or self._ends_window(step) or self._resets(step)
+
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
         """Densify, prune and reset, as far as due after `step` steps."""
-        config = self.config
-        densifying = config.densify_from <= step < config.densify_until
         edit = Edit(gaussians=gaussians, rows=None)
-        if densifying and step % config.densify_every == 0:
+        if self._densifies(step):
             edit = self._densified(gaussians, step)
             assert edit.rows is not None
             self.follow(edit.rows)
-        if config.contribution_every and step - self._window >= self._window_steps():
+        if self._ends_window(step):
             edit = self._prune_idle(edit)
             self.stats.new_window()
             self._window = step
-        if densifying and config.reset_every and step % config.reset_every == 0:
+        if self._resets(step):
             edit = replace(edit, opacity_cap=RESET_OPACITY)
         return None if edit.rows is None and edit.opacity_cap is None else edit
+
+    def _grows(self, step: int) -> bool:
+        return self.config.densify_from <= step < self.config.densify_until
+
+    def _densifies(self, step: int) -> bool:
+        return self._grows(step) and step % self.config.densify_every == 0
+
+    def _resets(self, step: int) -> bool:
+        every = self.config.reset_every
+        return self._grows(step) and every > 0 and step % every == 0
+
+    def _ends_window(self, step: int) -> bool:
+        every = self.config.contribution_every
+        return every > 0 and step - self._window >= self._window_steps()
 
     def follow(self, rows: Tensor) -> None:
         """Carry the statistics over to edited rows; gradient sums restart at zero."""

@@ -51,6 +51,10 @@ class DensityControl(Protocol):
         """Add the statistics of one training view; all (N,), see `rasterize.RenderOutput`."""
         ...
 
+    def is_due(self, step: int) -> bool:
+        """Whether `edit` may make one after `step` steps; it costs nothing to ask."""
+        ...
+
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
         """The edit that is due after `step` steps, for the caller to apply; None: no edit."""
         ...

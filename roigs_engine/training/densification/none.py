@@ -18,6 +18,10 @@ class FixedDensity:
     def observe(self, visible: Tensor, grad2d: Tensor, max_weight: Tensor | None) -> None:
         """Does nothing."""
 
+    def is_due(self, step: int) -> bool:
+        """Never."""
+        return False
+
     def edit(self, gaussians: Gaussians, step: int) -> Edit | None:
         """Always None."""
         return None

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from roigs_addon.engine import base_python, check, environments, install, install_steps, python
+from roigs_addon.engine.graphics_card import BUILDS
 from roigs_addon.engine.install import Installation
 from roigs_addon.engine.install_steps import Plan, Step
 from roigs_addon.errors import AddonError
@@ -235,11 +236,13 @@ def test_offline_steps_ask_no_index(tmp_path: Path) -> None:
     ]
     assert all("--no-index" in step.command for step in offline[1:5])
     assert [step.needed for step in offline] == [True, True, False, False, False, True, True]
-    online = install_steps.steps(Plan(environments=(tmp_path,), cuda=True), base, made)
+    online = install_steps.steps(
+        Plan(environments=(tmp_path,), torch_index=BUILDS[0].index), base, made
+    )
     scripts = [part for step in online for part in step.command if part.endswith(".py")]
     own = ("install_torch", "trim_engine", "try_engine")
     assert scripts == [str(ROOT / "tools" / f"{name}.py") for name in own]
-    index = install_steps.CUDA_INDEX
+    index = BUILDS[0].index
     assert sys.platform == "darwin" or any(index in step.command for step in online)
     asked = [part for step in online for part in step.command]
     assert not any(part.startswith("gsplat") for part in asked)  # it would need a compiler

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
 from roigs_addon.engine import python
+from roigs_addon.engine.graphics_card import Card, choose
+
+CARD = Card(name="NVIDIA GeForce RTX 4070", driver="580.95.05", capability=(8, 9))
 
 
 @pytest.fixture
@@ -72,9 +76,67 @@ def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleTyp
     from roigs_addon.ui import preferences
 
     for formats, size in ((False, "411 MB and takes 1260"), (True, "536 MB and takes 1780")):
-        said = preferences._needed_space(SimpleNamespace(cuda=False, formats=formats))
+        said = preferences._needed_space(SimpleNamespace(build="CPU", formats=formats), None)
         assert said == f"Downloads about {size} MB of the disk (on Linux)."
-    assert "gigabytes" in preferences._needed_space(SimpleNamespace(cuda=True))
+    for build, found, size in (
+        ("CUDA", None, "2.6 GB"),
+        ("AUTO", CARD, "2.6 GB"),
+        ("AUTO", None, "411 MB"),
+        ("CPU", CARD, "411 MB"),
+    ):
+        page = SimpleNamespace(build=build, formats=False)
+        assert size in preferences._needed_space(page, choose(found))
+
+
+def test_the_page_says_what_automatic_installs(blender: ModuleType, addon: ModuleType) -> None:
+    from roigs_addon.ui import preferences
+
+    assert preferences._what_suits(None).startswith("Asking")
+    assert preferences._what_suits(choose(CARD)) == (
+        "Automatic installs torch for CUDA (cu130). NVIDIA GeForce RTX 4070, driver 580.95.05."
+    )
+    assert preferences._what_suits(choose(None)) == (
+        "Automatic installs torch for the CPU. No NVIDIA card with a driver was found."
+    )
+
+
+@pytest.mark.parametrize(
+    ("build", "found", "index"),
+    [
+        ("AUTO", CARD, "https://download.pytorch.org/whl/cu130"),
+        ("AUTO", None, ""),
+        ("CPU", CARD, ""),
+        ("CUDA", CARD, "https://download.pytorch.org/whl/cu130"),
+        ("CUDA", None, "https://download.pytorch.org/whl/cu130"),
+    ],
+)
+def test_a_set_up_installs_what_suits(
+    build: str,
+    found: Card | None,
+    index: str,
+    blender: ModuleType,
+    addon: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from roigs_addon.engine import graphics_card as driver
+    from roigs_addon.engine import install
+    from roigs_addon.errors import AddonError
+    from roigs_addon.facts import graphics_card
+
+    plans: list[install.Plan] = []
+
+    def begin(plan: install.Plan) -> None:
+        plans.append(plan)
+        raise AddonError("enough")
+
+    monkeypatch.setattr(driver, "find", lambda: found)
+    monkeypatch.setattr(install, "begin", begin)
+    graphics_card.forget()
+    with pytest.raises(RuntimeError, match="enough"):
+        blender.ops.roigs.setup_engine(build=build, wheels=str(tmp_path))
+    assert [plan.torch_index for plan in plans] == [index]
+    graphics_card.forget()
 
 
 def test_all_versions_of_blender_share_the_environments(
@@ -89,3 +151,12 @@ def test_all_versions_of_blender_share_the_environments(
     assert shared("/home/a/blender/4.3") == shared("/home/a/blender/5.2")
     assert shared("/home/a/blender/5.2") == Path("/home/a/blender/roigs/engine")
     assert shared("/apps/blender/portable") == Path("/apps/blender/portable/roigs/engine")
+
+
+def test_the_page_has_every_setting(blender: ModuleType, addon: ModuleType) -> None:
+    """Where the add-on is enabled, they are read from there; where it is not, as in tests, not."""
+    from roigs_addon import settings
+    from roigs_addon.ui.preferences import RoigsPreferences
+
+    names = {field.name for field in fields(settings.Settings)}
+    assert names == {name for name in RoigsPreferences.__annotations__ if name != "bl_idname"}

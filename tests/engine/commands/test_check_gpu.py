@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from roigs_engine.cli import main
+from roigs_engine.commands.console import Console
 from roigs_engine.cuda import card, device, driver
 from roigs_engine.training import gpu_check, gpu_times
 from tests.engine.cuda.shim import ShimProgram, compiled
@@ -49,8 +51,8 @@ def test_it_prints_everything_for_a_bug_report(
 def test_a_wrong_kernel_is_an_error_after_the_figures(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    edit = ("blue += weight * s.blue;", "blue += weight * s.red;")
-    program = ShimProgram(compiled(("-O1",), {"blend.cu": edit}))
+    edit = ("blend.cu", "blue += weight * s.blue;", "blue += weight * s.red;")
+    program = ShimProgram(compiled(("-O1",), [edit]))
     monkeypatch.setattr(card, "program", lambda device: program)
     assert main(["check-gpu"]) == 2
     said = capsys.readouterr()
@@ -65,3 +67,31 @@ def test_without_a_card_it_says_why(
     assert main(["check-gpu"]) == 2
     said = capsys.readouterr()
     assert "torch" in said.out and "error: This torch is built without CUDA." in said.err
+
+
+def test_brief_only_says_which_device_trains(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(torch.version, "cuda", None)
+    assert main(["check-gpu", "--brief"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ("Device: this computer's processor (This torch is built without CUDA).\n")
+    assert not said.out
+    monkeypatch.setattr(Console, "_read_input", lambda _: None)  # pytest has closed it
+    assert main(["check-gpu", "--brief", "--events"]) == 0
+    first, last = map(json.loads, capsys.readouterr().out.splitlines())
+    assert first["event"] == "device" and first["kind"] == "cpu" and last["event"] == "done"
+
+
+@pytest.mark.usefixtures("_card")
+def test_brief_checks_the_card(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = ShimProgram(compiled())
+    monkeypatch.setattr(card, "program", lambda device: program)
+    assert main(["check-gpu", "--brief"]) == 0
+    assert "Device: Some Card (checked)." in capsys.readouterr().err
+    monkeypatch.setattr(gpu_check, "LIMIT", 0.0)
+    monkeypatch.setattr(gpu_check, "_records", dict)
+    assert main(["check-gpu", "--brief"]) == 0
+    assert "processor (GPU check: differs from the CPU" in capsys.readouterr().err

@@ -92,7 +92,9 @@ def test_the_log_has_every_event(project: Project, tmp_path: Path) -> None:
     first = python(*command, "--run-dir", folder, *tiny)
     assert first.returncode == 0, first.stderr
     log = folder / "events.jsonl"
-    assert "has 2 models" in first.stdout.splitlines()[0]  # said before the folder is looked at
+    device, said = first.stdout.splitlines()[:2]
+    assert json.loads(device)["event"] == "device"
+    assert "has 2 models" in said  # before the folder is looked at
     assert log.read_text(encoding="utf-8") == first.stdout
     second = python(*command, "--run-dir", folder, *tiny)
     assert log.read_text(encoding="utf-8") == first.stdout + second.stdout

@@ -22,8 +22,8 @@ from roigs_engine.context import QUIET, Context
 from roigs_engine.cuda import device, library
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.cuda.photos import DevicePhotos
-from roigs_engine.errors import KernelError
-from roigs_engine.formats.events import Message
+from roigs_engine.errors import GpuMemoryError, KernelError
+from roigs_engine.formats.events import Device
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.ownership import nearest_owner, owners
 from roigs_engine.model.roi import OrientedBox
@@ -39,7 +39,8 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -99,7 +100,7 @@ def test_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     plain = trained(scene, config)
-    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=1e-4)
+    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=1e-4)
     assert torch.allclose(weights(plain), weights(kernels), atol=1e-3)
     for name in NAMES:
         ours, truth = getattr(plain.gaussians, name), getattr(kernels.gaussians, name)
@@ -129,11 +130,11 @@ def test_masked_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     monkeypatch.setattr(
-        trainer, "photos_on", lambda _, photos: DevicePhotos(photos, upload, limit=1 << 20)
+        trainer, "photos_on", lambda _, photos, room: DevicePhotos(photos, upload, limit=1 << 20)
     )
     plain = trained(scene, config)
     assert sent and set(sent) == {(48, 64, 4)}
-    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=1e-4)
+    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=1e-4)
     assert torch.allclose(plain.gaussians.means, kernels.gaussians.means, atol=1e-3)
 
 
@@ -146,7 +147,7 @@ def test_densifying_without_kernels_gives_as_good_a_model(
     plain = trained(scene)
     assert len(plain.gaussians) == pytest.approx(len(kernels.gaussians), rel=0.05)
     assert len(plain.gaussians) > 100
-    assert float(plain._loss) == pytest.approx(float(kernels._loss), rel=0.1)
+    assert float(plain._figures.loss) == pytest.approx(float(kernels._figures.loss), rel=0.1)
 
 
 def test_a_step_reads_nothing_back(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,7 +214,7 @@ def test_boxes_own_the_same_on_every_device() -> None:
 # --- memory ---
 
 
-def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
+def test_a_full_card_is_one_line_and_keeps_the_steps_before(
     scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = stage_data(scene)
@@ -223,7 +224,6 @@ def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
     for _ in range(3):
         before.train_step()
     save_checkpoint(stage._checkpoint, before.state_dict(), "f")
-    saved = {path.name: path.read_bytes() for path in stage.folder.iterdir()}
     draws = 0
 
     def full(*arguments: Any, **options: Any) -> Any:
@@ -240,8 +240,33 @@ def test_a_full_card_is_one_line_and_leaves_the_checkpoint(
     said = str(caught.value)
     assert "memory" in said and "step 5" in said and "64x48" in said and "\n" not in said
     assert re.search(r"\d+ Gaussians", said) and "--max-side" in said
+    heard: list[Any] = []
+    ended = stage.train(lambda: start, data, CONFIG, Context(emit=heard.append)).gaussians
+    assert any(getattr(event, "text", "") == "scene: resumes at step 5." for event in heard)
+    never_full = Trainer(start, data, CONFIG)
+    assert never_full.run()
+    for name, tensor in never_full.gaussians.tensors().items():
+        assert torch.equal(getattr(ended, name), tensor), name
+
+
+@pytest.mark.parametrize("part", ["observe", "edit"])
+def test_memory_that_is_full_after_a_step_leaves_the_checkpoint(
+    part: str, scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model has changed, what belongs to the step has not: this is no state to go on from."""
+    data = stage_data(scene)
+    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
+    stage = StageFolder(name="scene", folder=tmp_path / "scene", fingerprint="f")
+    save_checkpoint(stage._checkpoint, Trainer(start, data, CONFIG).state_dict(), "f")
+    saved = {path.name: path.read_bytes() for path in stage.folder.iterdir()}
+
+    def full(*_: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB")
+
+    monkeypatch.setattr(AdaptiveDensity, part, full)
+    with pytest.raises(GpuMemoryError):
+        stage.train(lambda: start, data, CONFIG, QUIET)
     assert {path.name: path.read_bytes() for path in stage.folder.iterdir()} == saved
-    assert stage.train(lambda: start, data, CONFIG, QUIET).gaussians.means.device == CPU
 
 
 # --- photos ---
@@ -277,9 +302,9 @@ def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(torch.version, "cuda", None)
     said: list[Any] = []
     assert choose_device("auto", Context(emit=said.append)) == CPU
-    assert [type(event) for event in said] == [Message]
-    assert "without CUDA" in said[0].text
-    assert choose_device("cpu", Context(emit=said.append)) == CPU and len(said) == 1
+    assert said == [Device(kind="cpu", name="", reason="This torch is built without CUDA")]
+    assert choose_device("cpu", Context(emit=said.append)) == CPU
+    assert said[1:] == [Device(kind="cpu", name="", reason="chosen")]
     with pytest.raises(KernelError, match="Install torch for CUDA"):
         choose_device("cuda")
 

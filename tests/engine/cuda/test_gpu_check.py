@@ -68,7 +68,7 @@ def test_another_driver_is_checked_again(
 def test_a_wrong_kernel_is_caught_with_numbers(
     source: str, old: str, new: str, what: str, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = ShimProgram(compiled(("-O1",), {source: (old, new)}))
+    program = ShimProgram(compiled(("-O1",), [(source, old, new)]))
     monkeypatch.setattr(card, "program", lambda device: program)
     with pytest.raises(KernelError, match=rf"GPU check: differs .*{what} by \d\.\de") as caught:
         gpu_check.check_once(CPU)
@@ -95,8 +95,8 @@ def test_a_failing_card_is_one_line_and_the_cpu_trains(
     said: list[Any] = []
     found = choose_device("auto", Context(emit=said.append), gpu_check.check_once)
     assert found == CPU
-    assert line in said[-1].text and said[-1].text.startswith("Using the CPU: GPU check: ")
-    assert "\n" not in said[-1].text
+    assert line in said[-1].reason and said[-1].reason.startswith("GPU check: ")
+    assert "\n" not in said[-1].reason and said[-1].kind == "cpu"
     with pytest.raises(KernelError, match=line):
         choose_device("cuda", check=gpu_check.check_once)
 

@@ -26,7 +26,7 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.stage_folder import StageFolder, StageResult
 from roigs_engine.run.strategies import matched, plan_run, scene_stage, strategy
 from roigs_engine.training import health
-from roigs_engine.training.trainer import StageData
+from roigs_engine.training.stage_data import StageData
 from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 

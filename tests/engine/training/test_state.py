@@ -19,8 +19,9 @@ from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.state import check_state
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import make_scene
 
 CONFIG = TrainConfig(steps=20, densify_from=2, densify_until=15, densify_every=5, average_steps=20)

@@ -20,7 +20,8 @@ from roigs_engine.training import trainer as trainer_module
 from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.trainer import StageData, Trainer
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene
 
 SHORT = TrainConfig(

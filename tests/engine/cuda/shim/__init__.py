@@ -9,13 +9,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from roigs_engine.cuda import sources
 
+Edit = tuple[str, str, str]
 FOLDER = Path(__file__).parent
 FLAGS = (
     *("-std=c++17", "-fPIC", "-shared", "-Wall", "-Wno-unknown-pragmas"),
@@ -39,19 +40,17 @@ class ShimProgram:
             raise RuntimeError(f"{kernel}: {wrong.decode()}")
 
 
-def compiled(
-    flags: Sequence[str] = ("-O2",), edits: Mapping[str, tuple[str, str]] | None = None
-) -> Path:
+def compiled(flags: Sequence[str] = ("-O2",), edits: Sequence[Edit] = ()) -> Path:
     """The shim's library, made once per source; skips without a compiler or these fibers.
 
-    Args: `edits`: name of a source -> what to replace in it, and by what.
+    Args: `edits`: the name of a source, what to replace in it, and by what.
     """
     compiler = shutil.which("g++")
     if compiler is None or sys.platform != "linux":
         pytest.skip("the shim needs g++ and Linux's fibers")
     texts = {name: text for name, text in sources.headers().items() if name != "cstdint"}
     texts["roigs.cu"] = sources.program()
-    for name, (old, new) in (edits or {}).items():
+    for name, old, new in edits:
         assert texts[name].count(old) == 1, (name, old)
         texts[name] = texts[name].replace(old, new)
     texts |= {path.name: path.read_text() for path in FOLDER.glob("*shim.*")}

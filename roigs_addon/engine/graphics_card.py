@@ -1,0 +1,167 @@
+"""Which NVIDIA card and driver there are, and which build of torch they can use. No bpy.
+
+What drivers and builds need is in docs/cuda.md, with the sources.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from .command import HIDDEN
+
+SECONDS = 20.0
+"""How long the driver may take to answer."""
+
+FIELDS = ("name,driver_version,compute_cap", "name,driver_version")
+"""What it is asked; drivers before 510 do not know compute_cap."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """An NVIDIA card.
+
+    Attributes:
+        name: as the driver gives it.
+        driver: the driver's version, such as "580.95.05".
+        capability: compute capability, such as (8, 9); None if the driver does not say.
+    """
+
+    name: str
+    driver: str
+    capability: tuple[int, int] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Build:
+    """A build of torch for CUDA.
+
+    Attributes:
+        name: of PyTorch's index.
+        driver: the oldest that it runs with, on Linux and on Windows.
+        oldest, newest: compute capabilities of the cards that it is for, and our kernels too.
+    """
+
+    name: str
+    driver: tuple[tuple[int, ...], tuple[int, ...]]
+    oldest: tuple[int, int]
+    newest: tuple[int, int]
+
+    @property
+    def index(self) -> str:
+        """Where pip finds it."""
+        return f"https://download.pytorch.org/whl/{self.name}"
+
+
+BUILDS = (
+    Build(name="cu130", driver=((580,), (580,)), oldest=(7, 5), newest=(12, 9)),
+    Build(name="cu126", driver=((525, 60, 13), (527, 41)), oldest=(7, 5), newest=(9, 0)),
+)
+"""The first that a card and its driver can use is installed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What to install, and why, as a sentence for the user.
+
+    Attributes:
+        build: None: the one for the CPU.
+        card: None: there is none, or its driver is not installed.
+    """
+
+    build: Build | None
+    card: Card | None
+    reason: str
+
+
+def choose(card: Card | None, platform: str = sys.platform) -> Choice:
+    """The build of torch for a card; `platform` as sys.platform."""
+    if card is None:
+        return Choice(build=None, card=None, reason="No NVIDIA card with a driver was found.")
+    known = f"{card.name}, driver {card.driver}"
+    if card.capability is not None and card.capability < BUILDS[0].oldest:
+        reason = f"{known}: too old a card for our kernels. The CPU trains."
+        return Choice(build=None, card=card, reason=reason)
+    for build in BUILDS:
+        capability = card.capability or build.oldest
+        needed = build.driver[platform == "win32"]
+        if _numbers(card.driver) >= needed and build.oldest <= capability <= build.newest:
+            return Choice(build=build, card=card, reason=f"{known}.")
+    reason = f"{known}: update the driver to 580 or later, then set up the engine again."
+    return Choice(build=None, card=card, reason=reason)
+
+
+def find() -> Card | None:
+    """The card that computes: of several, the one with the highest compute capability.
+
+    The driver's own program is asked, not its library: what crashes does so elsewhere.
+    """
+    for program in _programs():
+        for fields in FIELDS:
+            cards = [card for line in _ask(program, fields) if (card := _card(line))]
+            if cards:
+                return max(cards, key=lambda card: card.capability or (0, 0))
+    return None
+
+
+def _programs() -> Iterator[str]:
+    """Where nvidia-smi may be: it is not always on the path of programs started from a desktop."""
+    found = shutil.which("nvidia-smi")
+    if found:
+        yield found
+    places = [Path("/usr/bin"), Path("/usr/lib/wsl/lib"), Path("/run/current-system/sw/bin")]
+    name = "nvidia-smi"
+    if sys.platform == "win32":  # whose variables have any case
+        name = "nvidia-smi.exe"
+        windows = os.environ.get("SYSTEMROOT", r"C:\Windows")
+        programs = os.environ.get("PROGRAMW6432") or os.environ.get("PROGRAMFILES", "")
+        places = [
+            Path(windows) / "System32",
+            Path(programs or r"C:\Program Files") / "NVIDIA Corporation" / "NVSMI",
+        ]
+    for place in places:
+        if (place / name).is_file():
+            yield str(place / name)
+
+
+def _ask(program: str, fields: str) -> list[str]:
+    """The lines of its answer; none if it fails."""
+    try:
+        result = subprocess.run(
+            [program, f"--query-gpu={fields}", "--format=csv,noheader"],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=SECONDS,
+            check=False,
+            creationflags=HIDDEN,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return []
+    return result.stdout.splitlines() if result.returncode == 0 else []
+
+
+def _card(line: str) -> Card | None:
+    """A line such as 'NVIDIA GeForce RTX 4070, 580.95.05, 8.9'."""
+    name, *rest = (part.strip() for part in line.split(","))
+    if not name or not rest or not _numbers(rest[0]):
+        return None
+    match = re.fullmatch(r"(\d+)\.(\d+)", rest[1]) if len(rest) > 1 else None
+    capability = (int(match[1]), int(match[2])) if match else None
+    printable = "".join(c if c.isprintable() else " " for c in name)
+    return Card(name=printable, driver=rest[0], capability=capability)
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """(580, 95, 5) of '580.95.05'; empty if it is no version."""
+    if not re.fullmatch(r"\d+(\.\d+)*", version):
+        return ()
+    return tuple(int(part) for part in version.split("."))

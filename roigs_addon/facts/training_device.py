@@ -1,0 +1,109 @@
+"""Which device trains, and why, in the words of the engine; nothing is guessed."""
+
+from __future__ import annotations
+
+import re
+import threading
+from pathlib import Path
+
+import bpy
+
+from .. import settings
+from ..engine import device_check, own_files, python
+from ..engine.event_log import DEVICE
+from ..errors import AddonError
+from ..jobs import current, run_folders
+from ..jobs.last_said import last_said
+from ..windows import Timer, redraw, redraw_sidebars
+
+_SAID = re.compile(r"\d\d:\d\d:\d\d  " + re.escape(DEVICE) + "(.+)")
+
+_logs: dict[Path, tuple[tuple[int, int], str]] = {}
+
+
+class DeviceCheck:
+    """Asks the engine in a thread: that may take a minute at the first use of a GPU.
+
+    Attributes:
+        answer: what it said; empty if it was not asked, or could not answer.
+        thread: the one that asks; None before the first question.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is known yet."""
+        self.answer = ""
+        self.thread: threading.Thread | None = None
+
+    def ask(self) -> None:
+        """Begin to ask, unless that is under way."""
+        if self.busy():
+            return
+        question = settings.chosen_python(), settings.environments()
+        self.thread = threading.Thread(target=self._look, args=question, daemon=True)
+        self.thread.start()
+
+    def busy(self) -> bool:
+        """Whether an answer is on its way."""
+        return self.thread is not None and self.thread.is_alive()
+
+    def _look(self, chosen: str, environments: tuple[Path, ...]) -> None:
+        engine, _ = python.find(chosen, environments, python.FOR_TRAINING)
+        self.answer = "" if engine is None else device_check.ask(engine)
+
+
+_check = DeviceCheck()
+
+
+def ask() -> None:
+    """Ask the engine; in a script, wait for the answer."""
+    _check.ask()
+    if not bpy.app.background:
+        timer.start()
+    elif _check.thread is not None:
+        _check.thread.join()
+
+
+def asked() -> str:
+    """What the engine has answered to `ask`, or the device that the preferences demand."""
+    if _check.busy():
+        return "…"
+    if _check.answer and settings.get().device == "cpu":
+        return "this computer's processor (chosen above)"
+    return _check.answer
+
+
+def of_run(scene: bpy.types.Scene) -> str:
+    """That of the training which runs here or was the last one; else what was `asked`."""
+    if said := current.device():
+        return said
+    log = own_files.log_file(run_folders.run_folder(scene))
+    return _in_log(log) or ("" if _check.busy() else _check.answer)
+
+
+def _in_log(log: Path) -> str:
+    """What the log says; it is read again when it has changed."""
+    try:
+        state = log.stat()
+        key = state.st_mtime_ns, state.st_size
+        if log not in _logs or _logs[log][0] != key:
+            _logs.clear()
+            _logs[log] = key, last_said(log, _SAID)
+    except (OSError, AddonError):
+        return ""
+    return _logs[log][1]
+
+
+def forget() -> None:
+    """The engine may have changed: nothing is known of it."""
+    _check.answer = ""
+
+
+def _poll() -> bool:
+    if _check.busy():
+        return True
+    redraw("PREFERENCES")
+    redraw_sidebars()
+    return False
+
+
+timer = Timer(_poll, 0.3, persistent=True)

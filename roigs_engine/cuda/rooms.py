@@ -1,0 +1,115 @@
+"""Room for the (Gaussian, tile) pairs of views that were drawn before, so that no step waits.
+
+How many pairs a view has decides how much memory its lists take, and only the GPU knows it. To read
+the number is to wait until the GPU has counted. So a training step takes the room that its view
+needed the last time, and some more; the GPU compares. If the room is too small, this view and all
+after it are *void*: they draw nothing and change nothing. The CPU hears of it some steps later, and
+does the void steps again with enough room: the result is the same as if it had waited.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .library import own_kernels
+
+MARGIN = 1.25  # of the number at the last visit: models change little between visits
+LEAST_MARGIN = 4096  # pairs
+
+Number = Callable[[bool], int | None]
+"""A number on its way from the GPU: None before it is there, unless the argument says to wait."""
+
+
+class ArrivingNumber:
+    """Copies a scalar of a GPU to pinned memory, in the order of its queue; nobody waits."""
+
+    def __init__(self, value: Tensor) -> None:
+        self._host = torch.empty((), dtype=value.dtype, pin_memory=True)
+        self._host.copy_(value, non_blocking=True)
+        self._arrived = torch.cuda.current_stream(value.device).record_event()
+
+    def __call__(self, wait: bool) -> int | None:
+        """See `Number`."""
+        if wait:
+            self._arrived.synchronize()
+        elif not self._arrived.query():
+            return None
+        return int(self._host)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """The room for one view of one step.
+
+    Attributes:
+        pairs: there is room for so many; None: the view is new, wait for the number.
+        void: () bool on the GPU, whether this view or an earlier one has too many.
+        report: gets the number of pairs that were counted: on the GPU, or read if `pairs` is None.
+    """
+
+    pairs: int | None
+    void: Tensor
+    report: Callable[[Tensor | int], None]
+
+
+class Rooms:
+    """The rooms of a stage's views.
+
+    Args: `read`: starts to read a scalar of the device.
+    """
+
+    def __init__(
+        self, device: torch.device, read: Callable[[Tensor], Number] = ArrivingNumber
+    ) -> None:
+        self._read = read
+        self._void = torch.zeros((), dtype=torch.bool, device=device)
+        self._needed: dict[Hashable, int] = {}
+        self._coming: deque[tuple[int, Hashable, int, Number]] = deque()
+
+    def room(self, step: int, view: Hashable) -> Room:
+        """The room for a view, whose name says all that changes its pairs beside the model."""
+        needed = self._needed.get(view)
+        pairs = None if needed is None else max(int(MARGIN * needed), needed + LEAST_MARGIN)
+
+        def report(total: Tensor | int) -> None:
+            if pairs is None:
+                self._needed[view] = int(total)
+                return
+            assert isinstance(total, Tensor)
+            torch.logical_or(self._void, total > pairs, out=self._void)
+            self._coming.append((step, view, pairs, self._read(total)))
+
+        return Room(pairs=pairs, void=self._void, report=report)
+
+    def first_void(self, *, wait: bool) -> int | None:
+        """The first step that must be done again, if any is known; later ones are forgotten.
+
+        Args: `wait`: until the GPU has counted the pairs of all views.
+        """
+        while self._coming:
+            step, view, pairs, number = self._coming[0]
+            total = number(wait)
+            if total is None:
+                return None
+            self._coming.popleft()
+            self._needed[view] = total
+            if total > pairs:
+                self._coming.clear()
+                self._void.zero_()
+                return step
+        return None
+
+    def grow(self, factor: float) -> None:
+        """Expect so many times the pairs: there are more Gaussians."""
+        for view, needed in self._needed.items():
+            self._needed[view] = int(max(factor, 1.0) * needed)
+
+
+def rooms_on(device: torch.device) -> Rooms | None:
+    """The rooms for training on a device; None on the CPU and with gsplat, which make their own."""
+    return Rooms(device) if device.type == "cuda" and own_kernels() else None

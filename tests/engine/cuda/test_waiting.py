@@ -1,0 +1,205 @@
+"""A training step does not wait for the GPU, and trains as if it did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from roigs_engine.cuda import rooms
+from roigs_engine.cuda.rooms import Room, Rooms
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.ownership import owners
+from roigs_engine.model.scene import PhotoMask, SfmScene
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.photos.masks import write_mask
+from roigs_engine.training import photo_order
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.cutouts import EVERY, Cutouts
+from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
+from roigs_engine.training.z_order import morton_order
+from tests.engine.cuda.pretend_card import FAR, PretendCard, use
+from tests.engine.cuda.shim import ShimProgram
+from tests.engine.synthetic_scene import BOX, make_scene
+
+Inputs = Callable[[SfmScene], dict[str, Any]]
+VIEWS = 2
+CONFIG = TrainConfig(
+    steps=100, densify_from=90, contribution_every=0, average_steps=0, full_every=2
+)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"), views=VIEWS)
+
+
+@pytest.fixture
+def card(shim: ShimProgram, monkeypatch: pytest.MonkeyPatch) -> PretendCard:
+    made = PretendCard()
+    use(monkeypatch, made)
+    return made
+
+
+def trainer_of(scene: SfmScene, config: TrainConfig = CONFIG, **more: Any) -> Trainer:
+    data = StageData(
+        images=scene.images,
+        photos=more.pop("photos", PhotoCache(scene.images)),
+        photo_at=photo_order.shuffled(range(VIEWS), 3),
+        extent=scene.extent(),
+        rois=[BOX],
+        device=FAR,
+        **more,
+    )
+    return Trainer(start(scene), data, config)
+
+
+def start(scene: SfmScene) -> Gaussians:
+    return Gaussians.from_points(scene.points[::30], scene.colors[::30])
+
+
+def nothing_more(scene: SfmScene) -> dict[str, Any]:
+    return {}
+
+
+def boxes(scene: SfmScene) -> dict[str, Any]:
+    return {"masks": RoiMasks(scene.images, [BOX], range(VIEWS), FAR)}
+
+
+class MaskedPhotos:
+    """Photos of which the left part is ignored."""
+
+    def __init__(self, scene: SfmScene) -> None:
+        self._photos = PhotoCache(scene.images)
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        colours = self._photos[index]
+        mask = np.full((*colours.shape[:2], 1), 255, np.uint8)
+        mask[:, :20] = 0
+        return np.concatenate([colours, mask], axis=2)
+
+    def prefetch(self, indices: Sequence[int]) -> None:
+        pass
+
+
+def masked_photos(scene: SfmScene) -> dict[str, Any]:
+    return {**boxes(scene), "photos": MaskedPhotos(scene)}
+
+
+def backgrounds(scene: SfmScene) -> dict[str, Any]:
+    return {"backgrounds": torch.zeros(VIEWS, 3).to(FAR)}
+
+
+@pytest.mark.parametrize("inputs", [nothing_more, boxes, masked_photos, backgrounds])
+def test_no_step_waits(scene: SfmScene, card: PretendCard, inputs: Inputs) -> None:
+    with card:
+        trainer = trainer_of(scene, **inputs(scene))
+        trainer.step = 30
+        for _ in range(12):  # every view is drawn whole and in part
+            trainer.train_step()
+        card.waits.clear()
+        for _ in range(8):
+            trainer.train_step()
+        assert trainer.step == 50 and card.waits == []
+        trainer.train_step()
+    # every 50 steps the PSNR is read, when it is known that the steps before were done
+    assert card.waits == ["a view's pairs"] * 2 + ["_local_scalar_dense"]
+
+
+def test_steps_on_an_object_alone_do_not_wait(
+    scene: SfmScene, card: PretendCard, tmp_path: Path
+) -> None:
+    write_mask(tmp_path / "mask.png", np.ones((48, 64), bool))
+    small = np.full((48, 64), 255, np.uint8)
+    mask = PhotoMask(digest="m", path=tmp_path / "mask.png", remake=lambda: None, small=small)
+    images = tuple(replace(image, objects={BOX.name: mask}) for image in scene.images)
+    seen = replace(scene, images=images)
+    model = start(scene)
+    model = model.rows(morton_order(model.means))
+    made = Cutouts(model, owners(model, [BOX]), [BOX], images, seed=3)
+    with card:
+        made._rows, made._device = [rows.to(FAR) for rows in made._rows], FAR
+        trainer = trainer_of(seen, cutouts=made)
+        trainer.step = 1
+        for _ in range(2 * EVERY * VIEWS):
+            trainer.train_step()
+        card.waits.clear()
+        for _ in range(2 * EVERY):
+            trainer.train_step()
+    assert card.waits == []
+
+
+@pytest.mark.parametrize("inputs", [nothing_more, boxes])
+def test_a_view_without_room_is_drawn_again(
+    scene: SfmScene, card: PretendCard, monkeypatch: pytest.MonkeyPatch, inputs: Inputs
+) -> None:
+    """Steps that came after it as well: the bits are those of a training that waits each time."""
+    real_room, small = Rooms.room, {5, 8, 9}
+
+    def room(self: Rooms, step: int, view: Hashable) -> Room:
+        made = real_room(self, step, view)
+        if made.pairs is None or step not in small:
+            return made
+        small.remove(step)
+        self._needed[view] = -rooms.LEAST_MARGIN + 9
+        return real_room(self, step, view)
+
+    monkeypatch.setattr(Rooms, "room", room)
+    config = replace(
+        CONFIG,
+        steps=14,
+        densify_from=3,
+        densify_until=12,
+        densify_every=5,
+        grad_threshold=1e-5,
+        reset_every=7,
+        full_every=2 if inputs is boxes else 1,
+        contribution_every=0 if inputs is boxes else 4,
+        average_steps=10,
+    )
+    states, steps = [], 0
+    real = Trainer.train_step
+
+    def counted(self: Trainer) -> None:
+        nonlocal steps
+        steps += 1
+        real(self)
+
+    monkeypatch.setattr(Trainer, "train_step", counted)
+    for with_rooms in (False, True):
+        use(monkeypatch, card, rooms=with_rooms)
+        with card:
+            trainer = trainer_of(scene, config, **inputs(scene))
+            assert trainer.run()
+            losses = {photo: list(last) for photo, last in trainer.health._recent.items()}
+            states.append({**trainer.state_dict(), "losses": losses})
+    assert not small and steps > 2 * config.steps + 3  # those after them were done again as well
+    first, second = (dict(leaves(state)) for state in states)
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        if "seconds" not in name:
+            assert same(value, second[name]), name
+
+
+def leaves(state: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """What nested dicts hold, by its path."""
+    if isinstance(state, dict):
+        for key, value in state.items():
+            yield from leaves(value, f"{name}/{key}")
+    else:
+        yield name, state
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, Tensor):
+        return torch.equal(one, other)
+    return bool(one == other or (one != one and other != other))
