@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import signal
-import socket
-import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from .. import __version__
 from ..context import Context
-from ..errors import ConfigError, EngineError
+from ..errors import ConfigError
 from ..formats.text import counted
 from . import ray_tasks
 from .engine_process import LOST, Outcome
 from .local import Report, with_threads
 from .parts import Part
+from .ray_connection import CONNECT_SECONDS, Connection
 
 LOOK_SECONDS = 120.0  # for a machine to answer; it imports the engine for that
-CONNECT_SECONDS = 10.0
 REFRESH = 5.0  # seconds between two looks at the machines
-MOST_MISSED = 3  # of these looks may fail until the cluster counts as gone
-LOOPBACK, CLIENT = "127.0.0.1", "ray://"
-SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
 
 
 class RayExecutor:
@@ -44,18 +35,19 @@ class RayExecutor:
     """
 
     def __init__(self, address: str, sign: Path, context: Context) -> None:
-        self._address, self._sign, self._context = address, str(sign), context
-        self._ray = _connected(address)
+        self._sign, self._context = str(sign), context
+        self._connection = Connection(address)
+        self._ray = self._connection.ray
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
         self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
         self._given: Counter[str] = Counter()  # parts that were sent to one machine
-        self._looked, self._missed = 0.0, 0
+        self._looked, self._mailbox_lost = 0.0, False
         self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
         try:
             self._do = self._ray.remote(max_retries=0)(ray_tasks.do_part)
             self._refresh()
-            self._mailbox = self._new_mailbox()
+            self._mailbox = self._connection.ask(self._new_mailbox)
         except BaseException:
             self.close()
             raise
@@ -122,9 +114,7 @@ class RayExecutor:
 
     def close(self) -> None:
         """Leave the cluster; one that was started for the batch ends."""
-        if self._missed < MOST_MISSED:
-            with suppress(Exception):
-                self._ray.shutdown()
+        self._connection.close()
 
     def _post(self) -> list[Any]:
         """The events that came; none while the mailbox starts again elsewhere."""
@@ -132,7 +122,7 @@ class RayExecutor:
             found = self._mailbox.take.remote(self._context.should_stop(), self._stopped)
             return list(self._ray.get(found, timeout=CONNECT_SECONDS))
         except self._ray.exceptions.RayActorError:
-            self._mailbox = self._new_mailbox()
+            self._mailbox_lost = True
         except self._ray.exceptions.RayError:
             pass
         return []
@@ -160,7 +150,7 @@ class RayExecutor:
         fit = [node for node in self._nodes if node not in avoid] or list(self._nodes)
         free: dict[str, dict[str, float]] = {}
         with suppress(AttributeError):  # no public name tells it
-            free = self._ray._private.state.available_resources_per_node()
+            free = self._connection.ask(self._ray._private.state.available_resources_per_node)
         self._given.update(
             [
                 place := max(
@@ -182,8 +172,12 @@ class RayExecutor:
             ConfigError: there is no machine that fits.
             EngineError: the cluster is gone.
         """
-        self._check_there()
-        alive = {n["NodeID"]: n for n in self._ray.nodes() if n["Alive"]}
+        self._looked = time.monotonic()
+        if not self._connection.is_there():
+            return
+        if self._mailbox_lost:
+            self._mailbox, self._mailbox_lost = self._connection.ask(self._new_mailbox), False
+        alive = {n["NodeID"]: n for n in self._connection.ask(self._ray.nodes) if n["Alive"]}
         new = alive.keys() - self._nodes.keys() - self._misfits
         look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
         looks = {
@@ -201,10 +195,9 @@ class RayExecutor:
             else:
                 self._nodes[node] = {}
         self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
-        self._looked = time.monotonic()
         if not self._nodes and not self._running:
             raise ConfigError(
-                f"No machine of the Ray cluster {self._address} can be used"
+                f"No machine of the Ray cluster {self._connection.address} can be used"
                 f" ({counted(len(alive), 'machine')} there).",
                 "The warnings above say why.",
             )
@@ -218,82 +211,3 @@ class RayExecutor:
                 return "has no roigs; install it there (pip install 'roigs[cluster]')"
             return f"does not answer ({type(error).__name__})"
         return ray_tasks.misfit(found, __version__, self._sign)
-
-    def _check_there(self) -> None:
-        """EngineError if the cluster has not answered several times; Ray itself would wait long."""
-        if self._address.startswith(CLIENT):  # whose calls fail by themselves
-            return
-        place = _host_and_port(self._ray.get_runtime_context().gcs_address)
-        if place is None:
-            return
-        try:
-            with socket.create_connection(place, CONNECT_SECONDS):
-                self._missed = 0
-        except OSError as error:
-            self._missed += 1
-            if self._missed >= MOST_MISSED:
-                raise EngineError(
-                    f"The Ray cluster {self._address} is gone.",
-                    "Start it again; the same command goes on.",
-                ) from error
-
-
-def _connected(address: str) -> Any:
-    """The module ray, connected."""
-    place = _host_and_port(address.removeprefix(CLIENT))
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    if place is not None and place[0] in (LOOPBACK, "localhost"):
-        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # else it goes outside
-    try:
-        import ray
-    except ImportError as error:
-        raise ConfigError(
-            f"--cluster needs Ray, which is not installed in {sys.executable}.",
-            "Install it (pip install 'roigs[cluster]'), or leave out --cluster.",
-        ) from error
-    options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
-    if address == "local":
-        options |= {"_node_ip_address": LOOPBACK, "include_dashboard": False}
-        options |= {"object_store_memory": SMALL_STORE}
-    if address not in ("local", "auto") and place is None:
-        raise ConfigError(
-            f"--cluster {address:.60} is no address.", "Use local, auto or ray://HOST:10001."
-        )
-    try:
-        if place is not None:
-            with socket.create_connection(place, CONNECT_SECONDS):
-                pass
-        with _signals_kept():
-            _hush(ray)
-            ray.init(address=address, **options)
-    except (OSError, RuntimeError, ValueError, ConnectionError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise ConfigError(
-            f"There is no Ray cluster at {address} ({reason:.100}).",
-            "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
-            " RAY_AUTH_MODE=token (docs/many.md).",
-        ) from error
-    return ray
-
-
-def _hush(ray: Any) -> None:
-    """Keep what Ray prints of lost machines off standard output, which may be read as JSON."""
-    with suppress(AttributeError):
-        ray._private.worker.print_to_stdstream = lambda *_, **__: None
-
-
-def _host_and_port(address: str) -> tuple[str, int] | None:
-    host, _, port = address.rpartition(":")
-    return (host.strip("[]"), int(port)) if host and port.isdecimal() else None
-
-
-@contextmanager
-def _signals_kept() -> Iterator[None]:
-    """Signals ask for a stop, as before: Ray would end the process."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)

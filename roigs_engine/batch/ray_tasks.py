@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from typing import Any
 
 from .. import __version__
@@ -11,6 +12,7 @@ from ..formats.events import Record
 from .engine_process import FAILED, Outcome, run_engine
 
 POST_SECONDS = 1.0
+LONELY_SECONDS = 30.0  # without an answer: nobody waits for the part any more, or it starts again
 KEPT = ("progress",)  # of these events, only the last of a second is posted
 
 
@@ -80,7 +82,11 @@ class Mailbox:
 
 
 class _Post:
-    """Posts events once a second, in a thread; a mailbox that is gone stops nothing."""
+    """Posts events once a second, in a thread.
+
+    A mailbox that stays away stops the part, with a checkpoint: its batch has ended, and the next
+    one waits for the run folder.
+    """
 
     def __init__(self, key: tuple[str, str], mailbox: Any) -> None:
         self.stop = False
@@ -106,7 +112,7 @@ class _Post:
     def _run(self) -> None:
         import ray
 
-        ended = False
+        ended, answered = False, time.monotonic()
         while not ended:
             ended = self._ended.wait(POST_SECONDS)
             with self._lock:
@@ -114,5 +120,6 @@ class _Post:
             try:
                 put = self._mailbox.put.remote(self._key, events)
                 self.stop = self.stop or bool(ray.get(put, timeout=10 * POST_SECONDS))
+                answered = time.monotonic()
             except ray.exceptions.RayError:
-                continue
+                self.stop = self.stop or time.monotonic() - answered > LONELY_SECONDS
