@@ -18,11 +18,12 @@ from roigs_engine.batch.parts import Part
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError
+from tests.engine.batch.clusters import EACH, a_cluster, engines
 from tests.engine.commands.command_line import BOX, refused, start
 from tests.engine.commands.test_batch import contents
 from tests.engine.synthetic_colmap import write_project
 
-SCENES = ("hall", "attic", "yard")
+SCENES = ("hall", "attic")
 TABLE = """\
 [defaults]
 roi = ["{box}"]
@@ -34,18 +35,8 @@ device = "cpu"
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # loopback only
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
-    from ray.cluster_utils import Cluster
-
-    each = {"num_cpus": 1, "object_store_memory": 80 << 20}
-    head = {**each, "include_dashboard": False, "node_ip_address": "127.0.0.1"}
-    made = Cluster(initialize_head=True, head_node_args=head)
-    made.second = made.add_node(**each)
-    yield made
-    made.shutdown()
-    del os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"], os.environ["RAY_USAGE_STATS_ENABLED"]
+    with a_cluster() as made:
+        yield made
 
 
 @pytest.fixture
@@ -63,19 +54,6 @@ def table(tmp_path: Path) -> Path:
 def events(batch: subprocess.Popen[str]) -> Iterator[dict[str, Any]]:
     assert batch.stdout is not None
     return map(json.loads, batch.stdout)
-
-
-def engines(run: Path) -> list[int]:
-    """The processes that do parts of a batch."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            words = entry.read_bytes().split(b"\0")
-        except OSError:
-            continue
-        if b"--part" in words and any(word.startswith(bytes(run)) for word in words):
-            found.append(int(entry.parent.name))
-    return found
 
 
 def test_killed_drivers_engines_and_machines(cluster: Any, table: Path, tmp_path: Path) -> None:
@@ -101,11 +79,12 @@ def test_killed_drivers_engines_and_machines(cluster: Any, table: Path, tmp_path
     texts = [event["text"] for event in said if event["event"] == "message"]
     assert any("ended by signal 9" in text and "tried again" in text for text in texts)
     whole = [event for event in said if event.get("stage") == "batch"]
-    assert whole[-1]["step"] == whole[-1]["total"] == 3
+    assert whole[-1]["step"] == whole[-1]["total"] == 2
     for name in SCENES:
         by_hand = tmp_path / "by hand" / name
         assert main(["run", str(run / "rows" / f"{name}.json"), "--run-dir", str(by_hand)]) == 0
         assert contents(run / name) == contents(by_hand)
+    cluster.second = cluster.add_node(**EACH)
 
 
 def test_one_part_can_be_stopped_to_go_on_elsewhere(
@@ -127,7 +106,7 @@ def test_one_part_can_be_stopped_to_go_on_elsewhere(
                 elif report["event"] == "progress":
                     executor.stop(part)
         assert outcome.state == STOPPED and outcome.node
-        assert executor.can_move(()) and not executor.can_move((outcome.node,))  # one is left
+        assert executor.can_move((outcome.node,))  # to the other one
     finally:
         executor.close()
 
@@ -166,3 +145,18 @@ def test_no_cluster_is_one_line(
     pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
     assert "no Ray cluster at 127.0.0.1:1 " in refused(capsys, *options, "127.0.0.1:1")
     assert "is no address" in refused(capsys, *options, "museum")
+
+
+def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: Path) -> None:
+    """Last: it ends the cluster. `test_kills.py` goes on with another one."""
+    options = ("--run-dir", tmp_path / "run", "--cluster", cluster.address, "--events")
+    with start("batch", table, *options) as batch:
+        for event in events(batch):
+            if event["event"] == "progress":
+                cluster.head_node.kill_all_processes(check_alive=False, allow_graceful=False)
+                break
+        *_, last = events(batch)
+        assert batch.wait(60) == 2
+    assert last["event"] == "failed"
+    assert last["message"] == f"The Ray cluster {cluster.address} is gone."
+    assert "the same command goes on" in last["hint"]
