@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -40,13 +41,19 @@ class RayExecutor:
         self._ray = self._connection.ray
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
+        self._looks: dict[str, Any] = {}  # node -> reference of a look that is on its way
+        self._said: set[tuple[str, str]] = set()  # problems of nodes
+        self._fitted = time.monotonic()  # when a machine was last there that fits
         self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
         self._given: Counter[str] = Counter()  # parts that were sent to one machine
         self._looked, self._mailbox_lost = 0.0, False
         self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
         try:
             self._do = self._ray.remote(max_retries=0)(ray_tasks.do_part)
-            self._refresh()
+            self._refresh(LOOK_SECONDS)
+            while not self._nodes:
+                context.check_cancelled()
+                self._refresh(REFRESH)
             self._mailbox = self._connection.ask(self._new_mailbox)
         except BaseException:
             self.close()
@@ -165,8 +172,11 @@ class RayExecutor:
 
         return NodeAffinitySchedulingStrategy(node_id=node, soft=soft)
 
-    def _refresh(self) -> None:
+    def _refresh(self, patience: float = 0.0) -> None:
         """Look at machines that are new; forget those that are gone.
+
+        Args:
+            patience: seconds to wait for new machines.
 
         Raises:
             ConfigError: there is no machine that fits.
@@ -178,36 +188,53 @@ class RayExecutor:
         if self._mailbox_lost:
             self._mailbox, self._mailbox_lost = self._connection.ask(self._new_mailbox), False
         alive = {n["NodeID"]: n for n in self._connection.ask(self._ray.nodes) if n["Alive"]}
-        new = alive.keys() - self._nodes.keys() - self._misfits
-        look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
-        looks = {
-            node: look.options(scheduling_strategy=self._affinity(node, soft=False)).remote(
-                self._sign
-            )
-            for node in new
-        }
-        for node, reference in looks.items():
-            problem = self._problem(reference)
-            if problem:
-                self._misfits.add(node)
-                where = alive[node]["NodeManagerAddress"]
-                self._context.warn(f"Machine {where} is not used: it {problem}.")
-            else:
-                self._nodes[node] = {}
+        self._take_looks(alive, patience)
         self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
-        if not self._nodes and not self._running:
+        if self._nodes or self._running:
+            self._fitted = time.monotonic()
+        elif alive.keys() <= self._misfits or time.monotonic() - self._fitted > LOOK_SECONDS:
             raise ConfigError(
                 f"No machine of the Ray cluster {self._connection.address} can be used"
                 f" ({counted(len(alive), 'machine')} there).",
                 "The warnings above say why.",
             )
 
-    def _problem(self, reference: Any) -> str:
-        """Why a machine cannot be used; empty: it can."""
+    def _take_looks(self, alive: Mapping[str, Any], patience: float) -> None:
+        """Send looks to new machines, and judge those that came back.
+
+        A machine that does not answer is looked at again: its memory may be full for a while.
+        """
+        look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
+        self._looks = {node: found for node, found in self._looks.items() if node in alive}
+        for node in alive.keys() - self._nodes.keys() - self._misfits - self._looks.keys():
+            there = self._affinity(node, soft=False)
+            self._looks[node] = look.options(scheduling_strategy=there).remote(self._sign)
+        waiting = list(self._looks.values())
+        if waiting and patience:
+            self._ray.wait(waiting, timeout=patience)
+        ready: list[Any] = []
+        if waiting:
+            rest = min(patience, REFRESH)
+            ready, _ = self._ray.wait(waiting, num_returns=len(waiting), timeout=rest)
+        for node, reference in [pair for pair in self._looks.items() if pair[1] in ready]:
+            del self._looks[node]
+            problem, may_pass = self._problem(reference)
+            if not problem:
+                self._nodes[node] = {}
+                continue
+            if not may_pass:
+                self._misfits.add(node)
+            if (node, problem) not in self._said:
+                self._said.add((node, problem))
+                where = alive[node]["NodeManagerAddress"]
+                self._context.warn(f"Machine {where} is not used: it {problem}.")
+
+    def _problem(self, reference: Any) -> tuple[str, bool]:
+        """Why a machine cannot be used, empty if it can; and whether that may pass."""
         try:
-            found = self._ray.get(reference, timeout=LOOK_SECONDS)
+            found = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             if "No module named" in str(error):
-                return "has no roigs; install it there (pip install 'roigs[cluster]')"
-            return f"does not answer ({type(error).__name__})"
-        return ray_tasks.misfit(found, __version__, self._sign)
+                return "has no roigs; install it there (pip install 'roigs[cluster]')", False
+            return f"does not answer ({type(error).__name__})", True
+        return ray_tasks.misfit(found, __version__, self._sign), False
