@@ -6,12 +6,11 @@ import atexit
 import logging
 import os
 import queue
-import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from ..errors import ConfigError, EngineError
@@ -20,6 +19,7 @@ T = TypeVar("T")
 
 CONNECT_SECONDS = 10.0
 CALL_SECONDS = 30.0  # for the head to answer
+JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster, and to start one here
 MOST_MISSED = 3  # looks for the head may fail until the cluster counts as gone
 LOOPBACK, CLIENT = "127.0.0.1", "ray://"
 SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
@@ -70,22 +70,10 @@ class Connection:
         Raises:
             EngineError: there is none: the cluster is gone.
         """
-        answers: queue.SimpleQueue[tuple[T | None, Exception | None]] = queue.SimpleQueue()
-
-        def work() -> None:
-            try:
-                answers.put((call(), None))
-            except Exception as error:
-                answers.put((None, error))
-
-        threading.Thread(target=work, daemon=True).start()
         try:
-            answer, error = answers.get(timeout=CALL_SECONDS)
-        except queue.Empty as silence:
+            return _within(CALL_SECONDS, call)
+        except TimeoutError as silence:
             raise self._is_gone() from silence
-        if error is not None:
-            raise error
-        return answer  # type: ignore[return-value]
 
     def close(self) -> None:
         """Leave the cluster; one that was started by this connection ends."""
@@ -103,6 +91,26 @@ class Connection:
         )
 
 
+def _within(seconds: float, call: Callable[[], T]) -> T:
+    """The result of a call, made in a thread of its own; TimeoutError if there is none in time."""
+    answers: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            answers.put((call(), None))
+        except BaseException as error:
+            answers.put((None, error))
+
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        answer, error = answers.get(timeout=seconds)
+    except queue.Empty:
+        raise TimeoutError("it does not answer") from None
+    if error is not None:
+        raise error
+    return answer  # type: ignore[return-value]
+
+
 def _connected(address: str) -> Any:
     """The module ray, connected."""
     place = host_and_port(address.removeprefix(CLIENT))
@@ -114,7 +122,7 @@ def _connected(address: str) -> Any:
     except ImportError as error:
         raise ConfigError(
             f"--cluster needs Ray, which is not installed in {sys.executable}.",
-            "Install it (pip install 'roigs[cluster]'), or leave out --cluster.",
+            f"Install it ({sys.executable} -m pip install 'ray[client]'), or leave out --cluster.",
         ) from error
     options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     if address == "local":
@@ -128,17 +136,24 @@ def _connected(address: str) -> Any:
         if place is not None:
             with socket.create_connection(place, CONNECT_SECONDS):
                 pass
-        with _signals_kept():
-            _hush(ray)
-            ray.init(address=address, **options)
+        _hush(ray)
+        seconds = START_SECONDS if address == "local" else JOIN_SECONDS
+        _within(seconds, lambda: ray.init(address=address, **options))
+    except TimeoutError as error:
+        atexit.unregister(ray.shutdown)
+        raise _nothing_there(address, error) from error
     except (OSError, RuntimeError, ValueError, ConnectionError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise ConfigError(
-            f"There is no Ray cluster at {address} ({reason:.100}).",
-            "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
-            " RAY_AUTH_MODE=token (docs/many.md).",
-        ) from error
+        raise _nothing_there(address, error) from error
     return ray
+
+
+def _nothing_there(address: str, error: Exception) -> ConfigError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return ConfigError(
+        f"There is no Ray cluster at {address} ({reason:.100}).",
+        "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
+        " RAY_AUTH_MODE=token (docs/many.md).",
+    )
 
 
 def _hush(ray: Any) -> None:
@@ -150,15 +165,3 @@ def _hush(ray: Any) -> None:
 def host_and_port(address: str) -> tuple[str, int] | None:
     host, _, port = address.rpartition(":")
     return (host.strip("[]"), int(port)) if host and port.isdecimal() else None
-
-
-@contextmanager
-def _signals_kept() -> Iterator[None]:
-    """Signals ask for a stop, as before: Ray would end the process."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)

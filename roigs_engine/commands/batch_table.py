@@ -7,7 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from .values import shown
 DEFAULTS, SCENES = "defaults", "scenes"
 OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
 NO_KEYS = {"help", "events", "run_dir", "update", "dry_run", "part", "threads"}
+NO_KEYS |= {"cluster"}
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[+\s*(.*?)\s*\]+"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
 
@@ -47,6 +48,8 @@ class Row:
         args: the same as the command line gives them, without a run folder.
         outputs: suffixes of files to write of the result.
         object_outputs: the same of each object.
+        command: `run` or `train`.
+        home: its run folder, if that is not in the folder of a batch.
     """
 
     name: str
@@ -55,6 +58,8 @@ class Row:
     args: argparse.Namespace = field(repr=False)
     outputs: tuple[str, ...] = ()
     object_outputs: tuple[str, ...] = ()
+    command: str = "run"
+    home: Path | None = None
 
     @property
     def digest(self) -> str:
@@ -109,12 +114,12 @@ class Table:
             self._say(place, f"Scene '{name}' has no folder. Add scene = \"FOLDER\".")
         if len(self.wrong) > before:
             return
-        outputs = {key: tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS)}
+        outputs, objects = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))
         args = argparse.Namespace(**{a.dest: a.default for a in self._options.values()})
         vars(args).update(found, update=True, part=[], dry_run=False)
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in found.items()}
-        row = Row(name=name, line=self._line(place), options=plain, args=args, **outputs)
-        self.rows.append(row)
+        row = Row(name=name, line=self._line(place), options=plain, args=args, outputs=outputs)
+        self.rows.append(replace(row, object_outputs=objects))
 
     def _check_head(self, record: dict[str, Any]) -> None:
         for key in record.keys() - {DEFAULTS, SCENES}:

@@ -9,13 +9,17 @@ from dataclasses import replace
 from ..context import QUIET
 from ..errors import ConfigError
 from ..formats import run_files
+from ..formats.files import read_bytes
 from ..formats.lock import check_held
+from ..formats.text import decode_text
 from ..run.config import COMPARISONS
 from . import train
 from .console import Console
 from .options import run_config
-from .values import NAME
+from .run_cluster import run_on_cluster
+from .values import NAME as TEXT
 
+NAME = "run"
 PREPARE, ALL = "prepare", "all"
 """Values of --part: open the folder and look at the photos; do all that is missing."""
 HELP = "do everything: select photos, train, compare with baselines, evaluate"
@@ -37,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--part",
-        type=NAME,
+        type=TEXT,
         action="append",
         default=[],
         metavar="PART",
@@ -52,6 +56,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     compare = compared(args)
     if args.dry_run:
         return train.show_plan(args, console, compare)
+    if args.cluster:
+        if args.part:
+            raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
+        run_on_cluster(args, console, NAME)
+        console.print(decode_text(read_bytes(args.run_dir / run_files.REPORT)))
+        return _places(args, console)
     if args.part and ALL not in args.part:
         return _parts(args, console, compare)
     import torch
@@ -85,6 +95,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         write_page(evaluation, pictures, args.run_dir)
         train.levels_of(opened, args, context)
     console.print(format_markdown(evaluation))
+    return _places(args, console)
+
+
+def _places(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Where everything is; printed."""
     places = {
         "report": run_files.REPORT,
         "page": run_files.REPORT_PAGE,

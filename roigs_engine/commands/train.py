@@ -40,7 +40,7 @@ from .options import (
 )
 from .options_file import settings
 from .out_folder import refuse_inputs, refuse_run_files
-from .values import PATH, Number, integer
+from .values import NAME, PATH, Number, integer
 
 if TYPE_CHECKING:
     from ..model.roi import OrientedBox
@@ -107,20 +107,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MB",
         help="megabytes of decoded photos to keep in memory (default: a quarter of the memory)",
     )
+    parser.add_argument(
+        "--cluster",
+        type=NAME,
+        metavar="ADDRESS",
+        help="train on a Ray cluster: ray://HOST:10001, auto (the cluster that this machine is part"
+        " of), or local (a Ray of this machine alone)",
+    )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Train, or resume the run in the folder."""
     if args.dry_run:
         return show_plan(args, console)
+    if args.cluster:
+        from .run_cluster import run_on_cluster
+
+        run_on_cluster(args, console, "train")
+    else:
+        _train(args, console)
+    result = args.run_dir / run_files.RESULT
+    console.context.info(f"The result is {result}.")
+    return {"result": str(result), "rois": str(args.run_dir / run_files.FINE)}
+
+
+def _train(args: argparse.Namespace, console: Console) -> None:
     from ..run.folder import train_opened
 
     with opened_run(args, console) as (run, context):
         train_opened(run, (), context, update=args.update, preview_seconds=args.preview_seconds)
         levels_of(run, args, context)
-    result = args.run_dir / run_files.RESULT
-    console.context.info(f"The result is {result}.")
-    return {"result": str(result), "rois": str(args.run_dir / run_files.FINE)}
 
 
 def levels_of(run: Run, args: argparse.Namespace, context: Context) -> None:

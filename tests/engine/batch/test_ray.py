@@ -145,6 +145,28 @@ def test_no_cluster_is_one_line(
     pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
     assert "no Ray cluster at 127.0.0.1:1 " in refused(capsys, *options, "127.0.0.1:1")
     assert "is no address" in refused(capsys, *options, "museum")
+    run = ("run", tmp_path / "hall", "--roi", BOX, "--run-dir", tmp_path / "one", "--cluster", "x")
+    assert "--threads is for this machine" in refused(capsys, *run, "--threads", 2)
+    assert "--part is for one machine" in refused(capsys, *run, "--part", "scene")
+    assert "is no address" in refused(capsys, *run)
+
+
+def test_one_run_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
+    scene, folders = tmp_path / "hall", (tmp_path / "there", tmp_path / "here")
+    options = ["run", scene, "--roi", BOX, "--steps-factor", 0.005, "--test-every", 4]
+    options = [str(word) for word in (*options, "--compare", "--device", "cpu", "--run-dir")]
+    with start(*options, folders[0], "--cluster", cluster.address, "--events") as engine:
+        said = list(events(engine))
+        assert engine.wait(60) == 0
+    stages = {event["stage"] for event in said if event["event"] == "progress"}
+    assert {"scene", "joint", "evaluate"} <= stages
+    assert said[-1]["outputs"]["result"] == str(folders[0] / "result.ply")
+    assert main([*options, str(folders[1])]) == 0
+    there, here = map(contents, folders)
+    assert there.pop("cluster.json") and there == here
+    with start(*options, folders[0], "--cluster", cluster.address, "--seed", 9) as engine:
+        assert "--update" in engine.communicate(timeout=100)[1]  # another run is refused
+        assert engine.returncode == 2
 
 
 def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: Path) -> None:
