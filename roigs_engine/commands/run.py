@@ -9,14 +9,11 @@ from dataclasses import replace
 from ..context import QUIET
 from ..errors import ConfigError
 from ..formats import run_files
-from ..formats.files import read_bytes
 from ..formats.lock import check_held
-from ..formats.text import decode_text
 from ..run.config import COMPARISONS
 from . import train
 from .console import Console
 from .options import run_config
-from .run_cluster import run_on_cluster
 from .values import NAME as TEXT
 
 NAME = "run"
@@ -56,12 +53,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     compare = compared(args)
     if args.dry_run:
         return train.show_plan(args, console, compare)
-    if args.cluster:
-        if args.part:
-            raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
-        run_on_cluster(args, console, NAME)
-        console.print(decode_text(read_bytes(args.run_dir / run_files.REPORT)))
-        return _places(args, console)
     if args.part and ALL not in args.part:
         return _parts(args, console, compare)
     import torch
@@ -95,19 +86,19 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         write_page(evaluation, pictures, args.run_dir)
         train.levels_of(opened, args, context)
     console.print(format_markdown(evaluation))
-    return _places(args, console)
+    return places(args, console)
 
 
-def _places(args: argparse.Namespace, console: Console) -> dict[str, str]:
+def places(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Where everything is; printed."""
-    places = {
+    found = {
         "report": run_files.REPORT,
         "page": run_files.REPORT_PAGE,
         "pictures": run_files.CROPS,
         "result": run_files.RESULT,
         "rois": run_files.FINE,
     }
-    outputs = {what: str(args.run_dir / where) for what, where in places.items()}
+    outputs = {what: str(args.run_dir / where) for what, where in found.items()}
     console.print_places(outputs)
     return outputs
 

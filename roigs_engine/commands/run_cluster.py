@@ -9,9 +9,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ConfigError, RunFolderError
-from ..formats.files import refuse_linked_folders, write_json
+from ..formats.files import read_bytes, refuse_linked_folders, write_json
 from ..formats.lock import locked
-from ..formats.run_files import CLUSTER_LOCK, CLUSTER_OPTIONS
+from ..formats.run_files import CLUSTER_LOCK, CLUSTER_OPTIONS, REPORT
+from ..formats.text import decode_text
+from . import run as run_command
+from . import train
 from .batch_table import Row
 from .console import Console
 from .options_file import settings
@@ -25,13 +28,16 @@ KEPT = ("compare", "device", "preview_seconds", "image_cache")
 """Options that are no settings of a run, and that its parts must have."""
 
 
-def run_on_cluster(args: argparse.Namespace, console: Console, command: str) -> None:
+def is_asked(args: argparse.Namespace) -> bool:
+    """Whether the command line is one that `run` here does."""
+    commands = (run_command.NAME, train.NAME)
+    return args.command in commands and bool(args.cluster) and not args.dry_run
+
+
+def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Do a run on the cluster that its options name; every machine must see its folders.
 
-    Args:
-        args: of the command.
-        console: gets the events of the parts, as if the run were here.
-        command: `run` or `train`.
+    The console gets the events of the parts, as if the run were here.
 
     Raises:
         RunFolderError: a part failed.
@@ -41,10 +47,12 @@ def run_on_cluster(args: argparse.Namespace, console: Console, command: str) -> 
     from ..batch.record import BatchRecord
     from .batch_plan import plan_row
 
+    if getattr(args, "part", None):
+        raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
     if args.threads:
         raise ConfigError("--threads is for this machine.", "Leave it out with --cluster.")
     folder = args.run_dir = args.run_dir.absolute()
-    row = _row(args, command)
+    row = _row(args)
     with locked(folder, console.context.warn, name=CLUSTER_LOCK):
         refuse_linked_folders(folder)
         scene = plan_row(row, folder, BatchRecord(folder), console).scene
@@ -56,9 +64,13 @@ def run_on_cluster(args: argparse.Namespace, console: Console, command: str) -> 
             executor.close()
     if state.reason:
         raise RunFolderError(state.reason, "The same command tries again, and keeps what is done.")
+    if args.command == train.NAME:
+        return train.places(args, console)
+    console.print(decode_text(read_bytes(folder / REPORT)))
+    return run_command.places(args, console)
 
 
-def _row(args: argparse.Namespace, command: str) -> Row:
+def _row(args: argparse.Namespace) -> Row:
     """The run as a row of a batch; its folder has a name, which the texts of a failure show."""
     row_args = copy(args)
     row_args.cluster = None
@@ -66,7 +78,7 @@ def _row(args: argparse.Namespace, command: str) -> Row:
     options |= {key: value for key in KEPT if (value := getattr(args, key, None)) is not None}
     name = args.run_dir.name
     home = args.run_dir
-    return Row(name=name, line=1, options=options, args=row_args, command=command, home=home)
+    return Row(name=name, line=1, options=options, args=row_args, command=args.command, home=home)
 
 
 def _execute(
