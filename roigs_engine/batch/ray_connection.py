@@ -9,6 +9,7 @@ import queue
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -18,7 +19,7 @@ from ..errors import ConfigError, EngineError
 T = TypeVar("T")
 
 CONNECT_SECONDS = 10.0
-CALL_SECONDS = 30.0  # for the head to answer
+LOOK_EVERY, POLL = 5.0, 0.5  # seconds
 JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster, and to start one here
 MOST_MISSED = 3  # looks for the head may fail until the cluster counts as gone
 LOOPBACK, CLIENT = "127.0.0.1", "ray://"
@@ -28,8 +29,8 @@ SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
 class Connection:
     """Ray, connected.
 
-    Calls that ask the head wait for it a minute, and then Ray ends the whole process. So its port
-    is looked at first, and the calls are made in threads that can be left behind.
+    A call that needs the head waits for it a minute, and then Ray ends the whole process. So a
+    thread looks for the head, and calls are made in threads that can be left behind.
 
     Args:
         address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
@@ -41,58 +42,52 @@ class Connection:
     def __init__(self, address: str) -> None:
         self.address = address
         self.ray = _connected(address)
-        self._missed, self._gone = 0, False
-
-    def is_there(self) -> bool:
-        """Whether the head answers now.
-
-        Raises:
-            EngineError: it has not answered several times: the cluster is gone.
-        """
-        if self.address.startswith(CLIENT):  # whose calls fail by themselves
-            return True
-        place = host_and_port(self.ray.get_runtime_context().gcs_address)
-        try:
+        self._gone, self._closed = threading.Event(), threading.Event()
+        if not address.startswith(CLIENT):  # whose calls fail by themselves
+            place = host_and_port(self.ray.get_runtime_context().gcs_address)
             if place is not None:
-                with socket.create_connection(place, CONNECT_SECONDS):
-                    pass
-        except OSError as error:
-            self._missed += 1
-            if self._missed >= MOST_MISSED:
-                raise self._is_gone() from error
-            return False
-        self._missed = 0
-        return True
+                threading.Thread(target=self._watch, args=(place,), daemon=True).start()
 
     def ask(self, call: Callable[[], T]) -> T:
-        """The answer to a call that may ask the head.
+        """The result of calls of Ray.
 
         Raises:
-            EngineError: there is none: the cluster is gone.
+            EngineError: the cluster is gone.
         """
         try:
-            return _within(CALL_SECONDS, call)
-        except TimeoutError as silence:
-            raise self._is_gone() from silence
+            return _in_thread(call, self._gone.is_set)
+        except (TimeoutError, ConnectionError) as error:
+            self._gone.set()
+            raise EngineError(
+                f"The Ray cluster {self.address} is gone.",
+                "Start it again; the same command goes on.",
+            ) from error
 
     def close(self) -> None:
         """Leave the cluster; one that was started by this connection ends."""
-        if self._gone:
+        self._closed.set()
+        if self._gone.is_set():
             atexit.unregister(self.ray.shutdown)  # it would wait for the head
         else:
             with suppress(Exception):
-                self.ray.shutdown()
+                _in_thread(self.ray.shutdown, self._gone.is_set)
 
-    def _is_gone(self) -> EngineError:
-        self._gone = True
-        return EngineError(
-            f"The Ray cluster {self.address} is gone.",
-            "Start it again; the same command goes on.",
-        )
+    def _watch(self, place: tuple[str, int]) -> None:
+        """Look for the head until it has not answered several times."""
+        missed = 0
+        while not self._closed.wait(LOOK_EVERY):
+            try:
+                with socket.create_connection(place, CONNECT_SECONDS):
+                    missed = 0
+            except OSError:
+                missed += 1
+            if missed >= MOST_MISSED:
+                self._gone.set()
+                return
 
 
-def _within(seconds: float, call: Callable[[], T]) -> T:
-    """The result of a call, made in a thread of its own; TimeoutError if there is none in time."""
+def _in_thread(call: Callable[[], T], give_up: Callable[[], bool]) -> T:
+    """The result of a call, made in a thread of its own; TimeoutError if it is given up."""
     answers: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
 
     def work() -> None:
@@ -102,13 +97,14 @@ def _within(seconds: float, call: Callable[[], T]) -> T:
             answers.put((None, error))
 
     threading.Thread(target=work, daemon=True).start()
-    try:
-        answer, error = answers.get(timeout=seconds)
-    except queue.Empty:
-        raise TimeoutError("it does not answer") from None
-    if error is not None:
-        raise error
-    return answer  # type: ignore[return-value]
+    while True:
+        with suppress(queue.Empty):
+            answer, error = answers.get(timeout=POLL)
+            if error is not None:
+                raise error
+            return answer  # type: ignore[return-value]
+        if give_up():
+            raise TimeoutError("it does not answer")
 
 
 def _connected(address: str) -> Any:
@@ -138,7 +134,8 @@ def _connected(address: str) -> Any:
                 pass
         _hush(ray)
         seconds = START_SECONDS if address == "local" else JOIN_SECONDS
-        _within(seconds, lambda: ray.init(address=address, **options))
+        until = time.monotonic() + seconds
+        _in_thread(lambda: ray.init(address=address, **options), lambda: time.monotonic() > until)
     except TimeoutError as error:
         atexit.unregister(ray.shutdown)
         raise _nothing_there(address, error) from error

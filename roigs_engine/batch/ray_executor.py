@@ -28,15 +28,15 @@ class RayExecutor:
 
     Args:
         address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
-        sign: a file of the batch, which every machine must see.
+        sign: a file of the batch, which every machine must see; None: it is on a store.
         context: asked whether to stop; receives warnings.
 
     Raises:
         ConfigError: Ray is not installed, there is no cluster, or no machine of it fits.
     """
 
-    def __init__(self, address: str, sign: Path, context: Context) -> None:
-        self._sign, self._context = str(sign), context
+    def __init__(self, address: str, sign: Path | None, context: Context) -> None:
+        self._sign, self._context = str(sign or ""), context
         self._connection = Connection(address)
         self._ray = self._connection.ray
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
@@ -46,14 +46,14 @@ class RayExecutor:
         self._fitted = time.monotonic()  # when a machine was last there that fits
         self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
         self._given: Counter[str] = Counter()  # parts that were sent to one machine
-        self._looked, self._mailbox_lost = 0.0, False
+        self._looked = 0.0
         self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
         try:
             self._do = self._ray.remote(max_retries=0)(ray_tasks.do_part)
-            self._refresh(LOOK_SECONDS)
+            self._look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
             while not self._nodes:
                 context.check_cancelled()
-                self._refresh(REFRESH)
+                self._connection.ask(lambda: self._refresh(REFRESH))
             self._mailbox = self._connection.ask(self._new_mailbox)
         except BaseException:
             self.close()
@@ -71,6 +71,9 @@ class RayExecutor:
 
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
         """Give a part to Ray; see `LocalExecutor.start`."""
+        self._connection.ask(lambda: self._start(part, waiting, avoid))
+
+    def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> None:
         largest = max(node.get("CPU", 1.0) for node in self._nodes.values())
         cores = max(1, int(min(self.cores / (len(self._running) + 1 + waiting), largest)))
         room = max(node.get("memory", 0.0) for node in self._nodes.values())
@@ -82,7 +85,7 @@ class RayExecutor:
             scheduling_strategy=self._place(avoid),
         )
         argv = with_threads(part, cores)
-        reference = task.remote(argv, part.key, self._mailbox, __version__, self._sign)
+        reference = task.remote(argv, part, self._mailbox, __version__, self._sign)
         self._running[reference] = (part, cores)
 
     def wait(self, seconds: float) -> list[Report]:
@@ -91,6 +94,9 @@ class RayExecutor:
         Raises:
             EngineError: the cluster is gone.
         """
+        return self._connection.ask(lambda: self._wait(seconds))
+
+    def _wait(self, seconds: float) -> list[Report]:
         ended: list[Any] = []
         if self._running:
             ended, _ = self._ray.wait(list(self._running), timeout=seconds)
@@ -129,7 +135,7 @@ class RayExecutor:
             found = self._mailbox.take.remote(self._context.should_stop(), self._stopped)
             return list(self._ray.get(found, timeout=CONNECT_SECONDS))
         except self._ray.exceptions.RayActorError:
-            self._mailbox_lost = True
+            self._mailbox = self._new_mailbox()
         except self._ray.exceptions.RayError:
             pass
         return []
@@ -157,7 +163,7 @@ class RayExecutor:
         fit = [node for node in self._nodes if node not in avoid] or list(self._nodes)
         free: dict[str, dict[str, float]] = {}
         with suppress(AttributeError):  # no public name tells it
-            free = self._connection.ask(self._ray._private.state.available_resources_per_node)
+            free = self._ray._private.state.available_resources_per_node()
         self._given.update(
             [
                 place := max(
@@ -180,14 +186,9 @@ class RayExecutor:
 
         Raises:
             ConfigError: there is no machine that fits.
-            EngineError: the cluster is gone.
         """
         self._looked = time.monotonic()
-        if not self._connection.is_there():
-            return
-        if self._mailbox_lost:
-            self._mailbox, self._mailbox_lost = self._connection.ask(self._new_mailbox), False
-        alive = {n["NodeID"]: n for n in self._connection.ask(self._ray.nodes) if n["Alive"]}
+        alive = {n["NodeID"]: n for n in self._ray.nodes() if n["Alive"]}
         self._take_looks(alive, patience)
         self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
         if self._nodes or self._running:
@@ -204,11 +205,10 @@ class RayExecutor:
 
         A machine that does not answer is looked at again: its memory may be full for a while.
         """
-        look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
         self._looks = {node: found for node, found in self._looks.items() if node in alive}
         for node in alive.keys() - self._nodes.keys() - self._misfits - self._looks.keys():
             there = self._affinity(node, soft=False)
-            self._looks[node] = look.options(scheduling_strategy=there).remote(self._sign)
+            self._looks[node] = self._look.options(scheduling_strategy=there).remote(self._sign)
         waiting = list(self._looks.values())
         if waiting and patience:
             self._ray.wait(waiting, timeout=patience)

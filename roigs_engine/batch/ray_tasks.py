@@ -9,7 +9,9 @@ from typing import Any
 
 from .. import __version__
 from ..formats.events import Record
-from .engine_process import FAILED, Outcome, run_engine
+from .engine_process import FAILED, Outcome
+from .parts import Part
+from .staged import run_part
 
 POST_SECONDS = 1.0
 LONELY_SECONDS = 30.0  # without an answer: nobody waits for the part any more, or it starts again
@@ -18,17 +20,21 @@ KEPT = ("progress",)  # of these events, only the last of a second is posted
 
 def look(sign: str) -> dict[str, Any]:
     """This machine: its version of the engine, and whether it sees a file of the batch."""
-    return {"version": __version__, "sees": os.path.exists(sign)}
+    return {"version": __version__, "sees": not sign or os.path.exists(sign)}
 
 
 def do_part(
-    argv: list[str], key: tuple[str, str], mailbox: Any, version: str, sign: str
+    argv: list[str],
+    part: Part,
+    mailbox: Any,
+    version: str,
+    sign: str,
 ) -> Outcome:
     """Do a part on this machine, with its events to a mailbox.
 
     Args:
         argv: the engine's command line.
-        key: of the part.
+        part: that it does.
         mailbox: a handle to a `Mailbox`.
         version: of the engine that gives out parts.
         sign: a file of the batch, which every machine must see.
@@ -39,8 +45,8 @@ def do_part(
     problem = misfit(look(sign), version, sign)
     if problem:
         return Outcome(state=FAILED, reason=f"A machine of the cluster {problem}.", node=node)
-    post = _Post(key, mailbox)
-    ended = run_engine(argv, post.add, lambda: post.stop)
+    post = _Post(part.key, mailbox)
+    ended = run_part(argv, part.staging, post.add, lambda: post.stop)
     post.close()
     return Outcome(state=ended.state, reason=ended.reason, node=node)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
 from ..batch.record import BatchRecord
+from ..batch.staged import Staging
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
 from ..formats.events import Event
@@ -179,7 +180,8 @@ def _parts(
         words = (*before, name) if row.command == run_command.NAME else ()
         argv = (*options, *(word for each in words for word in ("--part", each)))
         work = sum(share for _, share in stages)
-        return replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
+        made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
+        return replace(made, staging=_staging(row, folder, name))
 
     firsts = [each.name for each in cut if not each.needs]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
@@ -197,5 +199,20 @@ def _parts(
         name = out.relative_to(folder / run_files.BATCH_OUTPUTS).as_posix()
         argv = ("convert", str(source), str(out))
         made = Part(scene=row.name, name=name, argv=argv, needs=(WHOLE,), memory=4 * ENGINE)
+        made = replace(made, staging=_staging(row, folder, name))
         found.append(made)
     return tuple(found)
+
+
+def _staging(row: Row, folder: Path, part: str) -> Staging | None:
+    """Where a part's files are, if the batch is on a store."""
+    if not row.store:
+        return None
+    return Staging(
+        url=row.store,
+        base=str(folder),
+        run=row.name,
+        part=part,
+        last=part == WHOLE,
+        options=row.asked or row.options,
+    )

@@ -17,9 +17,10 @@ from ..formats.files import UNREADABLE, read_bytes
 from ..formats.names import first_taken, is_file_name
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
+from ..storage.urls import is_url
 from . import run
 from .options_file import typed
-from .values import shown
+from .values import PATH, shown
 
 DEFAULTS, SCENES = "defaults", "scenes"
 OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
@@ -50,6 +51,8 @@ class Row:
         object_outputs: the same of each object.
         command: `run` or `train`.
         home: its run folder, if that is not in the folder of a batch.
+        store: address of the batch's folder, if that is on a store.
+        asked: the options as the table has them, if addresses in `options` became folders.
     """
 
     name: str
@@ -60,11 +63,13 @@ class Row:
     object_outputs: tuple[str, ...] = ()
     command: str = "run"
     home: Path | None = None
+    store: str = ""
+    asked: dict[str, Any] | None = None
 
     @property
     def digest(self) -> str:
         """Of everything that decides what is made."""
-        decides = {k: v for k, v in self.options.items() if k not in NO_RESULT}
+        decides = {k: v for k, v in (self.asked or self.options).items() if k not in NO_RESULT}
         return json_digest([decides, self.outputs, self.object_outputs])
 
 
@@ -143,6 +148,9 @@ class Table:
                 known = ", ".join(sorted({*self._options, OUTPUTS, OBJECT_OUTPUTS}))
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
+                if is_url(value) and self._options[name].type is PATH:
+                    found[name] = value
+                    continue
                 try:
                     found[name] = self._absolute(typed(self._options[name], value, f"'{key}'"))
                 except EngineError as error:
