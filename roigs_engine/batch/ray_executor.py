@@ -74,15 +74,20 @@ class RayExecutor:
         self._connection.ask(lambda: self._start(part, waiting, avoid))
 
     def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> None:
-        largest = max(node.get("CPU", 1.0) for node in self._nodes.values())
+        fit = {n: has for n, has in self._nodes.items() if n not in avoid} or self._nodes
+        place: Any = "SPREAD"
+        if avoid or self._misfits:  # not just anywhere: so what it asks for must be there
+            node = self._freest(fit, gpu=part.gpu)
+            fit, place = {node: fit[node]}, self._affinity(node, soft=False)
+        largest = max(node.get("CPU", 1.0) for node in fit.values())
         cores = max(1, int(min(self.cores / (len(self._running) + 1 + waiting), largest)))
-        room = max(node.get("memory", 0.0) for node in self._nodes.values())
-        gpus = any(node.get("GPU") for node in self._nodes.values())
+        room = max(node.get("memory", 0.0) for node in fit.values())
+        gpus = any(node.get("GPU") for node in fit.values())
         task = self._do.options(
             num_cpus=cores,
             num_gpus=1 if part.gpu and gpus else 0,
             memory=int(min(part.memory, room)),
-            scheduling_strategy=self._place(avoid),
+            scheduling_strategy=place,
         )
         argv = with_threads(part, cores)
         reference = task.remote(argv, part, self._mailbox, __version__, self._sign)
@@ -156,22 +161,15 @@ class RayExecutor:
         assert isinstance(found, Outcome)
         return found
 
-    def _place(self, avoid: tuple[str, ...]) -> Any:
-        """Where a part goes: anywhere, unless there are machines that it must not go to."""
-        if not avoid and not self._misfits:
-            return "SPREAD"
-        fit = [node for node in self._nodes if node not in avoid] or list(self._nodes)
+    def _freest(self, fit: Mapping[str, Mapping[str, float]], *, gpu: bool) -> str:
+        """The machine with most free cores; one with a GPU, if that helps and there is one."""
+        names = [node for node, has in fit.items() if gpu and has.get("GPU")] or list(fit)
         free: dict[str, dict[str, float]] = {}
         with suppress(AttributeError):  # no public name tells it
             free = self._ray._private.state.available_resources_per_node()
-        self._given.update(
-            [
-                place := max(
-                    fit, key=lambda node: (free.get(node, {}).get("CPU", 0.0), -self._given[node])
-                )
-            ]
-        )
-        return self._affinity(place, soft=False)
+        found = max(names, key=lambda n: (free.get(n, {}).get("CPU", 0.0), -self._given[n]))
+        self._given[found] += 1
+        return found
 
     def _affinity(self, node: str, *, soft: bool) -> Any:
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy

@@ -69,6 +69,8 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
 
     args, quiet = copy(row.args), QuietConsole(console)
     args.run_dir, args.threads = run_folder(row, folder), None
+    if row.elsewhere:
+        args.device = "cpu"
     compare: Sequence[str] = ()
     if row.command == run_command.NAME:
         compare = run_command.compared(args)

@@ -127,7 +127,8 @@ def localized(
             for key in options.keys() - {k for k, v in row.options.items() if v == options[k]}:
                 setattr(row_args, key, Path(options[key]))
             row = replace(row, options=options, args=row_args, asked=row.options)
-        found.append(replace(row, store=store.url if store else ""))
+        url = store.url if store else ""
+        found.append(replace(row, store=url, elsewhere=bool(args.cluster)))
     return found, wrong
 
 

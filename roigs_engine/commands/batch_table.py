@@ -52,6 +52,7 @@ class Row:
         command: `run` or `train`.
         home: its run folder, if that is not in the folder of a batch.
         store: address of the batch's folder, if that is on a store.
+        elsewhere: whether it is done on other machines, whose devices are not this one's.
         asked: the options as the table has them, if addresses in `options` became folders.
     """
 
@@ -64,6 +65,7 @@ class Row:
     command: str = "run"
     home: Path | None = None
     store: str = ""
+    elsewhere: bool = False
     asked: dict[str, Any] | None = None
 
     @property

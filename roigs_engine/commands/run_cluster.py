@@ -77,8 +77,8 @@ def _row(args: argparse.Namespace) -> Row:
     options: dict[str, Any] = settings(args)
     options |= {key: value for key in KEPT if (value := getattr(args, key, None)) is not None}
     name = args.run_dir.name
-    home = args.run_dir
-    return Row(name=name, line=1, options=options, args=row_args, command=args.command, home=home)
+    row = Row(name=name, line=1, options=options, args=row_args, elsewhere=True)
+    return replace(row, command=args.command, home=args.run_dir)
 
 
 def _execute(

@@ -111,6 +111,29 @@ def test_one_part_can_be_stopped_to_go_on_elsewhere(
         executor.close()
 
 
+@pytest.mark.slow
+def test_a_machine_without_the_gpu_that_it_promised(
+    cluster: Any, table: Path, tmp_path: Path
+) -> None:
+    text = table.read_text(encoding="utf-8").replace('device = "cpu"', "")
+    for name, device in zip(SCENES, ("cuda", "auto"), strict=True):
+        text = text.replace(f"scene = '{name}'", f"scene = '{name}'\ndevice = '{device}'")
+    table.write_text(text, encoding="utf-8")
+    promises = cluster.add_node(**EACH, num_gpus=1)
+    run = tmp_path / "run"
+    try:
+        with start("batch", table, "--run-dir", run, "--cluster", cluster.address) as batch:
+            out, errors = batch.communicate(timeout=200)
+    finally:
+        cluster.remove_node(promises)
+    hall, attic = SCENES
+    assert batch.returncode == 2 and "Traceback" not in errors, errors
+    assert f"failed: {hall}: " in out and "CUDA" in out, errors
+    assert (run / attic / "result.ply").is_file()  # on the CPU
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "1 of 2 objects done" in page and f"failed: {hall}: " in page
+
+
 def test_machines_with_another_version_are_refused(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from roigs_engine.batch import staged
-from roigs_engine.batch.engine_process import LOST, Outcome
+from roigs_engine.batch.engine_process import FAILED, LOST, Outcome
 from roigs_engine.batch.staged import stored_run
 from roigs_engine.cli import main
 from tests.engine.commands.command_line import refused
@@ -92,6 +92,26 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
     capsys.readouterr()
     assert main(["batch", str(table), "--run-dir", RUNS, "--dry-run"]) == 0
     assert capsys.readouterr().out.count(" done\n") == 2
+
+
+def test_a_full_disk_of_one_machine_is_its_reason(
+    table: Path, store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Any, *_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    staging = staged.Staging(
+        url=RUNS,
+        base="x",
+        run="hall",
+        part="scene",
+        last=False,
+        options={"scene": "memory://museum/scans/hall"},
+    )
+    monkeypatch.setattr(type(store), "get_file", full)
+    ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
+    assert ended.state == FAILED and "No space left on device" in ended.reason
+    assert not [path for path in store.find("/museum/runs")]  # nothing of it is published or held
 
 
 def test_half_a_commit_is_none(store: Any, tmp_path: Path) -> None:
