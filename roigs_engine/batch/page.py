@@ -47,6 +47,7 @@ def write_batch_page(folder: Path, scenes: Iterable[SceneState]) -> Path:
     """
     path = folder / REPORT_PAGE
     rows = [row for scene in scenes for row in _rows(folder, scene)]
+    rows.sort(key=lambda row: row.state != FAILED)  # first what somebody has to look at
     write_text(path, _page(folder, rows), durable=False)
     return path
 
@@ -76,7 +77,9 @@ def _rows(folder: Path, scene: SceneState) -> list[ObjectRow]:
 
 def _page(folder: Path, rows: Sequence[ObjectRow]) -> str:
     done = sum(row.state == DONE for row in rows)
+    failed = sum(row.state == FAILED for row in rows)
     title = f"{done} of {counted(len(rows), 'object')} done"
+    title += f", {failed} failed" if failed else ""
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     heads = "".join(f"<th>{_text(column)}</th>" for column in COLUMNS)
     parts = [

@@ -16,6 +16,7 @@ from ..formats.files import write_json
 from ..formats.lock import locked
 from ..formats.run_files import BATCH, BATCH_LOCK, REPORT_PAGE
 from ..formats.text import counted
+from ..storage.urls import is_url
 from .batch_init import write_table
 from .batch_plan import checked_plans, options_path, plan_row, written
 from .batch_store import Store, StoredRecord, localized, place
@@ -127,7 +128,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             states = _execute(args, executor, scenes, rows, record, console)
         finally:
             executor.close()
-    return _finish(folder, states, console)
+    return _finish(store.url if store else str(folder), states, console)
 
 
 def _chosen(table: Table, only: list[str]) -> list[Row]:
@@ -230,20 +231,20 @@ def _execute(
     return list(scheduler.scenes.values())
 
 
-def _finish(folder: Path, states: Sequence[SceneState], console: Console) -> dict[str, str]:
+def _finish(where: str, states: Sequence[SceneState], console: Console) -> dict[str, str]:
     """Say how it ended.
 
     Raises:
         RunFolderError: a scene failed.
     """
     failed = [state for state in states if state.reason]
-    page = folder / REPORT_PAGE
+    page = f"{where}/{REPORT_PAGE}" if is_url(where) else str(Path(where, REPORT_PAGE))
     for state in failed:
         console.print(f"failed: {state.reason}")
-    console.print_places({"report": str(page), "runs": str(folder)})
+    console.print_places({"report": page, "runs": where})
     if failed:
         raise RunFolderError(
             f"{counted(len(failed), 'scene')} of {len(states)} failed; {page} says why.",
             "The same command tries these again, and keeps what is done.",
         )
-    return {"report": str(page), "runs": str(folder)}
+    return {"report": page, "runs": where}

@@ -111,7 +111,7 @@ def test_a_full_disk_of_one_machine_is_its_reason(
     monkeypatch.setattr(type(store), "get_file", full)
     ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
     assert ended.state == FAILED and "No space left on device" in ended.reason
-    assert not [path for path in store.find("/museum/runs")]  # nothing of it is published or held
+    assert not list(store.find("/museum/runs"))  # nothing of it is published or held
 
 
 def test_half_a_commit_is_none(store: Any, tmp_path: Path) -> None:
