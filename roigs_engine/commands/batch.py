@@ -19,7 +19,7 @@ from ..formats.text import counted
 from ..storage.urls import is_url
 from .batch_init import write_table
 from .batch_plan import checked_plans, options_path, plan_row, written
-from .batch_store import Store, StoredRecord, localized, place
+from .batch_store import PLACE, Store, StoredRecord, localized
 from .batch_table import Row, Table
 from .console import Console
 from .values import NAME, PATH, integer
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--run-dir",
-        type=place,
+        type=PLACE,
         metavar="DIR",
         help="folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
     )

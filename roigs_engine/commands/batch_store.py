@@ -18,18 +18,21 @@ from ..photos.contents import FILE as CONTENTS
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.urls import file_system, is_url
 from .batch_table import Row, Wrong
-from .values import PATH
+from .values import PATH, Name
 
 SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
 """Files of a run that the page and the record of a batch need, beside its pictures."""
 
 
-def place(text: str) -> Path | str:
-    """A value of `--run-dir`: a folder, or an address of a store as it is."""
-    return text if is_url(text) else PATH(text)
+class PlaceName(Name):
+    """A folder, as a path, or an address of a store, as it is."""
+
+    def of_json(self, value: Any) -> Path | str:
+        """The place of an options file."""
+        return str(value) if is_url(value) else PATH.of_json(value)
 
 
-place.__name__ = "folder"
+PLACE = PlaceName()
 
 
 class Store:
