@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,24 +19,34 @@ ENVIRONMENT = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLE
 @contextmanager
 def a_cluster(**head: Any) -> Iterator[Any]:
     """A Ray of two nodes; `second` is the one that is not its head."""
-    before = {name: os.environ.get(name) for name in ENVIRONMENT}
-    os.environ.update(ENVIRONMENT)  # Ray reads them as it is imported
-    pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
-    from ray.cluster_utils import Cluster
-
     place = tempfile.mkdtemp(prefix="roigs-ray-")  # short: sockets are in it
-    settings = {**EACH, "include_dashboard": False, "node_ip_address": "127.0.0.1", **head}
-    made = Cluster(initialize_head=True, head_node_args={**settings, "temp_dir": place})
-    try:
-        made.second = made.add_node(**EACH)
-        yield made
-    finally:
-        made.shutdown()
-        shutil.rmtree(place, ignore_errors=True)
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
+    (Path(place) / "ray").mkdir()
+    wanted = {**ENVIRONMENT, "RAY_TMPDIR": place}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in wanted.items():  # Ray reads some of them as it is imported
+            patch.setenv(name, value)
+        try:
+            pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
+            from ray.cluster_utils import Cluster
+
+            settings = {**EACH, "include_dashboard": False, "node_ip_address": "127.0.0.1"}
+            made = Cluster(initialize_head=True, head_node_args={**settings, **head})
+            try:
+                made.second = made.add_node(**EACH)
+                yield made
+            finally:
+                made.shutdown()
+        finally:
+            _remove(Path(place))
+
+
+def _remove(folder: Path) -> None:
+    """Remove Ray's folder; a process that was killed may write into it once more."""
+    for _ in range(50):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+        time.sleep(0.1)
 
 
 def engines(run: Path) -> list[int]:
