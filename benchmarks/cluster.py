@@ -59,7 +59,7 @@ def cluster(nodes: int) -> Iterator[str]:
 
     each: dict[str, Any] = {"num_cpus": 1, "object_store_memory": STORE}
     head = {**each, "include_dashboard": False, "node_ip_address": "127.0.0.1"}
-    made = Cluster(initialize_head=True, head_node_args=head)
+    made: Any = Cluster(initialize_head=True, head_node_args=head)
     try:
         for _ in range(nodes - 1):
             made.add_node(**each)

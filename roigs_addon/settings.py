@@ -22,6 +22,12 @@ from .errors import AddonError
 ADDON = (__package__ or "").rpartition(".")[0] or __package__ or ""
 
 
+HERE, CLUSTER = "HERE", "CLUSTER"
+"""Where the engine trains."""
+NEAR = "auto"
+"""Address of the cluster that this computer is part of."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """The values of the preferences page; their meaning is described there."""
@@ -29,6 +35,8 @@ class Settings:
     engine_python: str = ""
     threads: int = 0
     device: str = "auto"
+    train_on: str = HERE
+    cluster: str = NEAR
     cache: str = ""
     preview_seconds: float = 5.0
     build: str = "AUTO"
@@ -36,13 +44,27 @@ class Settings:
     wheels: str = ""
 
 
+def page() -> bpy.types.AddonPreferences | None:
+    """The preferences page; None where the package is no add-on."""
+    addon = blender.preferences().addons.get(ADDON)
+    return addon.preferences if addon else None
+
+
 def get() -> Settings:
     """The settings as they are now."""
-    addon = blender.preferences().addons.get(ADDON)
-    page = addon.preferences if addon else None
-    if page is None:
+    found = page()
+    if found is None:
         return Settings()
-    return Settings(**{field.name: getattr(page, field.name) for field in fields(Settings)})
+    return Settings(**{field.name: getattr(found, field.name) for field in fields(Settings)})
+
+
+def cluster() -> str:
+    """The address of the cluster that trains; empty: this computer does.
+
+    It is the user's, not the .blend's: whoever runs a cluster can run programs here.
+    """
+    chosen = get()
+    return (chosen.cluster.strip() or NEAR) if chosen.train_on == CLUSTER else ""
 
 
 # None of these folders need exist: whoever writes into one creates it.

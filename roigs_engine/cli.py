@@ -32,6 +32,7 @@ from .commands import (
     render,
     render_frames,
     run,
+    run_cluster,
     select,
     train,
 )
@@ -156,7 +157,8 @@ def main(argv: Sequence[str] | None = None, stop: StopRequest | None = None) -> 
         if args.command in WITH_TORCH:
             check_address_space(args.command, MIN_TORCH, MIN_TORCH_CORE)
         refuse_run_files(getattr(args, "out", None))
-        outputs = COMMANDS[args.command].run(args, console)
+        command = run_cluster if run_cluster.is_asked(args) else COMMANDS[args.command]
+        outputs = command.run(args, console)
         console.emit(Done(outputs=outputs))
         return 0
 

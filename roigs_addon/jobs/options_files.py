@@ -127,6 +127,8 @@ def write_train_options(
             "update": True,
         }
     )
+    if settings.cluster():  # whose machines have other numbers of cores
+        values.pop("threads", None)
     if values["test_every"]:
         values["compare"] = []
     if chosen := usable_lists(scene, boxes):

@@ -15,6 +15,11 @@ from ..windows import redraw
 from . import options_files, run_folders
 from .spec import TRAINING, JobSpec
 
+WORDS = {
+    "leave out --cluster": "choose Train On: This Computer",
+    "--cluster": "Train On: Cluster",
+}
+
 
 def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
     """The job that trains the scene and refines some boxes; with test photos it also measures.
@@ -39,13 +44,17 @@ def spec(scene: bpy.types.Scene, boxes: list[bpy.types.Object]) -> JobSpec:
         if now := find():
             splats.show_results(now, folder)
 
+    arguments = ["run" if measured else "train", str(options), "--run-dir", str(folder)]
+    if address := settings.cluster():
+        arguments += ["--cluster", address]
     return JobSpec(
         title=TRAINING,
-        arguments=["run" if measured else "train", str(options), "--run-dir", str(folder)],
+        arguments=arguments,
         log=own_files.log_file(folder),
         folder=folder,
         on_preview=preview,
         on_done=take,
+        words=WORDS,
     )
 
 

@@ -124,3 +124,13 @@ def progress(layout: bpy.types.UILayout, state: JobState) -> None:
     if current.job is not None and current.job.hears_esc and not current.job.stopping:
         kept = "; work so far is kept" if state.title in RESUMED else ""
         column.label(text=f"Press Esc to stop{kept}", icon="BLANK1")
+
+
+def draw_where(layout: bpy.types.UILayout) -> None:
+    """Where to train: a setting of the user's, on the preferences page and in the sidebar."""
+    page = settings.page()
+    if page is None:
+        return
+    layout.prop(page, "train_on")
+    if settings.get().train_on == settings.CLUSTER:
+        layout.prop(page, "cluster")

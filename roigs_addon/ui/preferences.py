@@ -22,7 +22,7 @@ from ..engine.install_steps import (
 from ..facts import graphics_card, training_device
 from ..operators.engine_setup import BUILDS
 from ..windows import redraw_sidebars
-from .layout import PIXELS_PER_LETTER, wrapped
+from .layout import PIXELS_PER_LETTER, draw_where, wrapped
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -48,13 +48,27 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         name="Threads", default=0, min=0, description="CPU threads that the engine uses; 0: all"
     )
     device: EnumProperty(
-        name="Train On",
+        name="Device",
         items=(
             ("auto", "Automatic", "The NVIDIA GPU if the engine can use one, else the CPU"),
             ("cpu", "CPU", "Always the CPU"),
             ("cuda", "NVIDIA GPU", "The GPU; an error if it cannot be used"),
         ),
         description="The device that the engine trains on",
+    )
+    train_on: EnumProperty(
+        name="Train On",
+        items=(
+            (settings.HERE, "This Computer", "The engine trains on this computer"),
+            (settings.CLUSTER, "Cluster", "The engine gives the work to a Ray cluster"),
+        ),
+        description="Where to train",
+    )
+    cluster: StringProperty(
+        name="Address",
+        default=settings.NEAR,
+        description="Of the Ray cluster: ray://HOST:10001, or auto for the one that this computer"
+        " is part of. Its machines must see the photos and the run folder under the same paths",
     )
     cache: StringProperty(
         name="Cache Folder",
@@ -91,7 +105,10 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         layout = self.layout
         assert layout is not None
         layout.use_property_split = True
-        for name in ("engine_python", "device", "threads", "cache", "preview_seconds"):
+        for name in ("engine_python", "device", "threads"):
+            layout.prop(self, name)
+        draw_where(layout)
+        for name in ("cache", "preview_seconds"):
             layout.prop(self, name)
         _draw_engine(layout.box().column(), self)
 

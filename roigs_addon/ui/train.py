@@ -100,6 +100,7 @@ class TrainSettingsPanel(SidebarPanel):
         props = scene_props(scene)
         for name in ("steps_factor", "strategy"):
             column.prop(props, name)
+        show.draw_where(column)
         label = "Test: One Photo in" if props.test_every else "Test Photos (none)"
         column.prop(props, "test_every", text=label)
         for name in ("seed", "run_dir"):

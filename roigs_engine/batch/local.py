@@ -8,8 +8,9 @@ import threading
 from ..context import Context
 from ..formats.events import Record
 from ..machine import machine_memory, usable_cores
-from .engine_process import LOST, Outcome, run_engine
+from .engine_process import LOST, Outcome
 from .parts import Part
+from .staged import run_part
 
 Report = tuple[Part, "Record | Outcome"]
 SPARE = 2  # cores per part from which on, by default, another part is started instead
@@ -87,8 +88,11 @@ class LocalExecutor:
     def _run(self, part: Part, threads: int) -> None:
         argv = with_threads(part, threads)
         try:
-            outcome = run_engine(
-                argv, lambda event: self._reports.put((part, event)), self._context.should_stop
+            outcome = run_part(
+                argv,
+                part.staging,
+                lambda event: self._reports.put((part, event)),
+                self._context.should_stop,
             )
         except OSError as error:
             outcome = Outcome(state=LOST, reason=f"The engine cannot be started ({error}).")

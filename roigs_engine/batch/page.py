@@ -7,6 +7,7 @@ import html
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -21,6 +22,7 @@ from .engine_process import DONE, FAILED
 from .schedule import SceneState
 
 THUMBNAIL = 160  # pixels of the longer side
+MOST_KEPT = 2000  # of about 4 KB each
 COLUMNS = ("", "Scene", "Object", "State", "PSNR, dB", "SSIM", "Gaussians", "Training", "Files")
 CLEAR = """\
 th:nth-child(-n+4), td:nth-child(-n+4) { text-align: left; }
@@ -47,6 +49,7 @@ def write_batch_page(folder: Path, scenes: Iterable[SceneState]) -> Path:
     """
     path = folder / REPORT_PAGE
     rows = [row for scene in scenes for row in _rows(folder, scene)]
+    rows.sort(key=lambda row: row.state != FAILED)  # first what somebody has to look at
     write_text(path, _page(folder, rows), durable=False)
     return path
 
@@ -76,7 +79,9 @@ def _rows(folder: Path, scene: SceneState) -> list[ObjectRow]:
 
 def _page(folder: Path, rows: Sequence[ObjectRow]) -> str:
     done = sum(row.state == DONE for row in rows)
+    failed = sum(row.state == FAILED for row in rows)
     title = f"{done} of {counted(len(rows), 'object')} done"
+    title += f", {failed} failed" if failed else ""
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     heads = "".join(f"<th>{_text(column)}</th>" for column in COLUMNS)
     parts = [
@@ -99,14 +104,14 @@ def _page(folder: Path, rows: Sequence[ObjectRow]) -> str:
 
 def _row(folder: Path, row: ObjectRow) -> str:
     scores = row.scores
-    state = _text(row.state)
-    if row.state == FAILED:
-        state = f'<span class="failed">failed: {_text(row.reason)}</span>'
+    if row.state == FAILED:  # its reason has the room of the numbers that it lacks
+        rest = f'<td class="failed" colspan="{len(COLUMNS) - 3}">failed: {_text(row.reason)}</td>'
+        return f"<tr><td></td><td>{_text(row.scene)}</td><td>{_text(row.name)}</td>{rest}</tr>"
     cells = [
         _thumbnail(folder / row.scene / CROPS / row.name) if row.state == DONE else "",
         _text(row.scene),
         _text(row.name),
-        state,
+        _text(row.state),
         _number(scores.get("roi_psnr"), "{:.2f}"),
         _number(scores.get("roi_ssim"), "{:.3f}"),
         _number(scores.get("gaussians_in_box"), "{:,}"),
@@ -132,15 +137,24 @@ def _links(folder: Path, row: ObjectRow) -> str:
 
 def _thumbnail(crops: Path) -> str:
     """One of the run's pictures, small."""
-    from PIL import Image
-
     found = matching(crops, "overview.png") or matching(crops, "*.png")
     try:
-        with Image.open(found[0]) as image:
+        return _small(found[0], found[0].stat().st_mtime_ns)
+    except (IndexError, OSError):
+        return ""
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def _small(path: Path, _time: int) -> str:
+    """A picture as an element of a page; kept, as the page is written again and again."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
             image.thumbnail((THUMBNAIL, THUMBNAIL))
             file = io.BytesIO()
             image.convert("RGB").save(file, "JPEG", quality=80)
-    except (IndexError, OSError, ValueError):
+    except (OSError, ValueError):
         return ""
     data = base64.b64encode(file.getvalue()).decode("ascii")
     return f'<img alt="" src="data:image/jpeg;base64,{data}">'

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from ..run.plan import Plan, Stage
+from .staged import Staging
 
 PREPARE, WHOLE = "prepare", "all"
 
@@ -24,6 +25,7 @@ class Part:
         memory: bytes that it may take.
         gpu: whether it uses a GPU where there is one.
         stages: name and work of the stages that it trains, in order.
+        staging: where its files are, if they are on a store.
     """
 
     scene: str
@@ -34,6 +36,7 @@ class Part:
     memory: int = 0
     gpu: bool = False
     stages: tuple[tuple[str, float], ...] = ()
+    staging: Staging | None = None
 
     @property
     def key(self) -> tuple[str, str]:

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import signal
-import socket
-import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from .. import __version__
 from ..context import Context
-from ..errors import ConfigError, EngineError
+from ..errors import ConfigError
 from ..formats.text import counted
 from . import ray_tasks
 from .engine_process import LOST, Outcome
 from .local import Report, with_threads
 from .parts import Part
+from .ray_connection import CONNECT_SECONDS, Connection
 
 LOOK_SECONDS = 120.0  # for a machine to answer; it imports the engine for that
-CONNECT_SECONDS = 10.0
 REFRESH = 5.0  # seconds between two looks at the machines
-MOST_MISSED = 3  # of these looks may fail until the cluster counts as gone
-LOOPBACK, CLIENT = "127.0.0.1", "ray://"
-SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
 
 
 class RayExecutor:
@@ -36,26 +28,33 @@ class RayExecutor:
 
     Args:
         address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
-        sign: a file of the batch, which every machine must see.
+        sign: a file of the batch, which every machine must see; None: it is on a store.
         context: asked whether to stop; receives warnings.
 
     Raises:
         ConfigError: Ray is not installed, there is no cluster, or no machine of it fits.
     """
 
-    def __init__(self, address: str, sign: Path, context: Context) -> None:
-        self._address, self._sign, self._context = address, str(sign), context
-        self._ray = _connected(address)
+    def __init__(self, address: str, sign: Path | None, context: Context) -> None:
+        self._sign, self._context = str(sign or ""), context
+        self._connection = Connection(address)
+        self._ray = self._connection.ray
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
+        self._looks: dict[str, Any] = {}  # node -> reference of a look that is on its way
+        self._said: set[tuple[str, str]] = set()  # problems of nodes
+        self._fitted = time.monotonic()  # when a machine was last there that fits
         self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
         self._given: Counter[str] = Counter()  # parts that were sent to one machine
-        self._looked, self._missed = 0.0, 0
+        self._looked = 0.0
         self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
         try:
             self._do = self._ray.remote(max_retries=0)(ray_tasks.do_part)
-            self._refresh()
-            self._mailbox = self._new_mailbox()
+            self._look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
+            while not self._nodes:
+                context.check_cancelled()
+                self._connection.ask(lambda: self._refresh(REFRESH))
+            self._mailbox = self._connection.ask(self._new_mailbox)
         except BaseException:
             self.close()
             raise
@@ -72,18 +71,26 @@ class RayExecutor:
 
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
         """Give a part to Ray; see `LocalExecutor.start`."""
-        largest = max(node.get("CPU", 1.0) for node in self._nodes.values())
+        self._connection.ask(lambda: self._start(part, waiting, avoid))
+
+    def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> None:
+        fit = {n: has for n, has in self._nodes.items() if n not in avoid} or self._nodes
+        place: Any = "SPREAD"
+        if avoid or self._misfits:  # not just anywhere: so what it asks for must be there
+            node = self._freest(fit, gpu=part.gpu)
+            fit, place = {node: fit[node]}, self._affinity(node, soft=False)
+        largest = max(node.get("CPU", 1.0) for node in fit.values())
         cores = max(1, int(min(self.cores / (len(self._running) + 1 + waiting), largest)))
-        room = max(node.get("memory", 0.0) for node in self._nodes.values())
-        gpus = any(node.get("GPU") for node in self._nodes.values())
+        room = max(node.get("memory", 0.0) for node in fit.values())
+        gpus = any(node.get("GPU") for node in fit.values())
         task = self._do.options(
             num_cpus=cores,
             num_gpus=1 if part.gpu and gpus else 0,
             memory=int(min(part.memory, room)),
-            scheduling_strategy=self._place(avoid),
+            scheduling_strategy=place,
         )
         argv = with_threads(part, cores)
-        reference = task.remote(argv, part.key, self._mailbox, __version__, self._sign)
+        reference = task.remote(argv, part, self._mailbox, __version__, self._sign)
         self._running[reference] = (part, cores)
 
     def wait(self, seconds: float) -> list[Report]:
@@ -92,6 +99,9 @@ class RayExecutor:
         Raises:
             EngineError: the cluster is gone.
         """
+        return self._connection.ask(lambda: self._wait(seconds))
+
+    def _wait(self, seconds: float) -> list[Report]:
         ended: list[Any] = []
         if self._running:
             ended, _ = self._ray.wait(list(self._running), timeout=seconds)
@@ -122,9 +132,7 @@ class RayExecutor:
 
     def close(self) -> None:
         """Leave the cluster; one that was started for the batch ends."""
-        if self._missed < MOST_MISSED:
-            with suppress(Exception):
-                self._ray.shutdown()
+        self._connection.close()
 
     def _post(self) -> list[Any]:
         """The events that came; none while the mailbox starts again elsewhere."""
@@ -153,147 +161,78 @@ class RayExecutor:
         assert isinstance(found, Outcome)
         return found
 
-    def _place(self, avoid: tuple[str, ...]) -> Any:
-        """Where a part goes: anywhere, unless there are machines that it must not go to."""
-        if not avoid and not self._misfits:
-            return "SPREAD"
-        fit = [node for node in self._nodes if node not in avoid] or list(self._nodes)
+    def _freest(self, fit: Mapping[str, Mapping[str, float]], *, gpu: bool) -> str:
+        """The machine with most free cores; one with a GPU, if that helps and there is one."""
+        names = [node for node, has in fit.items() if gpu and has.get("GPU")] or list(fit)
         free: dict[str, dict[str, float]] = {}
         with suppress(AttributeError):  # no public name tells it
             free = self._ray._private.state.available_resources_per_node()
-        self._given.update(
-            [
-                place := max(
-                    fit, key=lambda node: (free.get(node, {}).get("CPU", 0.0), -self._given[node])
-                )
-            ]
-        )
-        return self._affinity(place, soft=False)
+        found = max(names, key=lambda n: (free.get(n, {}).get("CPU", 0.0), -self._given[n]))
+        self._given[found] += 1
+        return found
 
     def _affinity(self, node: str, *, soft: bool) -> Any:
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         return NodeAffinitySchedulingStrategy(node_id=node, soft=soft)
 
-    def _refresh(self) -> None:
+    def _refresh(self, patience: float = 0.0) -> None:
         """Look at machines that are new; forget those that are gone.
+
+        Args:
+            patience: seconds to wait for new machines.
 
         Raises:
             ConfigError: there is no machine that fits.
-            EngineError: the cluster is gone.
         """
-        self._check_there()
-        alive = {n["NodeID"]: n for n in self._ray.nodes() if n["Alive"]}
-        new = alive.keys() - self._nodes.keys() - self._misfits
-        look = self._ray.remote(num_cpus=0, max_retries=0)(ray_tasks.look)
-        looks = {
-            node: look.options(scheduling_strategy=self._affinity(node, soft=False)).remote(
-                self._sign
-            )
-            for node in new
-        }
-        for node, reference in looks.items():
-            problem = self._problem(reference)
-            if problem:
-                self._misfits.add(node)
-                where = alive[node]["NodeManagerAddress"]
-                self._context.warn(f"Machine {where} is not used: it {problem}.")
-            else:
-                self._nodes[node] = {}
-        self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
         self._looked = time.monotonic()
-        if not self._nodes and not self._running:
+        alive = {n["NodeID"]: n for n in self._ray.nodes() if n["Alive"]}
+        self._take_looks(alive, patience)
+        self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
+        if self._nodes or self._running:
+            self._fitted = time.monotonic()
+        elif alive.keys() <= self._misfits or time.monotonic() - self._fitted > LOOK_SECONDS:
             raise ConfigError(
-                f"No machine of the Ray cluster {self._address} can be used"
+                f"No machine of the Ray cluster {self._connection.address} can be used"
                 f" ({counted(len(alive), 'machine')} there).",
                 "The warnings above say why.",
             )
 
-    def _problem(self, reference: Any) -> str:
-        """Why a machine cannot be used; empty: it can."""
+    def _take_looks(self, alive: Mapping[str, Any], patience: float) -> None:
+        """Send looks to new machines, and judge those that came back.
+
+        A machine that does not answer is looked at again: its memory may be full for a while.
+        """
+        self._looks = {node: found for node, found in self._looks.items() if node in alive}
+        for node in alive.keys() - self._nodes.keys() - self._misfits - self._looks.keys():
+            there = self._affinity(node, soft=False)
+            self._looks[node] = self._look.options(scheduling_strategy=there).remote(self._sign)
+        waiting = list(self._looks.values())
+        if waiting and patience:
+            self._ray.wait(waiting, timeout=patience)
+        ready: list[Any] = []
+        if waiting:
+            rest = min(patience, REFRESH)
+            ready, _ = self._ray.wait(waiting, num_returns=len(waiting), timeout=rest)
+        for node, reference in [pair for pair in self._looks.items() if pair[1] in ready]:
+            del self._looks[node]
+            problem, may_pass = self._problem(reference)
+            if not problem:
+                self._nodes[node] = {}
+                continue
+            if not may_pass:
+                self._misfits.add(node)
+            if (node, problem) not in self._said:
+                self._said.add((node, problem))
+                where = alive[node]["NodeManagerAddress"]
+                self._context.warn(f"Machine {where} is not used: it {problem}.")
+
+    def _problem(self, reference: Any) -> tuple[str, bool]:
+        """Why a machine cannot be used, empty if it can; and whether that may pass."""
         try:
-            found = self._ray.get(reference, timeout=LOOK_SECONDS)
+            found = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             if "No module named" in str(error):
-                return "has no roigs; install it there (pip install 'roigs[cluster]')"
-            return f"does not answer ({type(error).__name__})"
-        return ray_tasks.misfit(found, __version__, self._sign)
-
-    def _check_there(self) -> None:
-        """EngineError if the cluster has not answered several times; Ray itself would wait long."""
-        if self._address.startswith(CLIENT):  # whose calls fail by themselves
-            return
-        place = _host_and_port(self._ray.get_runtime_context().gcs_address)
-        if place is None:
-            return
-        try:
-            with socket.create_connection(place, CONNECT_SECONDS):
-                self._missed = 0
-        except OSError as error:
-            self._missed += 1
-            if self._missed >= MOST_MISSED:
-                raise EngineError(
-                    f"The Ray cluster {self._address} is gone.",
-                    "Start it again; the same command goes on.",
-                ) from error
-
-
-def _connected(address: str) -> Any:
-    """The module ray, connected."""
-    place = _host_and_port(address.removeprefix(CLIENT))
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    if place is not None and place[0] in (LOOPBACK, "localhost"):
-        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # else it goes outside
-    try:
-        import ray
-    except ImportError as error:
-        raise ConfigError(
-            f"--cluster needs Ray, which is not installed in {sys.executable}.",
-            "Install it (pip install 'roigs[cluster]'), or leave out --cluster.",
-        ) from error
-    options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
-    if address == "local":
-        options |= {"_node_ip_address": LOOPBACK, "include_dashboard": False}
-        options |= {"object_store_memory": SMALL_STORE}
-    if address not in ("local", "auto") and place is None:
-        raise ConfigError(
-            f"--cluster {address:.60} is no address.", "Use local, auto or ray://HOST:10001."
-        )
-    try:
-        if place is not None:
-            with socket.create_connection(place, CONNECT_SECONDS):
-                pass
-        with _signals_kept():
-            _hush(ray)
-            ray.init(address=address, **options)
-    except (OSError, RuntimeError, ValueError, ConnectionError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise ConfigError(
-            f"There is no Ray cluster at {address} ({reason:.100}).",
-            "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
-            " RAY_AUTH_MODE=token (docs/many.md).",
-        ) from error
-    return ray
-
-
-def _hush(ray: Any) -> None:
-    """Keep what Ray prints of lost machines off standard output, which may be read as JSON."""
-    with suppress(AttributeError):
-        ray._private.worker.print_to_stdstream = lambda *_, **__: None
-
-
-def _host_and_port(address: str) -> tuple[str, int] | None:
-    host, _, port = address.rpartition(":")
-    return (host.strip("[]"), int(port)) if host and port.isdecimal() else None
-
-
-@contextmanager
-def _signals_kept() -> Iterator[None]:
-    """Signals ask for a stop, as before: Ray would end the process."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+                return "has no roigs; install it there (pip install 'roigs[cluster]')", False
+            return f"does not answer ({type(error).__name__})", True
+        return ray_tasks.misfit(found, __version__, self._sign), False

@@ -4,29 +4,37 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from typing import Any
 
 from .. import __version__
 from ..formats.events import Record
-from .engine_process import FAILED, Outcome, run_engine
+from .engine_process import FAILED, Outcome
+from .parts import Part
+from .staged import run_part
 
 POST_SECONDS = 1.0
+LONELY_SECONDS = 30.0  # without an answer: nobody waits for the part any more, or it starts again
 KEPT = ("progress",)  # of these events, only the last of a second is posted
 
 
 def look(sign: str) -> dict[str, Any]:
     """This machine: its version of the engine, and whether it sees a file of the batch."""
-    return {"version": __version__, "sees": os.path.exists(sign)}
+    return {"version": __version__, "sees": not sign or os.path.exists(sign)}
 
 
 def do_part(
-    argv: list[str], key: tuple[str, str], mailbox: Any, version: str, sign: str
+    argv: list[str],
+    part: Part,
+    mailbox: Any,
+    version: str,
+    sign: str,
 ) -> Outcome:
     """Do a part on this machine, with its events to a mailbox.
 
     Args:
         argv: the engine's command line.
-        key: of the part.
+        part: that it does.
         mailbox: a handle to a `Mailbox`.
         version: of the engine that gives out parts.
         sign: a file of the batch, which every machine must see.
@@ -37,8 +45,8 @@ def do_part(
     problem = misfit(look(sign), version, sign)
     if problem:
         return Outcome(state=FAILED, reason=f"A machine of the cluster {problem}.", node=node)
-    post = _Post(key, mailbox)
-    ended = run_engine(argv, post.add, lambda: post.stop)
+    post = _Post(part.key, mailbox)
+    ended = run_part(argv, part.staging, post.add, lambda: post.stop)
     post.close()
     return Outcome(state=ended.state, reason=ended.reason, node=node)
 
@@ -80,7 +88,11 @@ class Mailbox:
 
 
 class _Post:
-    """Posts events once a second, in a thread; a mailbox that is gone stops nothing."""
+    """Posts events once a second, in a thread.
+
+    A mailbox that stays away stops the part, with a checkpoint: its batch has ended, and the next
+    one waits for the run folder.
+    """
 
     def __init__(self, key: tuple[str, str], mailbox: Any) -> None:
         self.stop = False
@@ -106,7 +118,7 @@ class _Post:
     def _run(self) -> None:
         import ray
 
-        ended = False
+        ended, answered = False, time.monotonic()
         while not ended:
             ended = self._ended.wait(POST_SECONDS)
             with self._lock:
@@ -114,5 +126,6 @@ class _Post:
             try:
                 put = self._mailbox.put.remote(self._key, events)
                 self.stop = self.stop or bool(ray.get(put, timeout=10 * POST_SECONDS))
+                answered = time.monotonic()
             except ray.exceptions.RayError:
-                continue
+                self.stop = self.stop or time.monotonic() - answered > LONELY_SECONDS

@@ -25,7 +25,7 @@ class BatchRecord:
 
     def __init__(self, folder: Path) -> None:
         """Read the record; one that is missing or damaged counts as empty."""
-        self._folder = folder
+        self.folder = folder
         self._scenes: dict[str, Any] = {}
         try:
             found = read_json(folder / BATCH)
@@ -75,13 +75,13 @@ class BatchRecord:
             }
         except OSError as error:
             raise RunFolderError(f"Cannot read {error.filename} ({error.strerror}).") from error
-        write_json(self._folder / BATCH, {"version": VERSION, "scenes": self._scenes})
+        write_json(self.folder / BATCH, {"version": VERSION, "scenes": self._scenes})
 
-    def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[int]]:
+    def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
         """Size and time of files, by their place in the batch's folder; OSError if one is gone."""
         found = {}
         for path in (run / RESULT, run / REPORT_DATA, *files):
             status = path.stat()
-            place = path.relative_to(self._folder).as_posix()
+            place = path.relative_to(self.folder).as_posix()
             found[place] = [status.st_size, status.st_mtime_ns]
         return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +14,12 @@ from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.files import write_json
 from ..formats.lock import locked
-from ..formats.run_files import BATCH_LOCK, REPORT_PAGE
+from ..formats.run_files import BATCH, BATCH_LOCK, REPORT_PAGE
 from ..formats.text import counted
+from ..storage.urls import is_url
 from .batch_init import write_table
 from .batch_plan import checked_plans, options_path, plan_row, written
+from .batch_store import PLACE, Store, StoredRecord, localized
 from .batch_table import Row, Table
 from .console import Console
 from .values import NAME, PATH, integer
@@ -52,7 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--init", type=PATH, metavar="FOLDER", help="write TABLE with the scenes of this folder"
     )
     parser.add_argument(
-        "--run-dir", type=PATH, metavar="DIR", help="folder that gets a run folder for each scene"
+        "--run-dir",
+        type=PLACE,
+        metavar="DIR",
+        help="folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
     )
     parser.add_argument(
         "--only",
@@ -102,15 +108,18 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         )
     if args.jobs and args.cluster:
         raise ConfigError("--jobs is for this machine.", "Leave it out with --cluster.")
-    from ..batch.record import BatchRecord
-
-    folder = args.run_dir = args.run_dir.absolute()
+    store = args.store = Store(args.run_dir) if isinstance(args.run_dir, str) else None
+    folder = args.run_dir = store.folder if store else args.run_dir.absolute()
     table = Table(args.table)
-    rows = _chosen(table, args.only)
+    rows, wrong = localized(_chosen(table, args.only), store, args, console.context)
+    table.wrong += wrong
     if args.dry_run:
-        return _show(table, rows, folder, console)
-    with locked(folder, console.context.warn, name=BATCH_LOCK):
-        record = BatchRecord(folder)
+        return _show(table, rows, _record(args, rows), console)
+    with ExitStack() as stack:
+        stack.enter_context(locked(folder, console.context.warn, name=BATCH_LOCK))
+        if store:
+            stack.enter_context(store.held(console.context))
+        record = _record(args, rows)
         device, scenes = checked_plans(table, rows, folder, record, console)
         for row in rows:
             write_json(options_path(row, folder), row.options)
@@ -119,7 +128,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             states = _execute(args, executor, scenes, rows, record, console)
         finally:
             executor.close()
-    return _finish(folder, states, console)
+    return _finish(store.url if store else str(folder), states, console)
 
 
 def _chosen(table: Table, only: list[str]) -> list[Row]:
@@ -132,13 +141,22 @@ def _chosen(table: Table, only: list[str]) -> list[Row]:
     return [row for row in table.rows if not only or row.name in only]
 
 
-def _show(table: Table, rows: list[Row], folder: Path, console: Console) -> dict[str, str]:
-    """Print the plan; the time of a step is measured, nothing is written."""
+def _record(args: argparse.Namespace, rows: Sequence[Row]) -> BatchRecord:
+    """What earlier batches have done."""
     from ..batch.record import BatchRecord
+
+    if args.store is None:
+        return BatchRecord(args.run_dir)
+    args.store.open(row.name for row in rows)
+    return StoredRecord(args.store)
+
+
+def _show(table: Table, rows: list[Row], record: BatchRecord, console: Console) -> dict[str, str]:
+    """Print the plan; the time of a step is measured, nothing is written."""
     from ..batch.times import Times
     from .batch_show import plan_text
 
-    record, times = BatchRecord(folder), Times()
+    folder, times = record.folder, Times()
     _, scenes = checked_plans(table, rows, folder, record, console)
     seconds: dict[tuple[str, str], float] = {}
     for row in rows:
@@ -156,7 +174,8 @@ def _executor(args: argparse.Namespace, device: str, context: Context) -> Execut
     if args.cluster:
         from ..batch.ray_executor import RayExecutor
 
-        return RayExecutor(args.cluster, args.run_dir / BATCH_LOCK, context)
+        sign = None if args.store else args.run_dir / BATCH_LOCK
+        return RayExecutor(args.cluster, sign, context)
     return LocalExecutor(args.jobs or default_jobs(device), context)
 
 
@@ -184,13 +203,20 @@ def _execute(
             row = by_name[scene.plan.name]
             files = written(row, folder, scene.plan.objects)
             try:
+                if args.store:
+                    args.store.fetch(row.name)
                 record.add(row.name, row.digest, folder / row.name, files)
             except EngineError as error:
                 context.warn(f"{row.name}: {error} The next batch looks at this scene again.")
         shown.take(scene, part, report)
         if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
-            write_batch_page(folder, scheduler.scenes.values())
+            show_page()
             written_at = time.monotonic()
+
+    def show_page() -> None:
+        write_batch_page(folder, scheduler.scenes.values())
+        if args.store:
+            args.store.put(BATCH, REPORT_PAGE)
 
     context = replace(console.context, emit=lambda event: shown.message(event))
     scheduler = Scheduler(scenes, executor, context, retries=args.retries, told=told)
@@ -201,24 +227,24 @@ def _execute(
         scheduler.run()
     finally:
         shown.draw(now=True)
-        write_batch_page(folder, scheduler.scenes.values())
+        show_page()
     return list(scheduler.scenes.values())
 
 
-def _finish(folder: Path, states: Sequence[SceneState], console: Console) -> dict[str, str]:
+def _finish(where: str, states: Sequence[SceneState], console: Console) -> dict[str, str]:
     """Say how it ended.
 
     Raises:
         RunFolderError: a scene failed.
     """
     failed = [state for state in states if state.reason]
-    page = folder / REPORT_PAGE
+    page = f"{where}/{REPORT_PAGE}" if is_url(where) else str(Path(where, REPORT_PAGE))
     for state in failed:
         console.print(f"failed: {state.reason}")
-    console.print_places({"report": str(page), "runs": str(folder)})
+    console.print_places({"report": page, "runs": where})
     if failed:
         raise RunFolderError(
             f"{counted(len(failed), 'scene')} of {len(states)} failed; {page} says why.",
             "The same command tries these again, and keeps what is done.",
         )
-    return {"report": str(page), "runs": str(folder)}
+    return {"report": page, "runs": where}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
 from ..batch.record import BatchRecord
+from ..batch.staged import Staging
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
 from ..formats.events import Event
@@ -67,9 +68,13 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     from ..run.strategies import plan_run
 
     args, quiet = copy(row.args), QuietConsole(console)
-    args.run_dir, args.threads = folder / row.name, None
-    compare = run_command.compared(args)
-    run_command.check(args)
+    args.run_dir, args.threads = run_folder(row, folder), None
+    if row.elsewhere:
+        args.device = "cpu"
+    compare: Sequence[str] = ()
+    if row.command == run_command.NAME:
+        compare = run_command.compared(args)
+        run_command.check(args)
     names = tuple(box_names(args, args.run_dir))
     run, context = train.defined_run(args, quiet)
     if run is None:
@@ -77,7 +82,7 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
         return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
     memory = run_memory(run, context).total
     plan = plan_run(run, compare, context)
-    cut = cuts(plan)
+    cut = cuts(plan) if row.command == run_command.NAME else []
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
@@ -127,8 +132,15 @@ def checked_plans(
     return device, scenes
 
 
+def run_folder(row: Row, folder: Path) -> Path:
+    """The run folder of a row."""
+    return row.home or folder / row.name
+
+
 def options_path(row: Row, folder: Path) -> Path:
     """The options file of a row, which its engines read."""
+    if row.home is not None:
+        return row.home / run_files.CLUSTER_OPTIONS
     return folder / run_files.BATCH_ROWS / f"{row.name}.json"
 
 
@@ -157,8 +169,9 @@ def _parts(
     memory: int,
 ) -> tuple[Part, ...]:
     """The parts of a row: of its run, then its outputs."""
-    run_dir = folder / row.name
-    options = ["run", str(options_path(row, folder)), "--run-dir", str(run_dir), "--update"]
+    run_dir = run_folder(row, folder)
+    options = [row.command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
+    options += ["--update"] if row.args.update else []
 
     gpu = row.args.device != "cpu"
     kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)
@@ -166,9 +179,11 @@ def _parts(
     def part(
         name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
     ) -> Part:
-        argv = (*options, *(word for each in (*before, name) for word in ("--part", each)))
+        words = (*before, name) if row.command == run_command.NAME else ()
+        argv = (*options, *(word for each in words for word in ("--part", each)))
         work = sum(share for _, share in stages)
-        return replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
+        made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
+        return replace(made, staging=_staging(row, folder, name))
 
     firsts = [each.name for each in cut if not each.needs]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
@@ -186,5 +201,20 @@ def _parts(
         name = out.relative_to(folder / run_files.BATCH_OUTPUTS).as_posix()
         argv = ("convert", str(source), str(out))
         made = Part(scene=row.name, name=name, argv=argv, needs=(WHOLE,), memory=4 * ENGINE)
+        made = replace(made, staging=_staging(row, folder, name))
         found.append(made)
     return tuple(found)
+
+
+def _staging(row: Row, folder: Path, part: str) -> Staging | None:
+    """Where a part's files are, if the batch is on a store."""
+    if not row.store:
+        return None
+    return Staging(
+        url=row.store,
+        base=str(folder),
+        run=row.name,
+        part=part,
+        last=part == WHOLE,
+        options=row.asked or row.options,
+    )

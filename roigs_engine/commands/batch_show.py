@@ -13,7 +13,7 @@ from ..batch.engine_process import DONE, Outcome
 from ..batch.makespan import makespan
 from ..batch.parts import ScenePlan
 from ..batch.schedule import PartState, SceneState
-from ..formats.events import Event, Message, Progress, Record, StageStarted
+from ..formats.events import Event, Message, Preview, Progress, Record, StageStarted
 from ..formats.text import counted, in_gb, printable
 from .console import Console
 
@@ -32,11 +32,14 @@ class Shown:
         console: of the command; asked to write.
         board: of the batch.
         json_lines: whether programs read along.
+        alone: whether there is one scene, whose name need not be said.
     """
 
-    def __init__(self, console: Console, board: Board, *, json_lines: bool) -> None:
+    def __init__(
+        self, console: Console, board: Board, *, json_lines: bool, alone: bool = False
+    ) -> None:
         self._console, self._board = console, board
-        self._json = json_lines
+        self._json, self._alone = json_lines, alone
         self._terminal = not json_lines and sys.stderr.isatty()
         self._drawn, self._last = 0, 0.0
         self._warned: set[tuple[str, str]] = set()  # the parts of a scene say the same
@@ -46,9 +49,9 @@ class Shown:
         if isinstance(report, Outcome):
             self._ended(scene, state, report)
         elif report["event"] == "message" and report.get("level") == "warning":
-            self._warn(scene.plan.name, str(report.get("text", "")))
+            self._warn(self._named(scene), str(report.get("text", "")))
         elif self._json:
-            self._pass_on(scene.plan.name, report)
+            self._pass_on(self._named(scene), report)
         self.draw()
 
     def message(self, event: Event) -> None:
@@ -69,18 +72,22 @@ class Shown:
     def _warn(self, scene: str, text: str) -> None:
         if (scene, text) not in self._warned:
             self._warned.add((scene, text))
-            self.message(Message(text=f"{scene}: {text}", level="warning"))
+            self.message(Message(text=f"{scene}{text}", level="warning"))
+
+    def _named(self, scene: SceneState) -> str:
+        """The beginning of texts about a scene."""
+        return "" if self._alone else f"{scene.plan.name}: "
 
     def _ended(self, scene: SceneState, state: PartState, outcome: Outcome) -> None:
-        if self._json:
+        if self._json and not self._alone:
             self._console.emit(self._board.event())
-        elif outcome.state == DONE and scene.state == DONE:
+        elif not self._alone and outcome.state == DONE and scene.state == DONE:
             took = duration(sum(part.seconds for part in scene.parts.values()))
             self.message(Message(text=f"{scene.plan.name}: done in {took}. {self._board.head()}."))
 
     def _pass_on(self, scene: str, report: Record) -> None:
         """An engine's event, its stage named after its scene."""
-        stage = f"{scene}: {report.get('stage', '')}"
+        stage = f"{scene}{report.get('stage', '')}"
         match report["event"]:
             case "progress":
                 values = {k: report.get(k, float("nan")) for k in ("loss", "psnr", "seconds_left")}
@@ -89,7 +96,9 @@ class Shown:
             case "stagestarted":
                 self._console.emit(StageStarted(stage=stage, total=int(report.get("total", 0))))
             case "message":
-                self._console.emit(Message(text=f"{scene}: {report.get('text', '')}"))
+                self._console.emit(Message(text=f"{scene}{report.get('text', '')}"))
+            case "preview":
+                self._console.emit(Preview(path=str(report.get("path", ""))))
 
     def _clear(self) -> None:
         """Remove the board that is on the terminal."""

@@ -7,7 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,15 @@ from ..formats.files import UNREADABLE, read_bytes
 from ..formats.names import first_taken, is_file_name
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
+from ..storage.urls import is_url
 from . import run
 from .options_file import typed
-from .values import shown
+from .values import PATH, shown
 
 DEFAULTS, SCENES = "defaults", "scenes"
 OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
 NO_KEYS = {"help", "events", "run_dir", "update", "dry_run", "part", "threads"}
+NO_KEYS |= {"cluster"}
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[+\s*(.*?)\s*\]+"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
 
@@ -47,6 +49,11 @@ class Row:
         args: the same as the command line gives them, without a run folder.
         outputs: suffixes of files to write of the result.
         object_outputs: the same of each object.
+        command: `run` or `train`.
+        home: its run folder, if that is not in the folder of a batch.
+        store: address of the batch's folder, if that is on a store.
+        elsewhere: whether it is done on other machines, whose devices are not this one's.
+        asked: the options as the table has them, if addresses in `options` became folders.
     """
 
     name: str
@@ -55,11 +62,16 @@ class Row:
     args: argparse.Namespace = field(repr=False)
     outputs: tuple[str, ...] = ()
     object_outputs: tuple[str, ...] = ()
+    command: str = "run"
+    home: Path | None = None
+    store: str = ""
+    elsewhere: bool = False
+    asked: dict[str, Any] | None = None
 
     @property
     def digest(self) -> str:
         """Of everything that decides what is made."""
-        decides = {k: v for k, v in self.options.items() if k not in NO_RESULT}
+        decides = {k: v for k, v in (self.asked or self.options).items() if k not in NO_RESULT}
         return json_digest([decides, self.outputs, self.object_outputs])
 
 
@@ -109,12 +121,12 @@ class Table:
             self._say(place, f"Scene '{name}' has no folder. Add scene = \"FOLDER\".")
         if len(self.wrong) > before:
             return
-        outputs = {key: tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS)}
+        outputs, objects = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))
         args = argparse.Namespace(**{a.dest: a.default for a in self._options.values()})
         vars(args).update(found, update=True, part=[], dry_run=False)
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in found.items()}
-        row = Row(name=name, line=self._line(place), options=plain, args=args, **outputs)
-        self.rows.append(row)
+        row = Row(name=name, line=self._line(place), options=plain, args=args, outputs=outputs)
+        self.rows.append(replace(row, object_outputs=objects))
 
     def _check_head(self, record: dict[str, Any]) -> None:
         for key in record.keys() - {DEFAULTS, SCENES}:
@@ -138,6 +150,9 @@ class Table:
                 known = ", ".join(sorted({*self._options, OUTPUTS, OBJECT_OUTPUTS}))
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
+                if is_url(value) and self._options[name].type is PATH:
+                    found[name] = value
+                    continue
                 try:
                     found[name] = self._absolute(typed(self._options[name], value, f"'{key}'"))
                 except EngineError as error:

@@ -17,7 +17,7 @@ NOT_KEYS = {"help", "events"}  # options that an options file must not set
 # Of a parsed command line: what decides no result, and what is no option.
 NO_SETTINGS = {
     *("command", "events", "options_given", "options_file", "run_dir", "update", "dry_run"),
-    *("compare", "part", "preview_seconds", "image_cache", "threads", "device"),
+    *("compare", "part", "cluster", "preview_seconds", "image_cache", "threads", "device"),
 }
 
 

@@ -14,8 +14,9 @@ from ..run.config import COMPARISONS
 from . import train
 from .console import Console
 from .options import run_config
-from .values import NAME
+from .values import NAME as TEXT
 
+NAME = "run"
 PREPARE, ALL = "prepare", "all"
 """Values of --part: open the folder and look at the photos; do all that is missing."""
 HELP = "do everything: select photos, train, compare with baselines, evaluate"
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--part",
-        type=NAME,
+        type=TEXT,
         action="append",
         default=[],
         metavar="PART",
@@ -85,14 +86,19 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         write_page(evaluation, pictures, args.run_dir)
         train.levels_of(opened, args, context)
     console.print(format_markdown(evaluation))
-    places = {
+    return places(args, console)
+
+
+def places(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Where everything is; printed."""
+    found = {
         "report": run_files.REPORT,
         "page": run_files.REPORT_PAGE,
         "pictures": run_files.CROPS,
         "result": run_files.RESULT,
         "rois": run_files.FINE,
     }
-    outputs = {what: str(args.run_dir / where) for what, where in places.items()}
+    outputs = {what: str(args.run_dir / where) for what, where in found.items()}
     console.print_places(outputs)
     return outputs
 

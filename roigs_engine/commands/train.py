@@ -40,6 +40,7 @@ from .options import (
 )
 from .options_file import settings
 from .out_folder import refuse_inputs, refuse_run_files
+from .values import NAME as TEXT
 from .values import PATH, Number, integer
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 MAX_SECONDS = 1e9
 MOST_LEVELS = 8
 MAX_MEGABYTES = 1e9
+NAME = "train"
 HELP = "train the scene and its boxes, and write one PLY"
 EXAMPLES = """\
   python -m roigs_engine train garden --rois garden/rois.json --run-dir runs/garden
@@ -107,6 +109,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MB",
         help="megabytes of decoded photos to keep in memory (default: a quarter of the memory)",
     )
+    parser.add_argument(
+        "--cluster",
+        type=TEXT,
+        metavar="ADDRESS",
+        help="train on a Ray cluster: ray://HOST:10001, auto (the cluster that this machine is part"
+        " of), or local (a Ray of this machine alone)",
+    )
 
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
@@ -118,6 +127,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     with opened_run(args, console) as (run, context):
         train_opened(run, (), context, update=args.update, preview_seconds=args.preview_seconds)
         levels_of(run, args, context)
+    return places(args, console)
+
+
+def places(args: argparse.Namespace, console: Console) -> dict[str, str]:
+    """Where everything is; said."""
     result = args.run_dir / run_files.RESULT
     console.context.info(f"The result is {result}.")
     return {"result": str(result), "rois": str(args.run_dir / run_files.FINE)}

@@ -52,6 +52,8 @@ COMPARED = "compare-"
 
 BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS = "batch.lock", "batch.json", "rows", "outputs"
 """In the folder of a batch: its lock, what is done, a folder of options files, one of outputs."""
+CLUSTER_OPTIONS, CLUSTER_LOCK = "cluster.json", "cluster.held"
+"""Of a run on a cluster: its options file; the lock of who gives out its parts."""
 
 _FILES = (MANIFEST, SETTINGS, PROVENANCE, SPLIT, LOCK, EVENTS, BOXES, RESULT, BACKGROUND)
 _RESULTS = (
@@ -74,7 +76,7 @@ _STAGES = (
     *(FULL_SCENE_STAGE, MATCHED_STAGE),
 )
 _PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
-_NAMES = {*_FILES, *_RESULTS, *_STAGES}
+_NAMES = {*_FILES, CLUSTER_OPTIONS, CLUSTER_LOCK, *_RESULTS, *_STAGES}
 
 
 def is_own(name: str) -> bool:

@@ -26,7 +26,7 @@ from .definition import Run
 
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
 PER_PIXEL = 80  # bytes at least, of the largest photo: render, gradient, the loss's images
-PER_PAIR = 100  # bytes: a Gaussian's place in a tile's list, and its gradient there (kernels/view.h)
+PER_PAIR = 100  # bytes: a Gaussian's place in a tile's list, its gradient there (kernels/view.h)
 PAIRS = 200  # in a tile, with Gaussians larger than a tile; real scenes had up to 190
 PER_PIXEL_AT_MOST = 120 + PER_PAIR * PAIRS // TILE**2
 PER_DENSIFICATION = 30_000  # Gaussians that one adds, on average; the largest of four scenes

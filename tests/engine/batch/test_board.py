@@ -117,6 +117,8 @@ def test_the_page_is_safe_text(scheduler: Scheduler, tmp_path: Path) -> None:
     assert "30.25" in page and "1,234" in page and 'href="attic/report.html"' in page
     assert page.count("data:image/jpeg") == 1
     assert "<script" not in page and "failed: &lt;script&gt;" in page
+    assert "1 of 2 objects done, 1 failed" in page
+    assert page.index("<td>hall-box") < page.index("<td>attic-box")  # failures on top
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"version": 1}', '{"version": 9, "scenes": {}}'])

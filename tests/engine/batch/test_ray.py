@@ -18,11 +18,12 @@ from roigs_engine.batch.parts import Part
 from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError
+from tests.engine.batch.clusters import EACH, a_cluster, engines
 from tests.engine.commands.command_line import BOX, refused, start
 from tests.engine.commands.test_batch import contents
 from tests.engine.synthetic_colmap import write_project
 
-SCENES = ("hall", "attic", "yard")
+SCENES = ("hall", "attic")
 TABLE = """\
 [defaults]
 roi = ["{box}"]
@@ -34,18 +35,8 @@ device = "cpu"
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # loopback only
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
-    from ray.cluster_utils import Cluster
-
-    each = {"num_cpus": 1, "object_store_memory": 80 << 20}
-    head = {**each, "include_dashboard": False, "node_ip_address": "127.0.0.1"}
-    made = Cluster(initialize_head=True, head_node_args=head)
-    made.second = made.add_node(**each)
-    yield made
-    made.shutdown()
-    del os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"], os.environ["RAY_USAGE_STATS_ENABLED"]
+    with a_cluster() as made:
+        yield made
 
 
 @pytest.fixture
@@ -63,19 +54,6 @@ def table(tmp_path: Path) -> Path:
 def events(batch: subprocess.Popen[str]) -> Iterator[dict[str, Any]]:
     assert batch.stdout is not None
     return map(json.loads, batch.stdout)
-
-
-def engines(run: Path) -> list[int]:
-    """The processes that do parts of a batch."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            words = entry.read_bytes().split(b"\0")
-        except OSError:
-            continue
-        if b"--part" in words and any(word.startswith(bytes(run)) for word in words):
-            found.append(int(entry.parent.name))
-    return found
 
 
 def test_killed_drivers_engines_and_machines(cluster: Any, table: Path, tmp_path: Path) -> None:
@@ -101,11 +79,12 @@ def test_killed_drivers_engines_and_machines(cluster: Any, table: Path, tmp_path
     texts = [event["text"] for event in said if event["event"] == "message"]
     assert any("ended by signal 9" in text and "tried again" in text for text in texts)
     whole = [event for event in said if event.get("stage") == "batch"]
-    assert whole[-1]["step"] == whole[-1]["total"] == 3
+    assert whole[-1]["step"] == whole[-1]["total"] == 2
     for name in SCENES:
         by_hand = tmp_path / "by hand" / name
         assert main(["run", str(run / "rows" / f"{name}.json"), "--run-dir", str(by_hand)]) == 0
         assert contents(run / name) == contents(by_hand)
+    cluster.second = cluster.add_node(**EACH)
 
 
 def test_one_part_can_be_stopped_to_go_on_elsewhere(
@@ -127,9 +106,32 @@ def test_one_part_can_be_stopped_to_go_on_elsewhere(
                 elif report["event"] == "progress":
                     executor.stop(part)
         assert outcome.state == STOPPED and outcome.node
-        assert executor.can_move(()) and not executor.can_move((outcome.node,))  # one is left
+        assert executor.can_move((outcome.node,))  # to the other one
     finally:
         executor.close()
+
+
+@pytest.mark.slow
+def test_a_machine_without_the_gpu_that_it_promised(
+    cluster: Any, table: Path, tmp_path: Path
+) -> None:
+    text = table.read_text(encoding="utf-8").replace('device = "cpu"', "")
+    for name, device in zip(SCENES, ("cuda", "auto"), strict=True):
+        text = text.replace(f"scene = '{name}'", f"scene = '{name}'\ndevice = '{device}'")
+    table.write_text(text, encoding="utf-8")
+    promises = cluster.add_node(**EACH, num_gpus=1)
+    run = tmp_path / "run"
+    try:
+        with start("batch", table, "--run-dir", run, "--cluster", cluster.address) as batch:
+            out, errors = batch.communicate(timeout=200)
+    finally:
+        cluster.remove_node(promises)
+    hall, attic = SCENES
+    assert batch.returncode == 2 and "Traceback" not in errors, errors
+    assert f"failed: {hall}: " in out and "CUDA" in out, errors
+    assert (run / attic / "result.ply").is_file()  # on the CPU
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "1 of 2 objects done" in page and f"failed: {hall}: " in page
 
 
 def test_machines_with_another_version_are_refused(
@@ -166,3 +168,40 @@ def test_no_cluster_is_one_line(
     pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
     assert "no Ray cluster at 127.0.0.1:1 " in refused(capsys, *options, "127.0.0.1:1")
     assert "is no address" in refused(capsys, *options, "museum")
+    run = ("run", tmp_path / "hall", "--roi", BOX, "--run-dir", tmp_path / "one", "--cluster", "x")
+    assert "--threads is for this machine" in refused(capsys, *run, "--threads", 2)
+    assert "--part is for one machine" in refused(capsys, *run, "--part", "scene")
+    assert "is no address" in refused(capsys, *run)
+
+
+def test_one_run_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
+    scene, folders = tmp_path / "hall", (tmp_path / "there", tmp_path / "here")
+    options = ["run", scene, "--roi", BOX, "--steps-factor", 0.005, "--test-every", 4]
+    options = [str(word) for word in (*options, "--compare", "--device", "cpu", "--run-dir")]
+    with start(*options, folders[0], "--cluster", cluster.address, "--events") as engine:
+        said = list(events(engine))
+        assert engine.wait(60) == 0
+    stages = {event["stage"] for event in said if event["event"] == "progress"}
+    assert {"scene", "joint", "evaluate"} <= stages
+    assert said[-1]["outputs"]["result"] == str(folders[0] / "result.ply")
+    assert main([*options, str(folders[1])]) == 0
+    there, here = map(contents, folders)
+    assert there.pop("cluster.json") and there == here
+    with start(*options, folders[0], "--cluster", cluster.address, "--seed", 9) as engine:
+        assert "--update" in engine.communicate(timeout=100)[1]  # another run is refused
+        assert engine.returncode == 2
+
+
+def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: Path) -> None:
+    """Last: it ends the cluster. `test_kills.py` goes on with another one."""
+    options = ("--run-dir", tmp_path / "run", "--cluster", cluster.address, "--events")
+    with start("batch", table, *options) as batch:
+        for event in events(batch):
+            if event["event"] == "progress":
+                cluster.head_node.kill_all_processes(check_alive=False, allow_graceful=False)
+                break
+        *_, last = events(batch)
+        assert batch.wait(60) == 2
+    assert last["event"] == "failed"
+    assert last["message"] == f"The Ray cluster {cluster.address} is gone."
+    assert "the same command goes on" in last["hint"]

@@ -10,7 +10,8 @@ import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
-from tests.engine.commands.command_line import python, start
+from tests.engine.commands.command_line import start
+from tests.engine.commands.forked_engines import forked_engines
 from tests.engine.killing import timeless
 from tests.engine.synthetic_colmap import write_project
 
@@ -22,6 +23,7 @@ test-every = 4
 device = "cpu"
 outputs = ["compressed.ply"]
 """
+__all__ = ["forked_engines"]
 NO_BYTES = {"events.jsonl", "provenance.json", "report.md", "report.html", "settings.json"}
 
 
@@ -67,13 +69,11 @@ def contents(folder: Path) -> dict[str, object]:
 
 
 @pytest.fixture(scope="module")
-def finished(scans: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(scans: Path, tmp_path_factory: pytest.TempPathFactory, forked_engines: None) -> Path:
     """The folder of a table and of its batch, `run`, done by two engines at a time."""
     folder = tmp_path_factory.mktemp("batch")
     table = table_of(folder, scans)
-    ended = python("batch", table, "--run-dir", folder / "run", "--jobs", "2")
-    assert ended.returncode == 0, ended.stderr
-    assert "3 of 3 objects done" in ended.stderr
+    assert main(["batch", str(table), "--run-dir", str(folder / "run"), "--jobs", "2"]) == 0
     return folder
 
 
@@ -116,7 +116,9 @@ def test_a_dry_run_writes_nothing(
     assert main(["batch", str(table), "--run-dir", "x", "--dry-run", "--only", "cellar"]) == 2
 
 
-def test_a_stop_and_a_scene_that_fails(scans: Path, tmp_path: Path) -> None:
+def test_a_stop_and_a_scene_that_fails(
+    scans: Path, tmp_path: Path, forked_engines: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     table, run = table_of(tmp_path, scans), tmp_path / "run"
     (run / "attic").mkdir(parents=True)
     (run / "attic" / run_files.RESULT).write_bytes(b"somebody's")  # a run would replace it
@@ -130,10 +132,10 @@ def test_a_stop_and_a_scene_that_fails(scans: Path, tmp_path: Path) -> None:
         rest = [json.loads(line) for line in engine.stdout]
         assert engine.wait(60) == 3
     assert rest[-1] == {"event": "done", "outputs": {}, "stopped": True}
-    ended = python("batch", table, "--run-dir", run)
-    assert ended.returncode == 2 and "Traceback" not in ended.stderr
-    assert "1 scene of 2 failed" in ended.stderr.splitlines()[-1]
-    assert "attic: " in ended.stdout and "is not a run folder" in ended.stdout
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 2
+    out, err = capsys.readouterr()
+    assert "1 scene of 2 failed" in err.splitlines()[-1]
+    assert "attic: " in out and "is not a run folder" in out
     assert (run / "hall" / run_files.RESULT).exists()
     assert (run / "attic" / run_files.RESULT).read_bytes() == b"somebody's"
     page = (run / run_files.REPORT_PAGE).read_text(encoding="utf-8")

@@ -1,0 +1,164 @@
+"""A connection to a Ray cluster, whose calls end even if the cluster is gone."""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import queue
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from ..errors import ConfigError, EngineError
+
+T = TypeVar("T")
+
+CONNECT_SECONDS = 10.0
+LOOK_EVERY, POLL = 5.0, 0.5  # seconds
+JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster, and to start one here
+MOST_MISSED = 3  # looks for the head may fail until the cluster counts as gone
+LOOPBACK, CLIENT = "127.0.0.1", "ray://"
+SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
+
+
+class Connection:
+    """Ray, connected.
+
+    A call that needs the head waits for it a minute, and then Ray ends the whole process. So a
+    thread looks for the head, and calls are made in threads that can be left behind.
+
+    Args:
+        address: `local`, `auto`, `HOST:PORT` or `ray://HOST:PORT`.
+
+    Raises:
+        ConfigError: Ray is not installed, or there is no cluster.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.ray = _connected(address)
+        self._gone, self._closed = threading.Event(), threading.Event()
+        if not address.startswith(CLIENT):  # whose calls fail by themselves
+            place = host_and_port(self.ray.get_runtime_context().gcs_address)
+            if place is not None:
+                threading.Thread(target=self._watch, args=(place,), daemon=True).start()
+
+    def ask(self, call: Callable[[], T]) -> T:
+        """The result of calls of Ray.
+
+        Raises:
+            EngineError: the cluster is gone.
+        """
+        try:
+            return _in_thread(call, self._gone.is_set)
+        except (TimeoutError, ConnectionError) as error:
+            self._gone.set()
+            raise EngineError(
+                f"The Ray cluster {self.address} is gone.",
+                "Start it again; the same command goes on.",
+            ) from error
+
+    def close(self) -> None:
+        """Leave the cluster; one that was started by this connection ends."""
+        self._closed.set()
+        if self._gone.is_set():
+            atexit.unregister(self.ray.shutdown)  # it would wait for the head
+        else:
+            with suppress(Exception):
+                _in_thread(self.ray.shutdown, self._gone.is_set)
+
+    def _watch(self, place: tuple[str, int]) -> None:
+        """Look for the head until it has not answered several times."""
+        missed = 0
+        while not self._closed.wait(LOOK_EVERY):
+            try:
+                with socket.create_connection(place, CONNECT_SECONDS):
+                    missed = 0
+            except OSError:
+                missed += 1
+            if missed >= MOST_MISSED:
+                self._gone.set()
+                return
+
+
+def _in_thread(call: Callable[[], T], give_up: Callable[[], bool]) -> T:
+    """The result of a call, made in a thread of its own; TimeoutError if it is given up."""
+    answers: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            answers.put((call(), None))
+        except BaseException as error:
+            answers.put((None, error))
+
+    threading.Thread(target=work, daemon=True).start()
+    while True:
+        with suppress(queue.Empty):
+            answer, error = answers.get(timeout=POLL)
+            if error is not None:
+                raise error
+            return answer  # type: ignore[return-value]
+        if give_up():
+            raise TimeoutError("it does not answer")
+
+
+def _connected(address: str) -> Any:
+    """The module ray, connected."""
+    place = host_and_port(address.removeprefix(CLIENT))
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    if place is not None and place[0] in (LOOPBACK, "localhost"):
+        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # else it goes outside
+    try:
+        import ray
+    except ImportError as error:
+        raise ConfigError(
+            f"--cluster needs Ray, which is not installed in {sys.executable}.",
+            f"Install it ({sys.executable} -m pip install 'ray[client]'), or leave out --cluster.",
+        ) from error
+    options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+    if address == "local":
+        options |= {"_node_ip_address": LOOPBACK, "include_dashboard": False}
+        options |= {"object_store_memory": SMALL_STORE}
+    if address not in ("local", "auto") and place is None:
+        raise ConfigError(
+            f"--cluster {address:.60} is no address.", "Use local, auto or ray://HOST:10001."
+        )
+    try:
+        if place is not None:
+            with socket.create_connection(place, CONNECT_SECONDS):
+                pass
+        _hush(ray)
+        seconds = START_SECONDS if address == "local" else JOIN_SECONDS
+        until = time.monotonic() + seconds
+        _in_thread(lambda: ray.init(address=address, **options), lambda: time.monotonic() > until)
+    except TimeoutError as error:
+        atexit.unregister(ray.shutdown)
+        raise _nothing_there(address, error) from error
+    except (OSError, RuntimeError, ValueError, ConnectionError) as error:
+        raise _nothing_there(address, error) from error
+    return ray
+
+
+def _nothing_there(address: str, error: Exception) -> ConfigError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return ConfigError(
+        f"There is no Ray cluster at {address} ({reason:.100}).",
+        "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
+        " RAY_AUTH_MODE=token (docs/many.md).",
+    )
+
+
+def _hush(ray: Any) -> None:
+    """Keep what Ray prints of lost machines off standard output, which may be read as JSON."""
+    with suppress(AttributeError):
+        ray._private.worker.print_to_stdstream = lambda *_, **__: None
+
+
+def host_and_port(address: str) -> tuple[str, int] | None:
+    host, _, port = address.rpartition(":")
+    return (host.strip("[]"), int(port)) if host and port.isdecimal() else None

@@ -1,0 +1,164 @@
+"""A part whose run folder is on a store: what it needs is copied here, what it made is published.
+
+The engine itself works in folders of this machine, as ever.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..context import Context
+from ..errors import EngineError, Stopped
+from ..formats.events import Record
+from ..formats.files import write_json
+from ..formats.run_files import BATCH_ROWS, CHECKPOINT
+from ..storage.commits import StoredRun
+from ..storage.lease import Lease, LeaseTakenError
+from ..storage.mirror import keep, mirror
+from ..storage.urls import file_system, folder_of, is_url
+from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
+
+RUNS = "runs"
+PUBLISH_SECONDS = 60.0  # between two looks for new checkpoints
+INPUTS = ("scene", "rois", "images", "masks", "object_masks", "selection")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Staging:
+    """Where a part's files are.
+
+    Attributes:
+        url: of the batch's folder.
+        base: the same folder on the machine that planned; the command line names it.
+        run: name of the run folder in it.
+        part: name of the part.
+        last: whether the run is done after it.
+        options: of the scene, for its options file; addresses in them are copied here.
+    """
+
+    url: str
+    base: str
+    run: str
+    part: str
+    last: bool
+    options: dict[str, Any]
+
+
+def batch_folder(url: str) -> Path:
+    """This machine's folder for a batch on a store."""
+    return folder_of(url, RUNS)
+
+
+def stored_run(url: str, run: str) -> StoredRun:
+    """A run folder of a batch on a store; ConfigError if the address cannot be used."""
+    found, place = file_system(url)
+    return StoredRun(found, f"{place}/{run}")
+
+
+def local_options(options: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Options whose addresses are folders of this machine; ConfigError if one cannot be read."""
+    found = dict(options)
+    for key in INPUTS:
+        value = str(found.get(key))
+        if is_url(value):
+            folder, name = _folder_and_file(value)
+            found[key] = str(mirror(folder, context) / name)
+    return found
+
+
+def _folder_and_file(url: str) -> tuple[str, str]:
+    """The folder that is copied for an address, and the file in it; empty: the folder is meant."""
+    folder, _, name = url.rstrip("/").rpartition("/")
+    return (folder, name) if name.lower().endswith(".json") else (url, "")
+
+
+def run_part(
+    argv: Sequence[str],
+    staging: Staging | None,
+    emit: Callable[[Record], None],
+    should_stop: Callable[[], bool],
+) -> Outcome:
+    """Do a part to its end; see `run_engine`."""
+    if staging is None:
+        return run_engine(argv, emit, should_stop)
+    context = Context(should_stop=should_stop)
+    try:
+        found, _ = file_system(staging.url)
+        run = stored_run(staging.url, staging.run)
+        with Lease(found, run.lease_folder(staging.part), should_stop) as lease:
+            return _leased(argv, staging, run, lease, emit, context)
+    except LeaseTakenError:
+        if should_stop():
+            return Outcome(state=STOPPED)
+        return Outcome(state=LOST, reason="Another engine is at work on it.")
+    except Stopped:
+        return Outcome(state=STOPPED)
+    except EngineError as error:
+        return Outcome(state=FAILED, reason=str(error))
+    except OSError as error:
+        return Outcome(state=FAILED, reason=f"{error.strerror or error}.")
+
+
+def _leased(
+    argv: Sequence[str],
+    staging: Staging,
+    run: StoredRun,
+    lease: Lease,
+    emit: Callable[[Record], None],
+    context: Context,
+) -> Outcome:
+    home = batch_folder(staging.url)
+    folder = home / staging.run
+    write_json(home / BATCH_ROWS / f"{staging.run}.json", local_options(staging.options, context))
+    run.fetch(folder)
+    words = [word.replace(staging.base, str(home)) for word in argv]
+    with _at_work(run, folder, staging, lease):
+        ended = run_engine(words, emit, lambda: context.should_stop() or not lease.is_held())
+    if not lease.is_held():
+        return Outcome(state=LOST, reason="Another engine took it over.")
+    if words[0] == "convert":  # writes beside the run folders
+        out = Path(words[-1])
+        if ended.state == DONE:
+            run.put_beside(out, out.relative_to(home).as_posix())
+    elif ended.state in (DONE, STOPPED):
+        run.publish(folder, staging.part, last=staging.last and ended.state == DONE)
+    return ended
+
+
+@contextmanager
+def _at_work(run: StoredRun, folder: Path, staging: Staging, lease: Lease) -> Iterator[None]:
+    """Publish checkpoints as the engine writes them, for the machine that goes on if this ends.
+
+    The copies that the engine reads are kept.
+    """
+    ended = threading.Event()
+    known: dict[str, int] = {}
+
+    def work() -> None:
+        while not ended.wait(PUBLISH_SECONDS):
+            for url in filter(is_url, (str(staging.options.get(key)) for key in INPUTS)):
+                keep(_folder_and_file(url)[0])
+            now = {
+                p.relative_to(folder).as_posix(): p.stat().st_mtime_ns
+                for p in folder.rglob(CHECKPOINT)
+            }
+            fresh = [name for name, time in now.items() if known.get(name) != time]
+            if fresh and lease.is_held():
+                try:
+                    run.publish(folder, f"{staging.part} checkpoint", last=False, names=fresh)
+                    known.update(now)
+                except (EngineError, OSError):
+                    continue  # the end of the part tries again, and says it
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

@@ -1,0 +1,140 @@
+"""A batch whose run folders or scenes are on a store (docs/many.md, section Storage)."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..batch.record import BatchRecord
+from ..batch.staged import batch_folder, local_options, stored_run
+from ..context import Context
+from ..errors import ConfigError, EngineError, RunFolderError
+from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
+from ..photos.contents import FILE as CONTENTS
+from ..storage.lease import Lease, LeaseTakenError
+from ..storage.urls import file_system, is_url
+from .batch_table import Row, Wrong
+from .values import PATH, Name
+
+SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
+"""Files of a run that the page and the record of a batch need, beside its pictures."""
+
+
+class PlaceName(Name):
+    """A folder, as a path, or an address of a store, as it is."""
+
+    def of_json(self, value: Any) -> Path | str:
+        """The place of an options file."""
+        return str(value) if is_url(value) else PATH.of_json(value)
+
+
+PLACE = PlaceName()
+
+
+class Store:
+    """The folder of a batch on a store, and its copy here.
+
+    Args:
+        url: of the folder.
+    """
+
+    def __init__(self, url: str) -> None:
+        """Raises ConfigError if the address cannot be used."""
+        self.url = url
+        self.folder = batch_folder(url)
+        self._found, self._place = file_system(url)
+
+    @contextmanager
+    def held(self, context: Context) -> Iterator[None]:
+        """Be the one batch that works there; RunFolderError if there is another."""
+        lease = Lease(self._found, f"{self._place}/.leases/batch", context.should_stop)
+        try:
+            with lease:
+                yield
+        except LeaseTakenError as error:
+            context.check_cancelled()
+            raise RunFolderError(
+                f"Another batch is at work in {self.url}.", "Wait for it, or stop it."
+            ) from error
+
+    def open(self, names: Iterable[str]) -> None:
+        """Copy here the record of earlier batches, and of each run what that needs."""
+        here = self.folder / BATCH
+        here.unlink(missing_ok=True)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if self._found.exists(f"{self._place}/{BATCH}"):
+                self._found.get_file(f"{self._place}/{BATCH}", str(here))
+        except OSError as error:
+            raise _unusable(self.url, error) from error
+        for name in names:
+            self.fetch(name)
+
+    def fetch(self, name: str) -> None:
+        """Copy here what the page and the record need of a run."""
+        run = stored_run(self.url, name)
+        run.fetch(self.folder / name, lambda file: file in SHOWN or file.startswith(f"{CROPS}/"))
+
+    def put(self, *names: str) -> None:
+        """Publish files of the batch's folder, by their names."""
+        try:
+            for name in names:
+                if (self.folder / name).is_file():
+                    self._found.put_file(str(self.folder / name), f"{self._place}/{name}")
+        except OSError as error:
+            raise _unusable(self.url, error) from error
+
+
+class StoredRecord(BatchRecord):
+    """What is done on a store: files by their hashes, as no copy of them needs to be here."""
+
+    def __init__(self, store: Store) -> None:
+        self._url = store.url
+        super().__init__(store.folder)
+
+    def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
+        entries = stored_run(self._url, run.name).entries()
+        if not entries:
+            raise FileNotFoundError(2, "nothing is published", str(run))
+        return {name: [entries[name]["size"], entries[name]["sha"]] for name in sorted(entries)}
+
+
+def localized(
+    rows: Sequence[Row], store: Store | None, args: argparse.Namespace, context: Context
+) -> tuple[list[Row], list[Wrong]]:
+    """The rows with folders of this machine for addresses; those that cannot be had are wrong.
+
+    Args:
+        rows: of the table.
+        store: of the batch; None: a folder.
+        args: of the command.
+        context: told of the work.
+    """
+    found, wrong = [], []
+    for row in rows:
+        if any(is_url(value) for value in row.options.values()):
+            try:
+                if args.cluster and store is None:
+                    raise ConfigError(
+                        "A scene on a store needs --run-dir on a store, too, with --cluster."
+                    )
+                options = local_options(row.options, context)
+            except EngineError as error:
+                wrong.append(Wrong(line=row.line, text=f"Scene '{row.name}': {error}"))
+                continue
+            row_args = argparse.Namespace(**vars(row.args))
+            for key in options.keys() - {k for k, v in row.options.items() if v == options[k]}:
+                setattr(row_args, key, Path(options[key]))
+            row = replace(row, options=options, args=row_args, asked=row.options)
+        url = store.url if store else ""
+        found.append(replace(row, store=url, elsewhere=bool(args.cluster)))
+    return found, wrong
+
+
+def _unusable(url: str, error: OSError) -> RunFolderError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return RunFolderError(f"Cannot use {url} ({reason:.100}).", "Is the store there, with space?")

@@ -1,0 +1,208 @@
+"""A run folder on a store: every part publishes what it changed, whole or not at all.
+
+Files go to `objects`, named by their hashes; a small record of names and hashes, a commit, is
+written last. Readers know only what commits name, and check every hash, so half of an upload is
+never seen, on any file system. The commit of the last part has all files under their own names.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import quote
+
+from ..errors import RunFolderError
+from ..formats.run_files import CACHE, PREVIEW, UNDISTORTED
+from ..formats.text import json_digest
+
+COMMITS, OBJECTS, LEASES = ".commits", ".objects", ".leases"
+VERSION = 1
+Entry = dict[str, Any]
+
+
+class StoredRun:
+    """A run folder on a store.
+
+    Args:
+        found: the file system.
+        place: of the run folder in it.
+    """
+
+    def __init__(self, found: Any, place: str) -> None:
+        self._found, self._place = found, place
+        self._had: dict[str, Entry] = {}
+
+    def lease_folder(self, part: str) -> str:
+        """The folder of a part's lease."""
+        return f"{self._place}/{LEASES}/{quote(part, safe='')}"
+
+    def entries(self) -> dict[str, Entry]:
+        """File -> `sha`, `size` and `at`, by all commits."""
+        files: dict[str, Entry] = {}
+        for commit in self._commits():
+            for name in commit["gone"]:
+                files.pop(name, None)
+            files |= commit["files"]
+        return files
+
+    def fetch(self, folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> None:
+        """Make a folder here what the commits say; files that fit stay as they are.
+
+        A file that is damaged on the store counts as missing: what it belongs to is done again.
+
+        Raises:
+            RunFolderError: the store cannot be read.
+        """
+        self._had = {}
+        for name, entry in self.entries().items():
+            if wanted(name) and ".." not in PurePosixPath(name).parts:
+                target = folder / name
+                if _fits(target, entry) or self._get(name, entry, target):
+                    self._had[name] = entry
+        for name in _files(folder):
+            if name not in self._had and wanted(name):
+                (folder / name).unlink(missing_ok=True)
+
+    def publish(self, folder: Path, part: str, *, last: bool, names: Iterable[str] = ()) -> None:
+        """Publish what has changed since `fetch`.
+
+        Args:
+            folder: of the run, here.
+            part: its name.
+            last: whether all is done: every file then gets its own name on the store.
+            names: only these files; empty: all.
+
+        Raises:
+            RunFolderError: something cannot be written or read.
+        """
+        only = set(names)
+        now = sorted(only or _files(folder))
+        files: dict[str, Entry] = {}
+        try:
+            for name in now:
+                entry = self._put(folder / name, name if last else "")
+                if last or entry["sha"] != self._had.get(name, {}).get("sha"):
+                    files[name] = entry
+            gone = [] if only else sorted(self._had.keys() - set(now))
+            before = self._commits()
+            serial = max((commit["serial"] for commit in before), default=0) + 1
+            body = {"version": VERSION, "serial": serial, "part": part, "files": files}
+            body["gone"] = gone
+            text = json.dumps(body | {"digest": json_digest(body)})
+            self._found.makedirs(f"{self._place}/{COMMITS}", exist_ok=True)
+            self._found.pipe_file(self._commit(part), text.encode())
+        except OSError as error:
+            raise _lost(self._place, error) from error
+        self._had = {k: v for k, v in self._had.items() if k not in gone} | files
+        if last:
+            self._tidy(keep=part)
+
+    def put_beside(self, path: Path, name: str) -> None:
+        """Store a file by a name in the folder of all runs; RunFolderError if that fails."""
+        above = self._place.rpartition("/")[0]
+        try:
+            self._found.makedirs(f"{above}/{name}".rpartition("/")[0], exist_ok=True)
+            self._found.put_file(str(path), f"{above}/{name}")
+        except OSError as error:
+            raise _lost(self._place, error) from error
+
+    def _commit(self, part: str) -> str:
+        return f"{self._place}/{COMMITS}/{quote(part, safe='')}.json"
+
+    def _commits(self) -> list[dict[str, Any]]:
+        """The commits that are whole, the oldest first."""
+        found = []
+        with suppress(FileNotFoundError):
+            for path in self._found.find(f"{self._place}/{COMMITS}"):
+                with suppress(OSError, ValueError, TypeError, AttributeError, KeyError):
+                    body = json.loads(self._found.cat_file(path))
+                    digest = body.pop("digest")
+                    if digest == json_digest(body) and body["version"] == VERSION:
+                        found.append(body)
+        return sorted(found, key=lambda body: (body["serial"], body["part"]))
+
+    def _put(self, path: Path, name: str) -> Entry:
+        """Store a file that may be replaced here meanwhile, by its hash or under its own name."""
+        with open(path, "rb") as file:
+            sha = hashlib.file_digest(file, "sha256").hexdigest()
+            size = file.tell()
+            at = name or f"{OBJECTS}/{sha}"
+            target = f"{self._place}/{at}"
+            if self._had.get(name) != {"sha": sha, "size": size, "at": at} and (
+                name or not self._has(target, size)
+            ):
+                file.seek(0)
+                self._found.makedirs(target.rsplit("/", 1)[0], exist_ok=True)
+                with self._found.open(target, "wb") as out:
+                    shutil.copyfileobj(file, out)
+        return {"sha": sha, "size": size, "at": at}
+
+    def _has(self, target: str, size: int) -> bool:
+        try:
+            return int(self._found.info(target)["size"]) == size
+        except FileNotFoundError:
+            return False
+
+    def _get(self, name: str, entry: Entry, target: Path) -> bool:
+        """Whether a file could be copied here as its entry says."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        number, temporary = tempfile.mkstemp(dir=target.parent)
+        os.close(number)
+        try:
+            self._found.get_file(f"{self._place}/{entry['at']}", temporary)
+            if not _fits(Path(temporary), entry):
+                return False
+            os.replace(temporary, target)
+            return True
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            raise _lost(f"{self._place}/{name}", error) from error
+        finally:
+            Path(temporary).unlink(missing_ok=True)
+
+    def _tidy(self, keep: str) -> None:
+        """Remove what the last commit replaces; what stays by accident harms nothing."""
+        for path in [*self._safe_find(COMMITS), *self._safe_find(OBJECTS)]:
+            if path != self._commit(keep):
+                with suppress(OSError):
+                    self._found.rm_file(path)
+
+    def _safe_find(self, name: str) -> list[str]:
+        with suppress(OSError):
+            return list(map(str, self._found.find(f"{self._place}/{name}")))
+        return []
+
+
+def _files(folder: Path) -> list[str]:
+    """The files of a run folder that are published."""
+    skip = f"{CACHE}/{UNDISTORTED}/"
+    found = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+    return [
+        name
+        for name in found
+        if not name.endswith(".lock") and not name.startswith(skip) and name != PREVIEW
+    ]
+
+
+def _fits(path: Path, entry: Entry) -> bool:
+    """Whether a file here is what a commit says."""
+    try:
+        if path.stat().st_size != entry["size"]:
+            return False
+        with open(path, "rb") as file:
+            return bool(hashlib.file_digest(file, "sha256").hexdigest() == entry["sha"])
+    except OSError:
+        return False
+
+
+def _lost(place: str, error: OSError) -> RunFolderError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return RunFolderError(f"Cannot use {place} ({reason:.100}).", "Is the store there, with space?")

@@ -1,0 +1,143 @@
+"""Leases on a store without locks: one engine at a time, also if another died or comes back.
+
+Everybody who wants a lease writes a file of its own, as a claim, and then lists the folder. Without
+a holder, the claim of the smallest name becomes the holder, and lists again: a smaller name that
+came meanwhile makes it give way. Everybody writes before it lists, so one of two always sees the
+other. Files are rewritten again and again; one that does not change for `EXPIRY` seconds, by the
+watcher's own clock, is dead: no two clocks are compared.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+EXPIRY, BEAT, POLL = 60.0, 10.0, 1.0  # seconds
+CLAIM, HELD = "claim", "held"
+
+
+class LeaseTakenError(Exception):
+    """Somebody else holds the lease, and is alive; or the wait was given up."""
+
+
+class Lease:
+    """A lease, held during a `with` block.
+
+    Args:
+        found: the file system.
+        folder: in it, for this lease alone.
+        should_stop: asked while waiting.
+        expiry, beat: seconds, for tests.
+    """
+
+    def __init__(
+        self,
+        found: Any,
+        folder: str,
+        should_stop: Callable[[], bool] = lambda: False,
+        *,
+        expiry: float = EXPIRY,
+        beat: float = BEAT,
+    ) -> None:
+        self._found, self._folder, self._should_stop = found, folder, should_stop
+        self._expiry, self._beat = expiry, beat
+        self._name, self._count = uuid.uuid4().hex, 0
+        self._ended, self._lost = threading.Event(), False
+        self._seen: dict[str, tuple[bytes, float, int]] = {}  # content, since when, changes
+
+    def is_held(self) -> bool:
+        """Whether nobody has taken it over, as after a pause of this machine."""
+        self._lost = self._lost or self._name not in self._names()
+        return not self._lost
+
+    def __enter__(self) -> Lease:
+        """Take it.
+
+        Raises:
+            LeaseTakenError: somebody else holds it.
+        """
+        try:
+            while not self._try():
+                if self._should_stop():
+                    raise LeaseTakenError
+                time.sleep(min(POLL, self._beat))
+        except BaseException:
+            self._remove(self._name)
+            raise
+        threading.Thread(target=self._keep, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give it back."""
+        self._ended.set()
+        self._remove(self._name)
+
+    def _try(self) -> bool:
+        """Whether it could be taken now; raises as `__enter__`."""
+        self._write(CLAIM)
+        others = self._others()
+        if any(state == HELD and self._seen[name][2] > 0 for name, state in others.items()):
+            raise LeaseTakenError  # it has changed: it is alive
+        if HELD in others.values() or any(name < self._name for name in others):
+            return False
+        self._write(HELD)
+        while others := self._others():
+            if any(name < self._name for name in others):
+                return False
+            if HELD not in others.values():
+                break  # greater claims, which see this one
+            self._write(HELD)  # a greater name is about to give way
+            time.sleep(min(POLL, self._beat))
+        return True
+
+    def _others(self) -> dict[str, str]:
+        """The others that are alive: names and states; the dead are removed."""
+        now, found = time.monotonic(), {}
+        for name in self._names():
+            if name == self._name:
+                continue
+            try:
+                content = bytes(self._found.cat_file(f"{self._folder}/{name}"))
+                state = str(json.loads(content)["state"])
+            except FileNotFoundError:
+                continue
+            except (OSError, ValueError, KeyError, TypeError):  # half written
+                content, state = b"", CLAIM
+            before, since, changes = self._seen.get(name, (content, now, 0))
+            if content != before:
+                since, changes = now, changes + 1
+            self._seen[name] = (content, since, changes)
+            if now - since > self._expiry:
+                self._remove(name)
+            else:
+                found[name] = state
+        return found
+
+    def _names(self) -> list[str]:
+        with suppress(FileNotFoundError):
+            return [str(path).rsplit("/", 1)[-1] for path in self._found.find(self._folder)]
+        return []
+
+    def _write(self, state: str) -> None:
+        self._count += 1
+        text = json.dumps({"state": state, "count": self._count})
+        self._found.makedirs(self._folder, exist_ok=True)
+        self._found.pipe_file(f"{self._folder}/{self._name}", text.encode())
+
+    def _remove(self, name: str) -> None:
+        with suppress(OSError):
+            self._found.rm_file(f"{self._folder}/{name}")
+
+    def _keep(self) -> None:
+        """Show that this one is alive, while it is."""
+        while not self._ended.wait(self._beat):
+            with suppress(OSError):  # a store that is away for a while
+                if self._name not in self._names():
+                    self._lost = True
+                    return
+                self._write(HELD)

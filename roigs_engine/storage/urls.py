@@ -1,0 +1,60 @@
+"""Addresses of stores: what they are, and the file system that one names."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError
+
+SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
+HOME = "ROIGS_CACHE"
+"""Environment variable: the folder of this machine's copies."""
+
+
+def is_url(text: object) -> bool:
+    """Whether a path is an address of a store, `s3://bucket/scans`, and no folder."""
+    return isinstance(text, str) and SCHEME.match(text) is not None
+
+
+def home() -> Path:
+    """The folder of this machine's copies; whoever writes into it makes it."""
+    return Path(os.environ.get(HOME) or Path.home() / ".cache" / "roigs").absolute()
+
+
+def folder_of(url: str, kind: str) -> Path:
+    """This machine's folder for an address; the same in every process."""
+    name = hashlib.sha256(url.rstrip("/").encode("utf-8", "surrogateescape")).hexdigest()[:20]
+    return home() / kind / name
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """The file system of an address, and the place in it without a slash at the end.
+
+    Raises:
+        ConfigError: fsspec, or the package that it needs for such addresses, is not installed, or
+            it knows no such addresses.
+    """
+    try:
+        import fsspec
+
+        found, place = fsspec.core.url_to_fs(url, use_listings_cache=False)
+    except ImportError as error:
+        match = SCHEME.match(url)
+        kind = match[1].lower() if match else ""
+        package = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
+        wanted = package.get(kind, "fsspec")
+        raise ConfigError(
+            f"{url} needs {wanted}, which is not installed in {sys.executable}.",
+            f"Install it ({sys.executable} -m pip install {wanted}), or use a folder.",
+        ) from error
+    except Exception as error:  # whatever the file system raises for what it cannot use
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise ConfigError(
+            f"{url:.200} cannot be used ({reason:.100}).", "Use an address that fsspec knows."
+        ) from error
+    return found, str(place).rstrip("/")

@@ -1,0 +1,153 @@
+"""`batch` with scenes and run folders on a store: the same bytes, nothing half published."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roigs_engine.batch import staged
+from roigs_engine.batch.engine_process import FAILED, LOST, Outcome
+from roigs_engine.batch.staged import stored_run
+from roigs_engine.cli import main
+from tests.engine.commands.command_line import refused
+from tests.engine.commands.forked_engines import forked_engines
+from tests.engine.commands.test_batch import contents, table_of
+from tests.engine.synthetic_colmap import write_project
+
+__all__ = ["forked_engines"]
+RUNS = "memory://museum/runs"
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A file system in memory, and a home for copies."""
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
+    found = fsspec.filesystem("memory")
+    found.store.clear()
+    yield found
+    found.store.clear()
+
+
+@pytest.fixture
+def table(store: Any, tmp_path: Path) -> Path:
+    """A table whose scenes are on the store."""
+    names = [f"{k}.png" for k in range(10)]
+    for name in ("hall", "attic"):
+        write_project(tmp_path / "scans" / name, names=names, dots=True)
+        store.put(str(tmp_path / "scans" / name), f"/museum/scans/{name}", recursive=True)
+    path = table_of(tmp_path, tmp_path / "scans")
+    text = path.read_text(encoding="utf-8")
+    for name in ("hall", "attic"):
+        text = text.replace(f"'{tmp_path / 'scans' / name}'", f"'memory://museum/scans/{name}'")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_same_bytes_and_a_machine_that_is_lost(
+    table: Path,
+    store: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    forked_engines: None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    real, lost = staged._leased, []
+
+    def lose(argv: Any, staging: Any, run: Any, *rest: Any) -> Outcome:
+        """The machine of the first stage is lost while it publishes; another one goes on."""
+        if staging.part == "scene" and not lost:
+            lost.append(staging)
+            run._put = lambda *_: (_ for _ in ()).throw(KeyError("the machine is gone"))
+            assert real(argv, staging, run, *rest)
+        return real(argv, staging, run, *rest)
+
+    def elsewhere(argv: Any, staging: Any, *rest: Any) -> Outcome:
+        """Each part on a machine of its own."""
+        monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "homes" / staging.run / staging.part))
+        try:
+            return one(argv, staging, *rest)
+        except Exception as error:
+            return Outcome(state=LOST, reason=str(error))
+
+    one = staged.run_part
+    monkeypatch.setattr(staged, "_leased", lose)
+    monkeypatch.setattr("roigs_engine.batch.local.run_part", elsewhere)
+    assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
+    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
+    assert not [path for path in store.find("/museum/runs") if ".lease" in path]
+    for name in ("hall", "attic"):
+        store.get(f"/museum/runs/{name}", str(tmp_path / "got" / name), recursive=True)
+        got = {k: v for k, v in contents(tmp_path / "got" / name).items() if k[0] != "."}
+        row = tmp_path / f"{name}-row.json"
+        record = json.loads((tmp_path / "home").rglob(f"rows/{name}.json").__next__().read_text())
+        row.write_text(json.dumps(record), encoding="utf-8")
+        assert main(["run", str(row), "--run-dir", str(tmp_path / "hand" / name)]) == 0
+        assert got == contents(tmp_path / "hand" / name)
+    assert "3 of 3 objects done" in store.cat("/museum/runs/report.html").decode()
+    capsys.readouterr()
+    assert main(["batch", str(table), "--run-dir", RUNS, "--dry-run"]) == 0
+    assert capsys.readouterr().out.count(" done\n") == 2
+
+
+def test_a_full_disk_of_one_machine_is_its_reason(
+    table: Path, store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Any, *_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    staging = staged.Staging(
+        url=RUNS,
+        base="x",
+        run="hall",
+        part="scene",
+        last=False,
+        options={"scene": "memory://museum/scans/hall"},
+    )
+    monkeypatch.setattr(type(store), "get_file", full)
+    ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
+    assert ended.state == FAILED and "No space left on device" in ended.reason
+    assert not list(store.find("/museum/runs"))  # nothing of it is published or held
+
+
+def test_half_a_commit_is_none(store: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    (folder / "scene").mkdir(parents=True)
+    model = folder / "scene" / "model.ply"
+    model.write_bytes(b"first")
+    stored_run(RUNS, "hall").publish(folder, "scene", last=False)
+    model.write_bytes(b"second")
+    run = stored_run(RUNS, "hall")
+    run.publish(folder, "joint", last=False)
+    whole = store.cat("/museum/runs/hall/.commits/joint.json")
+    store.pipe("/museum/runs/hall/.commits/joint.json", whole[:-9])  # killed while it was written
+    stored_run(RUNS, "hall").fetch(tmp_path / "got")
+    assert (tmp_path / "got" / "scene" / "model.ply").read_bytes() == b"first"
+    store.pipe("/museum/runs/hall/.commits/joint.json", whole)
+    run.fetch(tmp_path / "got")
+    assert (tmp_path / "got" / "scene" / "model.ply").read_bytes() == b"second"
+    model.unlink()
+    run.publish(folder, "archive", last=True)  # what is gone stays gone
+    run.fetch(tmp_path / "got")
+    assert not (tmp_path / "got" / "scene" / "model.ply").exists()
+    assert not store.exists("/museum/runs/hall/.objects") or not store.find(
+        "/museum/runs/hall/.objects"
+    )
+
+
+def test_addresses_that_cannot_be_used_are_one_line(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "nosuch" in refused(capsys, "batch", table, "--run-dir", "nosuch://bucket/runs")
+    text = table.read_text(encoding="utf-8").replace("scans/hall", "scans/nothing")
+    table.write_text(text, encoding="utf-8")
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert "Scene 'hall': There is nothing at memory://museum/scans/nothing." in said
+    monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
+    line = refused(capsys, "batch", table, "--run-dir", "s3://bucket/runs")
+    assert "s3://bucket/runs needs s3fs, which is not installed" in line

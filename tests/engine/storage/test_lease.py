@@ -1,0 +1,85 @@
+"""Leases on a store without locks: never two at once, and the dead are taken over."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+import pytest
+
+from roigs_engine.storage.lease import Lease, LeaseTakenError
+
+PLACE = "/leases/hall"
+QUICK = {"expiry": 0.6, "beat": 0.1}
+
+
+@pytest.fixture
+def store() -> Iterator[Any]:
+    fsspec = pytest.importorskip("fsspec")
+    found = fsspec.filesystem("memory")
+    found.store.clear()
+    yield found
+    found.store.clear()
+
+
+def test_one_that_is_alive_is_respected(store: Any) -> None:
+    with Lease(store, PLACE, **QUICK) as first:
+        with pytest.raises(LeaseTakenError), Lease(store, PLACE, **QUICK):
+            pass
+        assert first.is_held()
+    assert not store.find(PLACE)
+    with Lease(store, PLACE, **QUICK):
+        pass
+
+
+def test_one_that_is_dead_is_taken_over_and_knows_it(store: Any) -> None:
+    dead = Lease(store, PLACE, **QUICK)
+    dead.__enter__()
+    dead._ended.set()  # its machine is gone, or sleeps
+    began = time.monotonic()
+    with Lease(store, PLACE, **QUICK) as lease:
+        assert time.monotonic() - began >= 0.5
+        assert lease.is_held() and not dead.is_held()
+        dead.__exit__()
+        assert lease.is_held()
+
+
+def test_a_wait_can_be_stopped(store: Any) -> None:
+    dead = Lease(store, PLACE, expiry=60, beat=0.1)
+    dead.__enter__()
+    dead._ended.set()
+    with (
+        pytest.raises(LeaseTakenError),
+        Lease(store, PLACE, lambda: True, expiry=60, beat=0.1),
+    ):
+        pass
+    assert len(store.find(PLACE)) == 1
+
+
+def test_of_many_at_once_one_is_inside(store: Any) -> None:
+    rng, inside, most, taken = random.Random(3), [0], [0], [0]
+    lock = threading.Lock()
+
+    def work(delay: float) -> None:
+        time.sleep(delay)
+        with suppress(LeaseTakenError), Lease(store, PLACE, expiry=5, beat=0.05):
+            with lock:
+                inside[0] += 1
+                taken[0] += 1
+                most[0] = max(most[0], inside[0])
+            time.sleep(0.1)
+            with lock:
+                inside[0] -= 1
+
+    for _ in range(5):
+        threads = [threading.Thread(target=work, args=(rng.uniform(0, 0.02),)) for _ in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+            assert not thread.is_alive()
+    assert most[0] == 1 and taken[0] >= 5

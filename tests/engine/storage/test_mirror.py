@@ -1,0 +1,74 @@
+"""Copies of scenes: each file is read once; the copies used longest ago make room."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from roigs_engine.context import QUIET
+from roigs_engine.errors import ConfigError
+from roigs_engine.storage.mirror import mirror
+from roigs_engine.storage.urls import is_url
+
+URL = "memory://museum/scans/{}"
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A store with two scenes, and a record of the files that are read."""
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
+    found = fsspec.filesystem("memory")
+    found.store.clear()
+    for scene in ("hall", "attic"):
+        for name in ("images/1.png", "images/2.png"):
+            found.pipe(f"/museum/scans/{scene}/{name}", f"{scene} {name}".encode() * 1000)
+    found.read = []
+    real = type(found).get_file
+    monkeypatch.setattr(
+        type(found),
+        "get_file",
+        lambda self, path, *rest: (found.read.append(path), real(self, path, *rest)),
+    )
+    yield found
+    found.store.clear()
+
+
+def test_a_file_is_read_once_until_it_changes(store: Any) -> None:
+    folder = mirror(URL.format("hall"), QUIET)
+    assert (folder / "images" / "1.png").read_bytes() == b"hall images/1.png" * 1000
+    assert len(store.read) == 2
+    assert mirror(URL.format("hall"), QUIET) == folder and len(store.read) == 2
+    time.sleep(0.01)
+    store.pipe("/museum/scans/hall/images/1.png", b"other")
+    store.rm("/museum/scans/hall/images/2.png")
+    mirror(URL.format("hall"), QUIET)
+    assert (folder / "images" / "1.png").read_bytes() == b"other" and len(store.read) == 3
+    assert not (folder / "images" / "2.png").exists()
+    (folder / "images" / "1.png").write_bytes(b"cut")  # as a full disk leaves it
+    mirror(URL.format("hall"), QUIET)
+    assert (folder / "images" / "1.png").read_bytes() == b"other"
+
+
+def test_the_limit(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    hall = mirror(URL.format("hall"), QUIET)
+    monkeypatch.setenv("ROIGS_CACHE_GB", "0.00005")
+    mirror(URL.format("attic"), QUIET)
+    assert hall.exists()  # used within the hour: maybe by an engine that is at work
+    old = time.time() - 7200
+    os.utime(hall.parent, (old, old))
+    attic = mirror(URL.format("attic"), QUIET)
+    assert attic.exists() and not hall.exists()
+    monkeypatch.setenv("ROIGS_CACHE_GB", "much")
+    with pytest.raises(ConfigError, match="ROIGS_CACHE_GB is 'much'"):
+        mirror(URL.format("attic"), QUIET)
+
+
+def test_what_an_address_is() -> None:
+    assert is_url("s3://bucket/a") and is_url("memory://a")
+    assert not is_url("C:\\scans") and not is_url("/scans//a") and not is_url(Path("s3:/a"))
