@@ -7,7 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ class Row:
         args: the same as the command line gives them, without a run folder.
         outputs: suffixes of files to write of the result.
         object_outputs: the same of each object.
+        blocks: number of blocks, once that is known.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Row:
     args: argparse.Namespace = field(repr=False)
     outputs: tuple[str, ...] = ()
     object_outputs: tuple[str, ...] = ()
+    blocks: int = 1
 
     @property
     def digest(self) -> str:
@@ -109,12 +111,12 @@ class Table:
             self._say(place, f"Scene '{name}' has no folder. Add scene = \"FOLDER\".")
         if len(self.wrong) > before:
             return
-        outputs = {key: tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS)}
+        outputs, own = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))
         args = argparse.Namespace(**{a.dest: a.default for a in self._options.values()})
         vars(args).update(found, update=True, part=[], dry_run=False)
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in found.items()}
-        row = Row(name=name, line=self._line(place), options=plain, args=args, **outputs)
-        self.rows.append(row)
+        row = Row(name=name, line=self._line(place), options=plain, args=args, outputs=outputs)
+        self.rows.append(replace(row, object_outputs=own))
 
     def _check_head(self, record: dict[str, Any]) -> None:
         for key in record.keys() - {DEFAULTS, SCENES}:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..training.config import TrainConfig, with_steps
+from ..training.config import TrainConfig, miniature, with_steps
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
@@ -99,6 +99,37 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         min_views=0,
         average_steps=steps // 2,
     )
+
+
+def shortened(config: TrainConfig, share: float) -> TrainConfig:
+    """A stage on a share of the photos: so much of its steps, and of the intervals between them.
+
+    So each photo is used as often as in the whole stage, and a Gaussian is seen as often between
+    two densifications.
+    """
+    return miniature(config, max(1, round(share * config.steps)))
+
+
+def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
+    """A stage of a part of the scene without boxes, on a share of the photos: whole photos only."""
+    whole = replace(
+        config,
+        densify_in_boxes=False,
+        grad_threshold=config.outside_grad_threshold or config.grad_threshold,
+        densify_until=config.densify_until if _grows_outside(config) else 0,
+        outside_grad_threshold=0.0,
+        lr_shN_spacing=0.0,
+        box_budget=0.0,
+        full_every=1,
+        view_weighting=0.0,
+        min_views=0,
+    )
+    return shortened(whole, share / config.full_every)
+
+
+def _grows_outside(config: TrainConfig) -> bool:
+    """Whether a stage densifies outside its boxes."""
+    return not config.densify_in_boxes or config.outside_grad_threshold > 0
 
 
 def _densify_steps(config: RunConfig) -> int:
