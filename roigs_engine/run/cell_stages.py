@@ -48,7 +48,10 @@ def trained_on(
         )
         return PlannedModel.of_stages(name, replace(stage, cutouts=cutouts))
     stages = []
-    for cell in cells.cells:
+    for index, cell in enumerate(cells.cells):
+        if cutouts and base is not None and not cell.rois:  # no object: it stays as it is
+            stages.append(base.inputs[index])
+            continue
         own = photos.of(cell)
         stage = make_stage(
             path_of(folder, f"{cell.label}-{name}"),
@@ -59,7 +62,7 @@ def trained_on(
             start=_start(photos.run, base, cell, own.images),
             order=mixed_order if cell.rois else None,
         )
-        stages.append(replace(stage, cutouts=cutouts and bool(cell.rois)))
+        stages.append(replace(stage, cutouts=cutouts))
     return joined(name, stages, cells.territories)
 
 

@@ -7,12 +7,13 @@ territories. A run of one block and one group has one cell, which is the whole s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..context import QUIET, Context
+from ..errors import ConfigError
 from ..model.ownership import nearest_owner
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, Int64, SfmScene
@@ -67,11 +68,13 @@ class Layout:
         groups: names of the boxes that are trained together.
         blocks: the cells of the Scene-GS; None: it is one stage.
         cells: the cells of the stages after it; None: it is one stage.
+        seen: box -> names of the photos that see it; empty if it was not needed.
     """
 
     groups: Groups
     blocks: Split | None = None
     cells: Split | None = None
+    seen: Mapping[str, Set[str]] = field(default_factory=dict)
 
 
 def lay_out(
@@ -98,22 +101,34 @@ def lay_out(
     seen = {roi.name: set(visible_images(scene, roi, context)) for roi in rois}
     groups = groups or groups_by_photos(seen)
     if blocks == 1 and len(groups) == 1:
-        return Layout(groups=groups)
+        return Layout(groups=groups, seen=seen)
     making = _Making(Views.of(scene, context), rois, seen, groups)
     whole = np.zeros(len(scene.points) + len(scene.images), dtype=np.int64)
     if blocks == 1:
-        return Layout(groups=groups, cells=making.grouped(whole, 1))
+        return Layout(groups=groups, cells=making.grouped(whole, 1), seen=seen)
     block = np.concatenate(ground_cells(making.views, blocks))
     making.keep_boxes_whole(block)
     return Layout(
-        groups=groups, blocks=making.blocks(block, blocks), cells=making.grouped(block, blocks)
+        groups=groups,
+        blocks=making.blocks(block, blocks),
+        cells=making.grouped(block, blocks),
+        seen=seen,
     )
 
 
 def given_groups(config: RunConfig, rois: Sequence[OrientedBox]) -> Groups | None:
-    """The groups that the layout of a run is given; None: they follow from the photos."""
+    """The groups that the layout of a run is given; None: they follow from the photos.
+
+    Raises:
+        ConfigError: they do not name each box once.
+    """
+    names = [roi.name for roi in rois]
     if config.strategy != "joint":  # each box has a stage of its own
-        return (tuple(roi.name for roi in rois),)
+        return (tuple(names),)
+    if config.groups and sorted(name for group in config.groups for name in group) != sorted(names):
+        raise ConfigError(
+            "The groups do not name each box once.", f"The boxes are: {', '.join(names)}."
+        )
     return config.groups or None
 
 

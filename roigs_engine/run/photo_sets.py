@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from copy import copy
 
 from ..context import QUIET, Context
@@ -31,7 +31,7 @@ class PhotoSets:
         self.rois = run.rois
         self.context = context
         self._selections: dict[str, CameraSelection] = {}
-        self._seen: dict[str, tuple[str, ...]] = {}
+        self._seen: dict[str, Set[str]] = {}
 
     def of(self, cell: Cell) -> PhotoSets:
         """The photos and boxes of a cell."""
@@ -68,9 +68,13 @@ class PhotoSets:
     def seen(self, roi: OrientedBox) -> tuple[PosedImage, ...]:
         """The training photos that see the box."""
         if roi.name not in self._seen:
-            self._seen[roi.name] = visible_images(self.run.train_scene, roi, self.context)
-        names = set(self._seen[roi.name])
+            known = self.run.layout.seen.get(roi.name)
+            self._seen[roi.name] = known or self._visible(roi)
+        names = self._seen[roi.name]
         return tuple(image for image in self.images if image.name in names)
+
+    def _visible(self, roi: OrientedBox) -> set[str]:
+        return set(visible_images(self.run.train_scene, roi, self.context))
 
     def rows_seeing(self, images: Sequence[PosedImage]) -> tuple[int, ...]:
         """Row numbers of the `images` that see any of the boxes."""

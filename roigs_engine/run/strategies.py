@@ -89,7 +89,8 @@ def _joint(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[Planned
 
 def _after(name: str, before: PlannedModel, last: PlannedModel) -> PlannedModel:
     """The last model, with the stages of the one that it goes on with."""
-    return replace(last, name=name, stages=(*before.stages, *last.stages), by_roi=before.by_roi)
+    stages = tuple(dict.fromkeys((*before.stages, *last.stages)))
+    return replace(last, name=name, stages=stages, by_roi=before.by_roi)
 
 
 def _independent(photos: PhotoSets, scene: PlannedModel, folder: str) -> tuple[PlannedModel, ...]:

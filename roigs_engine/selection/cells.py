@@ -22,6 +22,7 @@ from ..model.visibility import observed_points
 
 SHOWN = 0.15  # a photo trains a cell that has this share of the points it observes, or more
 FEWER = 0.5  # a point leaves a cell whose photos observe it this much less than another's
+LEAST = 0.5  # of its share of the observations: a side of a cut has more
 NEAR = 0.9  # of the positions decide along which axis to cut: not the few far ones
 Bools = NDArray[np.bool_]
 
@@ -74,14 +75,16 @@ def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:
     """The cell of each point (P,) and of each camera (V,).
 
     A cell is cut across its longer side until there are `count`, so that both sides have their
-    share of the cameras and of the observations, which weigh as much in sum.
+    share of the cameras and of the observations, which weigh as much in sum. Where cameras stand
+    so close together that one side would have next to nothing to show, observations alone count.
     """
     scene = views.scene
     cameras, points = len(scene.images), len(scene.points)
     places = ground(scene, np.concatenate([scene.points, scene.centres()]))
     observations = views.times(np.ones(cameras, bool))
-    weights = np.full(points + cameras, 1 / max(cameras, 1))
-    weights[:points] = observations / max(observations.sum(), 1)
+    weights = np.zeros((points + cameras, 2))  # of points and of cameras
+    weights[:points, 0] = observations / max(observations.sum(), 1)
+    weights[points:, 1] = 1 / max(cameras, 1)
     cells = np.zeros(points + cameras, dtype=np.int64)
     _cut(places, weights, np.arange(len(places)), (0, count), cells)
     return cells[:points], cells[points:]
@@ -102,11 +105,17 @@ def _cut(
     axis = np.linalg.svd(near - near.mean(axis=0), full_matrices=True)[2][0]
     along = own @ axis
     order = np.argsort(along, kind="stable")
-    mass = np.cumsum(weights[rows][order])
-    at = int(np.searchsorted(mass, mass[-1] * (middle - first) / (end - first)))
-    lower = order[: max(1, min(at, len(rows) - 1))]
+    share = (middle - first) / (end - first)
+    both, points = (
+        np.cumsum(weights[rows][order].sum(axis=1)),
+        np.cumsum(weights[rows][order][:, 0]),
+    )
+    at = int(np.searchsorted(both, both[-1] * share))
+    shown = points[min(at, len(points) - 1)] / max(points[-1], 1e-300)
+    if not LEAST * share <= shown <= 1 - LEAST * (1 - share):
+        at = int(np.searchsorted(points, points[-1] * share))
     mask = np.zeros(len(rows), bool)
-    mask[lower] = True
+    mask[order[: max(1, min(at, len(rows) - 1))]] = True
     _cut(places, weights, rows[mask], (first, middle), cells)
     _cut(places, weights, rows[~mask], (middle, end), cells)
 

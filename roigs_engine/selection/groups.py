@@ -27,6 +27,8 @@ def parsed_groups(texts: Sequence[str], boxes: Sequence[str]) -> Groups:
     """
     groups = [tuple(boxes) if t == ALL and ALL not in boxes else _names(t, boxes) for t in texts]
     named = [name for group in groups for name in group]
+    if not all(groups):
+        raise ConfigError("--group names no box.", f"The boxes are: {', '.join(boxes)}.")
     for name in named:
         if name not in boxes:
             raise ConfigError(
