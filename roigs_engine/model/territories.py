@@ -9,7 +9,7 @@ position inside a box belongs to the box's territory: no border cuts a box.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .gaussians import Gaussians
 
 NEIGHBOURS = 8  # sparse points that vote on a position
+AT_ONCE = 100_000  # positions, so that voting takes little memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +56,10 @@ class Territories:
     def owners(self, positions: Float64) -> Int64:
         """(N, 3) world positions -> (N,) the territory that owns each; 0 for NaN and Inf."""
         found = np.zeros(len(positions), dtype=np.int64)
-        good = np.isfinite(positions).all(axis=1)
-        found[good] = self._voted(positions[good])
+        good = np.flatnonzero(np.isfinite(positions).all(axis=1))
+        for start in range(0, len(good), AT_ONCE):
+            rows = good[start : start + AT_ONCE]
+            found[rows] = self._voted(positions[rows])
         box = nearest_owner(positions, self.rois)
         boxed = box >= 0
         found[boxed] = np.array(self.roi_owner, dtype=np.int64)[box[boxed]]
@@ -78,18 +81,23 @@ class Territories:
         return cKDTree(self.points)
 
 
-def joined(models: Sequence[Gaussians], territories: Territories) -> Gaussians:
+def joined(models: Iterable[Gaussians], territories: Territories) -> Gaussians:
     """One model: of each territory's model, the Gaussians whose centre the territory owns.
 
-    Computed on the CPU, so that all devices give the same owners; on the first model's device.
+    Args:
+        models: one for each territory, in their order; needed one at a time.
+        territories: computed on the CPU, so that all devices give the same owners.
+
+    Returns:
+        On the models' device.
     """
     import torch
 
     from .gaussians import Gaussians
 
-    device, parts = models[0].means.device, []
+    parts = []
     for index, model in enumerate(models):
         centres = model.means.detach().cpu().double().numpy()
         rows = torch.from_numpy(territories.owners(centres) == index)
-        parts.append(model.rows(rows.to(model.means.device)).to(device))
+        parts.append(model.rows(rows.to(model.means.device)))
     return Gaussians.concatenate(parts)

@@ -93,6 +93,7 @@ class Executor:
         self.run, self.context = run, context
         self._update, self._preview_seconds = update, preview_seconds
         self._photo_memory = run.memory(context).cache
+        self._keeps = run.layout.blocks is None  # models, which blocks are too large for
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
@@ -125,7 +126,8 @@ class Executor:
         if stage.name not in self._results:
             folder = self._folder(stage)
             check_held(folder.folder)
-            self._results[stage.name] = folder.finished(self.context) or self._train(stage, folder)
+            result = folder.finished(self.context) or self._train(stage, folder)
+            self._results[stage.name] = result if self._keeps else result.without_model()
         return self._results[stage.name]
 
     def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
@@ -138,11 +140,14 @@ class Executor:
     def gaussians(self, source: Source) -> Gaussians:
         """The Gaussians of a source; trains its input stages if necessary."""
         if source.kind in (CELLS, MERGE, POINTS):
-            if source.fingerprint not in self._models:
-                self._models[source.fingerprint] = self._made(source)
-            return self._models[source.fingerprint]
+            if source.fingerprint in self._models:
+                return self._models[source.fingerprint]
+            made = self._made(source)
+            if self._keeps:
+                self._models[source.fingerprint] = made
+            return made
         if source.base is None:
-            return self.result(source.inputs[0]).gaussians
+            return self._of(source.inputs[0])
         model = self.gaussians(source.base)
         if source.kind == CROP:
             return crop(model, source.rois[0], source.rois)
@@ -237,13 +242,18 @@ class Executor:
             return None
         return budgets_from(self.gaussians(stage.start), stage.rois, ends)
 
+    def _of(self, stage: Stage) -> Gaussians:
+        """The stage's model."""
+        result = self.result(stage)
+        return result.gaussians if self._keeps else result.without_model().gaussians
+
     def _made(self, source: Source) -> Gaussians:
         """The sparse points as Gaussians, or the results of several stages as one model."""
         if source.kind == POINTS:
             scene, rows = self.run.train_scene, source.rows
             chosen = slice(None) if rows is None else rows
             return Gaussians.from_points(scene.points[chosen], scene.colors[chosen])
-        models = [self.result(stage).gaussians for stage in source.inputs]
+        models = (self._of(stage) for stage in source.inputs)
         if source.territories is not None:
             return joined(models, source.territories)
         assert source.base is not None

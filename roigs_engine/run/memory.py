@@ -18,7 +18,7 @@ from ..training.config import TrainConfig
 from .config import RunConfig
 from .layout import Layout
 
-PER_MERGED = 800  # bytes of a Gaussian while the models of blocks are joined and drawn
+PER_JOINED = 1450  # bytes of a Gaussian while models are joined and written; four of 400,000 were
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
 PER_PIXEL = 80  # bytes at least, of the largest photo: render, gradient, the loss's images
 PER_PAIR = 95  # bytes: a Gaussian's place in a tile's list, and its gradient there (kernels/view.h)
@@ -102,7 +102,7 @@ def layout_memory(
     plans = cell_memory(scene, layout, config, cache)
     count = whole + PER_DENSIFICATION * _densifications(config.scene, config.roi)
     largest = max(plans, key=lambda plan: plan.total)
-    return replace(largest, joined=PER_MERGED * count, blocks=len(layout.blocks.cells))
+    return replace(largest, joined=PER_JOINED * count, blocks=len(layout.blocks.cells))
 
 
 def cell_memory(

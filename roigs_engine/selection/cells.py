@@ -65,8 +65,7 @@ def ground(scene: SfmScene, positions: Float64) -> Float64:
     poses = np.array([image.world_to_camera for image in scene.images]).reshape(-1, 4, 4)
     up, _ = up_and_error(poses)
     if not up.any():
-        centres = scene.centres() - scene.centres().mean(axis=0)
-        up = np.linalg.svd(centres, full_matrices=True)[2][2]
+        up = _axes(scene.centres())[:, 0]
     on_ground: Float64 = (positions @ turning(up, np.array([0.0, 0.0, 1.0])).T)[:, :2]
     return on_ground
 
@@ -102,8 +101,9 @@ def _cut(
     own = places[rows]
     away = np.linalg.norm(own - np.median(own, axis=0), axis=1)
     near = own[away <= np.quantile(away, NEAR)]
-    axis = np.linalg.svd(near - near.mean(axis=0), full_matrices=True)[2][0]
-    along = own @ axis
+    along = (own - near.mean(axis=0)) @ _axes(near)[:, -1]
+    along *= np.sign((along**3).sum()) or 1.0  # the same direction in every frame
+    along = np.round(along / max(float(np.abs(along).max()), 1e-300), 9)  # and on every machine
     order = np.argsort(along, kind="stable")
     share = (middle - first) / (end - first)
     both, points = (
@@ -118,6 +118,12 @@ def _cut(
     mask[order[: max(1, min(at, len(rows) - 1))]] = True
     _cut(places, weights, rows[mask], (first, middle), cells)
     _cut(places, weights, rows[~mask], (middle, end), cells)
+
+
+def _axes(places: Float64) -> Float64:
+    """(N, D) -> (D, D): in columns, the directions in which places spread, the shortest first."""
+    away = places - places.mean(axis=0)
+    return np.asarray(np.linalg.eigh(away.T @ away)[1])
 
 
 def photos_of_cells(views: Views, owner: Int64, camera: Int64, count: int) -> Bools:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -133,3 +134,13 @@ def test_cameras_at_one_position() -> None:
     scene = LocalFrame.of_scene(SCENE).scene(replace(SCENE, images=tuple(images)))
     points, _ = ground_cells(Views.of(scene), 4)
     assert set(points) == {0, 1, 2, 3}
+
+
+def test_many_points_take_little_memory() -> None:
+    rng = np.random.default_rng(0)
+    many = replace(SCENE, points=rng.uniform(0, 40, (200_000, 3)))
+    tracemalloc.start()
+    ground_cells(Views.of(many), 4)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 100e6  # 500 bytes a point
