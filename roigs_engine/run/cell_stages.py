@@ -57,7 +57,7 @@ def trained_on(
             path_of(folder, f"{cell.label}-{name}"),
             own,
             own.images,
-            _config(photos.run, config, cell.share, boxes=bool(cell.rois)),
+            _config(photos, config, cell),
             rois=cell.rois,
             start=_start(photos.run, base, cell, own.images),
             order=mixed_order if cell.rois else None,
@@ -66,12 +66,13 @@ def trained_on(
     return joined(name, stages, cells.territories)
 
 
-def _config(run: Run, config: TrainConfig, share: float, *, boxes: bool) -> TrainConfig:
+def _config(photos: PhotoSets, config: TrainConfig, cell: Cell) -> TrainConfig:
     """Of a cell's stage: a group has all steps, a block its share of them."""
-    if run.layout.blocks is None:
+    if photos.run.layout.blocks is None:
         return config
-    if boxes:
-        return stage_configs.shortened(config, share)
+    share = len(cell.photos) / len(photos.images)
+    if cell.rois:
+        return stage_configs.block_stage(config, cell.share, share)
     return stage_configs.surroundings_stage(config, share)
 
 

@@ -41,8 +41,8 @@ class Cell:
         photos: names of its training photos.
         rois: its boxes.
         points: rows of the sparse points that its photos observe.
-        share: its share of the photos that see a box of its group, or of all photos if it has no
-            box: its stage takes so much of the steps.
+        share: of the photos that see a box of its group, those that see its own; of all photos, its
+            own, if it has no box or trains a Scene-GS.
     """
 
     label: str

@@ -8,6 +8,9 @@ from ..training.config import TrainConfig, miniature, with_steps
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
+# Whole photos that surroundings get in a stage with masks, in its steps: a third are whole, and the
+# masks of the others show much of what is behind the boxes, which may be in another block.
+WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
@@ -124,7 +127,23 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
         view_weighting=0.0,
         min_views=0,
     )
-    return shortened(whole, share / config.full_every)
+    return shortened(whole, share * (1 if config.full_every == 1 else WHOLE_SHARE))
+
+
+def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig:
+    """A stage of the boxes of a block and of its surroundings.
+
+    Args:
+        config: of the stage of a whole scene.
+        share: of the photos that see boxes, those that see this block's.
+        photos: share of all photos that the block has.
+    """
+    if config.full_every == 1:
+        return shortened(config, max(share, photos))
+    masked = (1 - 1 / config.full_every) * share
+    whole = WHOLE_SHARE * photos
+    every = max(2, round((masked + whole) / whole))
+    return shortened(replace(config, full_every=every), masked + whole)
 
 
 def _grows_outside(config: TrainConfig) -> bool:

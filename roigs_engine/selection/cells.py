@@ -141,7 +141,7 @@ def photos_of_cells(views: Views, owner: Int64, camera: Int64, count: int) -> Bo
     shares = views.shares(owner, count)
     rows = np.arange(len(shares))
     chosen: Bools = shares >= SHOWN
-    chosen[rows, shares.argmax(axis=1)] = True
+    chosen[rows, np.where(shares.any(axis=1), shares.argmax(axis=1), camera)] = True
     chosen[rows, camera] |= shares[rows, camera] > 0
     return chosen
 

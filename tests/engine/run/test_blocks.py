@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.context import QUIET, Context
-from roigs_engine.errors import ConfigError, RunFolderError
+from roigs_engine.errors import ConfigError, RunFolderError, Stopped
 from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.formats import run_files
 from roigs_engine.formats.events import Event, Message
@@ -23,6 +23,7 @@ from roigs_engine.run.dry_run import describe_plan
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.side_by_side import train_stage
 from roigs_engine.run.strategies import plan_run
+from tests.engine.run.test_object_masks import masked
 from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.two_rooms import APART, BOXES, two_rooms
 
@@ -173,3 +174,35 @@ def test_no_border_cuts_a_box(tmp_path: Path, scene: SfmScene) -> None:
         for roi in run.rois:
             inside = roi.centre + rng.uniform(-1, 1, (200, 3)) * roi.half_extents * 0.99
             assert len(set(split.territories.owners(inside))) == 1
+
+
+def test_masks_of_objects_and_the_other_strategy(tmp_path: Path, scene: SfmScene) -> None:
+    """A block without a masked object has no stage that cuts objects out."""
+    with_masks = masked(scene, tmp_path, "east")
+    run = define_run(tmp_path / "run", with_masks, BOXES[:1], tiny("joint", blocks=2))
+    plan = plan_run(run, ["independent", "full-scene"])
+    names = [stage.name for stage in plan.stages]
+    assert sum(name.endswith("-cutout") for name in names) == 1
+    assert {"compare-independent/block-2-scene", "compare-independent/object-east"} <= set(names)
+    models = train_run(run, ["independent"])
+    assert models[-1].name == "Joint, cut out"
+    count = len(read_ply(tmp_path / "run" / run_files.RESULT)["means"])
+    files = [run_files.BACKGROUND, f"{run_files.FINE}/east.ply"]
+    parts = [len(read_ply(tmp_path / "run" / name)["means"]) for name in files]
+    assert sum(parts) == count and min(parts) > 0
+
+
+def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, scene: SfmScene) -> None:
+    config = tiny("joint", blocks=2)
+    train(tmp_path / "whole", scene, BOXES, config)
+    stopped = 0
+    for patience in range(50, 5000, 90):  # calls until it stops, ever later
+        left = iter(range(patience))
+        context = Context(should_stop=lambda left=left: next(left, None) is None)
+        try:
+            train(tmp_path / "stopped", scene, BOXES, config, context=context)
+            break
+        except Stopped:
+            stopped += 1
+    assert stopped > 2
+    assert plys(tmp_path / "stopped") == plys(tmp_path / "whole")
