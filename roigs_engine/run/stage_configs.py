@@ -107,10 +107,13 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
 def shortened(config: TrainConfig, share: float) -> TrainConfig:
     """A stage on a share of the photos: so much of its steps, and of the intervals between them.
 
-    So each photo is used as often as in the whole stage, and a Gaussian is seen as often between
-    two densifications.
+    So each photo is used as often as in the whole stage, a Gaussian is seen as often between two
+    densifications, and there are as many of these, whatever rounding does.
     """
-    return miniature(config, max(1, round(share * config.steps)))
+    short = miniature(config, max(1, round(share * config.steps)))
+    ratio = short.densify_every / config.densify_every
+    begin, end = (round(ratio * step) for step in (config.densify_from, config.densify_until))
+    return replace(short, densify_from=begin, densify_until=min(end, short.steps))
 
 
 def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
