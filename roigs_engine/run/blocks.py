@@ -44,10 +44,11 @@ def number_of_blocks(
         return _by_memory(scene, layouts, config, context)
     found = next(n for n in range(config.blocks, 0, -1) if n == 1 or layouts.fewest(n) >= FEWEST)
     if found < config.blocks:
+        what = f"into {found} blocks instead of {config.blocks}"
+        what = f"The scene is cut {what}" if found > 1 else "The scene is not cut into blocks"
         context.warn(
-            f"{'The scene is not cut' if found == 1 else f'{found} blocks'} instead of"
-            f" {config.blocks} blocks: of {counted(len(train.images), 'photo')}, one of"
-            f" {found + 1} blocks would have fewer than {FEWEST}."
+            f"{what}: of {counted(len(train.images), 'photo')}, one of {found + 1} blocks would"
+            f" have fewer than {FEWEST}."
         )
     if found > 1 and layouts.usual(found) > USELESS:
         context.warn(
