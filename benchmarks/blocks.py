@@ -29,7 +29,7 @@ from roigs_engine.rasterize.view import render_view
 from roigs_engine.run.layout import lay_out
 from roigs_engine.selection.cells import Views
 
-MUCH = 0.25  # of the points that a photo observes
+MUCH = 0.25  # of a photo
 HEAD = (
     *("run", "blocks", "steps", "CPU s", "Gaussians", "photos across a border"),
     *("whole (dB)", "cut", "worst photo", "other photos: whole (dB)", "cut", "in boxes (dB)"),

@@ -14,13 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from ..context import QUIET, Context
 from ..formats.upright import turning, up_and_error
-from ..model.scene import Float64, Int64, SfmScene
+from ..model.scene import Float64, Int64, PosedImage, SfmScene
 from ..model.visibility import observed_points
 
-SHOWN = 0.15  # a photo trains a cell that has this share of the points it observes, or more
+SHOWN = 0.15  # a photo trains a cell that fills this share of it, or more
+GRID = 24  # places across and down a photo whose nearest points are looked up
 FEWER = 0.5  # a point leaves a cell whose photos observe it this much less than another's
 LEAST = 0.5  # of its share of the observations: a side of a cut has more
 NEAR = 0.9  # of the positions decide along which axis to cut: not the few far ones
@@ -34,10 +36,13 @@ class Views:
     Attributes:
         scene: V photos, P points.
         seen: (V, P) sparse matrix of 1 and 0.
+        areas: (V, P) sparse matrix of each photo's share that is nearest to each point it observes:
+            a white wall has few points, but fills the picture.
     """
 
     scene: SfmScene
     seen: csr_matrix
+    areas: csr_matrix
 
     @classmethod
     def of(cls, scene: SfmScene, context: Context = QUIET) -> Views:
@@ -46,18 +51,39 @@ class Views:
         starts = np.concatenate([[0], np.cumsum([len(rows) for rows in found])])
         columns = np.concatenate([np.empty(0, np.int64), *found])
         shape = len(scene.images), len(scene.points)
-        return cls(scene=scene, seen=csr_matrix((np.ones(len(columns)), columns, starts), shape))
+        areas = []
+        for image, rows in zip(scene.images, found, strict=True):
+            context.check_cancelled()
+            areas.append(_areas(image, scene.points[rows]))
+        return cls(
+            scene=scene,
+            seen=csr_matrix((np.ones(len(columns)), columns, starts), shape),
+            areas=csr_matrix((np.concatenate([np.empty(0), *areas]), columns, starts), shape),
+        )
 
     def shares(self, owner: Int64, count: int) -> Float64:
-        """(V, count) share of each photo's points that each cell owns; `owner` is (P,)."""
+        """(V, count) share of each photo that each cell fills; `owner` is (P,)."""
         columns = np.arange(len(owner))
         cells = csr_matrix((np.ones(len(owner)), (columns, owner)), (len(owner), count))
-        numbers = np.asarray((self.seen @ cells).todense())
-        return np.asarray(numbers / np.maximum(numbers.sum(axis=1, keepdims=True), 1))
+        return np.asarray((self.areas @ cells).todense())
 
     def times(self, photos: Bools) -> Float64:
         """(P,) by how many of some photos (V,) each point is observed."""
         return np.asarray(self.seen.T @ photos.astype(float))
+
+
+def _areas(image: PosedImage, points: Float64) -> Float64:
+    """(N, 3) observed points -> (N,) share of the picture that is nearest to each."""
+    if len(points) == 0:
+        return np.empty(0)
+    camera, pose = image.camera, image.world_to_camera
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    pixels = local[:, :2] / np.maximum(local[:, 2:], 1e-12) * (camera.fx, camera.fy)
+    grid = (np.stack(np.meshgrid(np.arange(GRID), np.arange(GRID)), axis=-1) + 0.5) / GRID
+    size = np.array([camera.width, camera.height])
+    places = grid.reshape(-1, 2) * size - (camera.cx, camera.cy)
+    _, nearest = cKDTree(pixels).query(places)
+    return np.asarray(np.bincount(nearest, minlength=len(points)) / len(places))
 
 
 def ground(scene: SfmScene, positions: Float64) -> Float64:
