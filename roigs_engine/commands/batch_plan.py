@@ -64,7 +64,6 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     Raises:
         EngineError: the row cannot be done.
     """
-    from ..run.memory import run_memory
     from ..run.strategies import plan_run
 
     args, quiet = copy(row.args), QuietConsole(console)
@@ -80,12 +79,13 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     if run is None:
         parts = _parts(row, folder, names, [], (("", PHOTOS_WORK),), 0)
         return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
-    memory = run_memory(run, context).total
+    memory = run.memory(context).total
     plan = plan_run(run, compare, context)
     cut = cuts(plan) if row.command == run_command.NAME else []
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
+    row = replace(row, blocks=run.config.blocks)  # `auto` is of this machine, for all of them
     parts = _parts(row, folder, tuple(roi.name for roi in run.rois), cut, own, memory)
     done = record.is_done(row.name, row.digest, run, written(row, folder, names))
     scene = replace(_scene(row, names, parts, plan), done=done)
@@ -172,6 +172,7 @@ def _parts(
     run_dir = run_folder(row, folder)
     options = [row.command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
     options += ["--update"] if row.args.update else []
+    options += ["--blocks", str(row.blocks)] if row.blocks > 1 else []
 
     gpu = row.args.device != "cpu"
     kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)

@@ -54,6 +54,7 @@ class Row:
         store: address of the batch's folder, if that is on a store.
         elsewhere: whether it is done on other machines, whose devices are not this one's.
         asked: the options as the table has them, if addresses in `options` became folders.
+        blocks: number of blocks, once that is known.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Row:
     store: str = ""
     elsewhere: bool = False
     asked: dict[str, Any] | None = None
+    blocks: int = 1
 
     @property
     def digest(self) -> str:

@@ -24,6 +24,7 @@ from .automatic import (
     reconstructed,
 )
 from .console import Console
+from .layout_options import add_layout_options, with_layout
 from .options import (
     add_device_option,
     add_evaluation_option,
@@ -68,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection_options(parser)
     add_training_options(parser)
     add_evaluation_option(parser)
+    add_layout_options(parser)
     add_device_option(parser)
     parser.add_argument(
         "--run-dir", type=PATH, required=True, metavar="DIR", help="folder of the run"
@@ -157,7 +159,6 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
     from ..run.definition import define_run
     from ..run.folder import open_folder
     from ..run.manifest import check_version, refuse_other_run
-    from ..run.memory import run_memory
     from ..run.provenance import recorded
     from ..run.side_by_side import PATIENCE, held
 
@@ -191,7 +192,7 @@ def opened_run(args: argparse.Namespace, console: Console) -> Iterator[tuple[Run
         open_folder(run, context, update=args.update)
         write_json(args.run_dir / run_files.SETTINGS, settings(args))
         remove_unused(args.run_dir / run_files.CACHE, scene.images)
-        for message in run_memory(run, context).messages():
+        for message in run.memory(context).messages():
             console.emit(message)
         with recorded(args.run_dir, run.config.seed, context.device):
             yield run, context
@@ -257,7 +258,7 @@ def _early_inputs(args: argparse.Namespace) -> dict[str, Any]:
 
 def _inputs(args: argparse.Namespace, rois: Sequence[OrientedBox]) -> dict[str, Any]:
     """Boxes, settings and manual photos for `define_run`."""
-    config = run_config(args)
+    config = with_layout(run_config(args), args, [roi.name for roi in rois])
     if args.selection:
         own = (args.run_dir / run_files.SELECTION / f"{roi.name}.json" for roi in rois)
         given = [args.selection / f"{roi.name}.json" for roi in rois]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 MANIFEST = "manifest.json"
 """What the run was made for: boxes, photos, settings."""
 SETTINGS = "settings.json"
@@ -50,6 +52,9 @@ TUNED_STAGE, TUNED_COARSE_STAGE = "tuned-", "tuned-coarse-"
 COMPARED = "compare-"
 """Followed by the name of another strategy: the folder of its run. No stage is called that."""
 
+CELL = re.compile(r"(block-\d+(-group-\d+)?|group-\d+)-(scene|joint|cutout|refine)")
+"""Names of the stages of a scene in blocks, or of boxes in groups."""
+
 BATCH_LOCK, BATCH, BATCH_ROWS, BATCH_OUTPUTS = "batch.lock", "batch.json", "rows", "outputs"
 """In the folder of a batch: its lock, what is done, a folder of options files, one of outputs."""
 CLUSTER_OPTIONS, CLUSTER_LOCK = "cluster.json", "cluster.held"
@@ -82,4 +87,4 @@ _NAMES = {*_FILES, CLUSTER_OPTIONS, CLUSTER_LOCK, *_RESULTS, *_STAGES}
 def is_own(name: str) -> bool:
     """Whether a run writes a file or folder of that name; case does not count."""
     name = name.casefold()
-    return name in _NAMES or name.startswith(_PREFIXES)
+    return name in _NAMES or name.startswith(_PREFIXES) or CELL.fullmatch(name) is not None

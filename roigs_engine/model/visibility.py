@@ -130,6 +130,19 @@ def visible_images(scene: SfmScene, roi: OrientedBox, context: Context = QUIET) 
     return find_candidates(scene, roi, context).names
 
 
+def observed_points(scene: SfmScene, context: Context = QUIET) -> list[Int64]:
+    """For each photo, in the scene's order, the rows of the points that it observes, ascending."""
+    if scene.has_tracks:
+        return [np.unique(image.point_indices) for image in scene.images]
+    occluders = scene.points[:: -(-len(scene.points) // MAX_OCCLUDERS) or 1]
+    slack = DEPTH_SLACK * scene.extent()
+    found = []
+    for image in scene.images:
+        context.check_cancelled()
+        found.append(_visible_by_depth(image, scene.points, occluders, slack))
+    return found
+
+
 def _from_tracks(images: list[PosedImage], rows: Int64, total: int) -> list[Int64]:
     """For each photo, the positions in `rows` (points in the box) that it observes, ascending."""
     position = np.full(total, -1, dtype=np.int64)

@@ -18,6 +18,8 @@ STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
 ORDERS = ("ordered", "shuffled")
 TEST, VALIDATION = PHOTOS = ("test", "validation")
+AUTO_BLOCKS = 0  # as many as this machine's memory needs
+MOST_BLOCKS = 64
 MAX_FACTOR = 1000  # of the steps: a larger one is a typing error
 BASELINES = ("full-scene", "full-object", "full-scene-tuned", "full-object-tuned")
 COMPARISONS = (*BASELINES, *STRATEGIES)
@@ -51,6 +53,9 @@ class RunConfig:
         evaluate_on: `test` photos or `validation` photos. Settings are chosen on the latter; test
             photos are then used by nothing.
         seed: of everything random.
+        blocks: number of blocks that the scene is cut into; 1: it is not cut. `define_run` replaces
+            `AUTO_BLOCKS`.
+        groups: names of the boxes that are trained together; empty: by the photos that they share.
     """
 
     preset: str
@@ -69,6 +74,8 @@ class RunConfig:
     test_every: int = 8
     evaluate_on: str = TEST
     seed: int = 0
+    blocks: int = 1
+    groups: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         for name, value, allowed in (
@@ -105,6 +112,15 @@ class RunConfig:
                 "Without test photos (test_every 0) there are no validation photos.",
                 "Set test_every to 2 or more.",
             )
+        if not 0 <= self.blocks <= MOST_BLOCKS:
+            raise ConfigError(
+                f"blocks is {self.blocks}.", f"Use a number from 1 to {MOST_BLOCKS}, or auto."
+            )
+        if self.strategy != "joint" and self.groups:
+            raise ConfigError(
+                f"The strategy `{self.strategy}` trains each box alone, so --group has no use.",
+                "Leave it out, or use the strategy `joint`.",
+            )
         if self.strategy == "joint" and self.roi_init == "box":
             raise ConfigError(
                 "roi_init 'box' drops the background, which the strategy `joint` needs.",
@@ -117,8 +133,12 @@ class RunConfig:
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return dataclasses.asdict(self)
+        """Plain values for JSON; without `groups`, and without `blocks` if there is one."""
+        record = dataclasses.asdict(self)
+        del record["groups"]  # the manifest has those that follow from the photos, too
+        if self.blocks == 1:
+            del record["blocks"]
+        return record
 
     def scaled(self, factor: float) -> RunConfig:
         """The config with the steps of both stages multiplied.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..context import QUIET, Context
 from ..errors import SceneError
@@ -17,7 +17,12 @@ from ..model.scene import SfmScene
 from ..model.visibility import check_has_points
 from ..selection.manual import usable_manual
 from ..selection.split import choose_test_views
+from .blocks import number_of_blocks
 from .config import TEST, VALIDATION, RunConfig
+from .layout import Layout, given_groups, lay_out
+
+if TYPE_CHECKING:
+    from .memory import MemoryPlan
 
 MANIFEST_VERSION = 3  # increase it if an older run folder cannot be resumed
 
@@ -71,6 +76,19 @@ class Run:
         return self.scene.select((*self.test, *self.validation))
 
     @cached_property
+    def layout(self) -> Layout:
+        """Blocks of the scene and groups of boxes; RoiError if no photo sees a box."""
+        groups = given_groups(self.config, self.rois)
+        return lay_out(self.train_scene, self.rois, self.config.blocks, groups)
+
+    def memory(self, context: Context = QUIET) -> MemoryPlan:
+        """The memory that it needs; SceneError if this machine, or its GPU, has less."""
+        from .memory import layout_memory, with_card  # with torch
+
+        plan = layout_memory(self.scene, self.layout, self.config, context.photo_memory)
+        return with_card(plan, self.scene, self.layout, context)
+
+    @cached_property
     def extent(self) -> float:
         """Extent of the training cameras, local units (`SfmScene.extent`)."""
         return self.train_scene.extent()
@@ -79,7 +97,9 @@ class Run:
         """Everything that decides the results; ready for JSON."""
         config = self.config.to_dict()
         record = {"version": MANIFEST_VERSION, "config": config, **self.inputs}
-        return record | ({"manual": dict(self.manual)} if self.manual else {})
+        record |= {"manual": dict(self.manual)} if self.manual else {}
+        groups = [list(group) for group in self.layout.groups]
+        return record | ({"groups": groups} if len(groups) > 1 else {})
 
 
 def inputs_record(scene: SfmScene, rois: Sequence[OrientedBox]) -> dict[str, Any]:
@@ -145,11 +165,12 @@ def define_run(
         roi: usable_manual(names, local, (*test, *validation), roi, context)
         for roi, names in (manual or {}).items()
     }
+    blocks = number_of_blocks(local, local.without({*test, *validation}), boxes, config, context)
     return Run(
         folder=folder,
         scene=local,
         rois=boxes,
-        config=config,
+        config=replace(config, blocks=blocks),
         test=test,
         validation=validation,
         manual=usable,

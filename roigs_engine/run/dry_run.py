@@ -10,16 +10,17 @@ from ..formats.lock import holder
 from ..formats.run_files import CACHE, LOCK, MANIFEST
 from ..formats.text import counted
 from .definition import Run
+from .describe_layout import describe_layout
 from .disk import disk_space
 from .forecast import StageForecast, forecast
 from .manifest import check_version, from_json, manifest_difference, read_manifest
-from .memory import run_memory
-from .plan import Plan
+from .plan import Plan, Stage
 from .renaming import renamed_boxes, with_names
 from .strategies import plan_run
 
 HEAD = ("stage", "photos", "size", "steps", "starts from", "Gaussians", "minutes", "")
 LEFT = (0, 4, 7)  # columns of text
+MOST_NAMES = 3  # of stages in a cell of the table
 
 
 def describe_plan(
@@ -37,15 +38,16 @@ def describe_plan(
         RunFolderError: an earlier version made the folder.
     """
     check_version(run.folder)
-    memory = run_memory(run, context)
+    memory = run.memory(context)
     plan = plan_run(run, compare, context)
     expected = forecast(run, plan, context, update=update)
-    lines = [*_head(run, plan), "", *_table([_row(stage) for stage in expected.stages]), ""]
+    rows = [_row(stage) for stage in expected.stages]
+    lines = [*_head(run, plan, context), "", *_table(rows), ""]
     lines += [message.text for message in (*memory.messages(), disk_space(run, expected))]
     return "\n".join([*lines, expected.time_line(), *_folder_notes(run, update=update)])
 
 
-def _head(run: Run, plan: Plan) -> list[str]:
+def _head(run: Run, plan: Plan, context: Context) -> list[str]:
     config, images = run.config, run.scene.images
     count = len(images)
     notes = []
@@ -67,7 +69,7 @@ def _head(run: Run, plan: Plan) -> list[str]:
             f" {counted(len(s.candidates), 'candidate')}"
             for s in selections
         ]
-    return lines
+    return [*lines, *describe_layout(run, context)]
 
 
 def _held_out(run: Run) -> str:
@@ -85,11 +87,18 @@ def _row(expected: StageForecast) -> tuple[str, ...]:
         str(len(stage.images)),
         f"{largest.width}x{largest.height}",
         f"{stage.config.steps:,}",
-        ", ".join(dict.fromkeys(s.name for s in stage.start.inputs)) or "sparse points",
+        _starts_from(stage),
         f"{end:,}" if expected.is_done else f"~{round(end, -3):,}",
         f"{expected.whole.seconds / 60:.1f}",
         _state(expected),
     )
+
+
+def _starts_from(stage: Stage) -> str:
+    names = list(dict.fromkeys(needed.name for needed in stage.start.stages))
+    if len(names) > MOST_NAMES:
+        return f"{names[0]}, …, {names[-1]}"
+    return ", ".join(names) or "sparse points"
 
 
 def _state(expected: StageForecast) -> str:

@@ -17,16 +17,17 @@ from ..model.gaussians import Gaussians
 from ..model.ownership import count_owned, owners
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
+from ..model.territories import joined
 from ..photos.cache import PhotoCache
 from ..training.budget import BoxBudget, budgets_from
 from ..training.cutouts import Cutouts
+from ..training.floaters.view_shares import shown_by
 from ..training.labels import object_owners
 from ..training.masks import RoiMasks
 from ..training.stage_data import StageData
 from ..training.z_order import morton_order
 from .definition import Run
-from .memory import run_memory
-from .plan import CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
+from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
 from .stage_folder import StageFolder, StageResult, StageStatus
 
 
@@ -91,7 +92,8 @@ class Executor:
     ) -> None:
         self.run, self.context = run, context
         self._update, self._preview_seconds = update, preview_seconds
-        self._memory = run_memory(run, context)
+        self._memory = run.memory(context)
+        self._keeps = run.layout.blocks is None  # models, which blocks are too large for
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
@@ -124,7 +126,8 @@ class Executor:
         if stage.name not in self._results:
             folder = self._folder(stage)
             check_held(folder.folder)
-            self._results[stage.name] = folder.finished(self.context) or self._train(stage, folder)
+            result = folder.finished(self.context) or self._train(stage, folder)
+            self._results[stage.name] = result if self._keeps else result.without_model()
         return self._results[stage.name]
 
     def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
@@ -136,12 +139,20 @@ class Executor:
 
     def gaussians(self, source: Source) -> Gaussians:
         """The Gaussians of a source; trains its input stages if necessary."""
-        if source.kind == POINTS:
-            return self._points()
-        if source.kind == MERGE:
-            return self._merged(source)
-        model = self.result(source.inputs[0]).gaussians
-        return crop(model, source.rois[0], source.rois) if source.kind == CROP else model
+        if source.kind in (CELLS, MERGE, POINTS):
+            if source.fingerprint in self._models:
+                return self._models[source.fingerprint]
+            made = self._made(source)
+            if self._keeps:
+                self._models[source.fingerprint] = made
+            return made
+        if source.base is None:
+            return self._of(source.inputs[0])
+        model = self.gaussians(source.base)
+        if source.kind == CROP:
+            return crop(model, source.rois[0], source.rois)
+        on_device = model.to(torch.device(self.context.device))
+        return model.rows(shown_by(on_device, source.images, self.context).to(model.means.device))
 
     def model(self, planned: PlannedModel) -> TrainedModel:
         """The planned model, trained."""
@@ -219,8 +230,9 @@ class Executor:
         """The objects that the stage's steps draw alone, by the labels of its first model."""
         start = self.gaussians(stage.start).to(device)
         rows = morton_order(start.means)  # the trainer's
-        owner = self._owners(start, self.run.rois)[rows]
-        images, rois = stage.images, self.run.rois
+        names = {roi.name for roi in stage.rois}  # those of the stage have margins
+        rois = [roi for roi in self.run.rois if roi.name in names]
+        owner, images = self._owners(start, rois)[rows], stage.images
         return Cutouts(start.rows(rows), owner, rois, images, stage.seed, self.context)
 
     def _budgets(self, stage: Stage) -> list[BoxBudget] | None:
@@ -231,20 +243,23 @@ class Executor:
             return None
         return budgets_from(self.gaussians(stage.start), stage.rois, ends)
 
-    def _points(self) -> Gaussians:
-        """The sparse points as Gaussians."""
-        if POINTS not in self._models:
-            scene = self.run.train_scene
-            self._models[POINTS] = Gaussians.from_points(scene.points, scene.colors)
-        return self._models[POINTS]
+    def _of(self, stage: Stage) -> Gaussians:
+        """The stage's model."""
+        result = self.result(stage)
+        return result.gaussians if self._keeps else result.without_model().gaussians
 
-    def _merged(self, source: Source) -> Gaussians:
-        """The scene's model with the content of each box taken from that box's Object-GS."""
-        if source.fingerprint not in self._models:
-            scene, *objects = (self.result(stage) for stage in source.inputs)
-            pairs = zip(source.rois, (stage.gaussians for stage in objects), strict=True)
-            self._models[source.fingerprint] = merge(scene.gaussians, list(pairs), self._owners)
-        return self._models[source.fingerprint]
+    def _made(self, source: Source) -> Gaussians:
+        """The sparse points as Gaussians, or the results of several stages as one model."""
+        if source.kind == POINTS:
+            scene, rows = self.run.train_scene, source.rows
+            chosen = slice(None) if rows is None else rows
+            return Gaussians.from_points(scene.points[chosen], scene.colors[chosen])
+        models = (self._of(stage) for stage in source.inputs)
+        if source.territories is not None:
+            return joined(models, source.territories)
+        assert source.base is not None
+        pairs = list(zip(source.rois, models, strict=True))
+        return merge(self.gaussians(source.base), pairs, self._owners)
 
     def _owners(self, model: Gaussians, rois: Sequence[OrientedBox]) -> torch.Tensor:
         """The box that owns each Gaussian: its object alone, where masks show that."""
@@ -270,7 +285,7 @@ class Executor:
         folder = own_folder(self.run.folder, output.folder)
         rois, frame = self.run.rois, self.run.frame
         result = self.gaussians(output.model.source)
-        coarse = self.result(output.coarse).gaussians
+        coarse = self.gaussians(output.coarse)
         check_held(folder)
         result.save_ply(folder / run_files.RESULT, frame)
         owner, coarse_owner = self._owners(result, rois), self._owners(coarse, rois)

@@ -13,7 +13,6 @@ from .disk import disk_space
 from .executor import Executor, TrainedModel
 from .forecast import forecast_if_long
 from .manifest import claim
-from .memory import run_memory
 from .strategies import plan_run
 
 
@@ -30,7 +29,7 @@ def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> 
         RunFolderError: the folder has a run of other settings, or of an earlier version.
         SceneError: the scene does not fit into the machine's memory.
     """
-    run_memory(run, context)
+    run.memory(context)
     claim(run.folder, run.manifest(), update=update, context=context)
     write_json(run.folder / SPLIT, run.split())
     for text in scene_warnings(run.train_scene, run.rois):

@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..context import Context
 from ..errors import EngineError
 from ..formats.text import counted
 from ..kernels import library
+from ..model.scene import SfmScene
 from .definition import Run
 from .estimate import Estimator, StageEstimate, evaluation_seconds
 from .executor import Executor
-from .plan import POINTS, Plan, Stage
+from .plan import POINTS, Plan, Source, Stage
 from .stage_folder import StageStatus
 
 WORTH_SAYING = 2000  # steps; an estimate takes as long as a few hundred of them
@@ -110,7 +113,7 @@ def _forecast(run: Run, plan: Plan, statuses: Sequence[StageStatus], context: Co
     stages = []
     for stage, status in zip(plan.stages, statuses, strict=True):
         if status.result is None:
-            start = _start(stage, ends, len(run.train_scene.points))
+            start = expected_start(stage.start, ends, run.train_scene)
             whole = estimator.estimate(stage, start)
         else:
             result = status.result
@@ -127,11 +130,29 @@ def _forecast(run: Run, plan: Plan, statuses: Sequence[StageStatus], context: Co
     )
 
 
-def _start(stage: Stage, ends: dict[str, int], points: int) -> int:
-    """The expected number of Gaussians at the start of the stage."""
-    if stage.start.kind == POINTS:
-        return points
-    return max(ends[needed.name] for needed in stage.start.inputs)
+def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int:
+    """The expected number of Gaussians of a source.
+
+    Args:
+        source: what a stage starts from.
+        ends: the number at the end of each stage before.
+        scene: of the training photos.
+    """
+    if source.kind == POINTS:
+        return len(scene.points) if source.rows is None else len(source.rows)
+    own = [ends[stage.name] for stage in source.inputs]
+    if source.territories is not None:  # each result has some of what its neighbours own, too
+        owned = np.bincount(source.territories.owner, minlength=len(own))
+        shares = owned / max(len(scene.points), 1) / [_share(s, scene) for s in source.inputs]
+        return round(float((shares.clip(max=1) * own).sum()))
+    base = expected_start(source.base, ends, scene) if source.base else 0
+    return max([round(source.share * base), *own])
+
+
+def _share(stage: Stage, scene: SfmScene) -> float:
+    """Share of the scene's sparse points that a stage begins with, about."""
+    rows = stage.start.rows
+    return stage.start.share if rows is None else max(len(rows), 1) / max(len(scene.points), 1)
 
 
 def _minutes(seconds: float) -> str:

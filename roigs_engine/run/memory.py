@@ -17,13 +17,14 @@ from ..errors import SceneError
 from ..formats.events import Message
 from ..formats.text import in_gb
 from ..machine import ENGINE, machine_memory
-from ..model.scene import PosedImage
+from ..model.scene import PosedImage, SfmScene
 from ..rasterize.inputs import TILE
 from ..training.config import TrainConfig
 from .card_memory import CardPlan, plan_card
 from .config import RunConfig
-from .definition import Run
+from .layout import Layout
 
+PER_JOINED = 1450  # bytes of a Gaussian while models are joined and written; four of 400,000 were
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
 PER_PIXEL = 80  # bytes at least, of the largest photo: render, gradient, the loss's images
 PER_PAIR = 100  # bytes: a Gaussian's place in a tile's list, its gradient there (kernels/view.h)
@@ -45,6 +46,8 @@ class MemoryPlan:
         picture: training on the largest photo.
         end: the largest number of Gaussians that is expected.
         count: that number (not bytes).
+        joined: joining and drawing the models of a scene in blocks; 0: it is not cut.
+        blocks: number of blocks; the other numbers are of the one that needs most.
         card: of the GPU that trains; None: the CPU does.
     """
 
@@ -54,22 +57,28 @@ class MemoryPlan:
     picture: int
     end: int
     count: int
+    joined: int = 0
+    blocks: int = 1
     card: CardPlan | None = None
 
     @property
     def total(self) -> int:
         """The most memory that is expected."""
-        return ENGINE + min(self.photos, self.cache) + self.picture + self.end
+        training = min(self.photos, self.cache) + self.end
+        return ENGINE + self.picture + max(training, self.joined)
 
     def messages(self) -> list[Message]:
         """Messages for the user before the run starts."""
         kept = min(self.photos, self.cache)
+        each = f" in each of {self.blocks} blocks" if self.blocks > 1 else ""
         text = (
-            f"Memory: up to about {in_gb(self.total)} of {in_gb(self.machine)}: photos"
+            f"Memory: up to about {in_gb(self.total)} of {in_gb(self.machine)}{each}: photos"
             f" {in_gb(kept)}, {in_gb(self.end)} if a model grows to {self.count:,} Gaussians,"
             f" the rest {in_gb(ENGINE + self.picture)}."
         )
         found = [Message(text=text)]
+        if self.joined:
+            found.append(Message(text=f"Joining the blocks takes about {in_gb(self.joined)}."))
         if kept < self.photos:
             text = (
                 f"The decoded photos take {in_gb(self.photos)}; {in_gb(kept)} are kept in memory"
@@ -78,25 +87,71 @@ class MemoryPlan:
             found.append(Message(text=text))
         if self.total > self.machine:
             text = (
-                f"Memory will run out if the model grows to {self.count:,} Gaussians. Use a smaller"
-                " --max-side or --steps-factor if that happens."
+                f"Memory will run out if the model grows to {self.count:,} Gaussians. Use --blocks,"
+                " a smaller --max-side or --steps-factor if that happens."
             )
             found.append(Message(text=text, level="warning"))
         return [*found, *(self.card.messages() if self.card else ())]
 
 
-def run_memory(run: Run, context: Context = QUIET) -> MemoryPlan:
-    """`plan_memory` of a run, with what a GPU needs where one trains."""
-    images, points = run.scene.images, len(run.scene.points)
-    plan = plan_memory(images, points, run.config, context.photo_memory)
+def with_card(
+    plan: MemoryPlan, scene: SfmScene, layout: Layout, context: Context = QUIET
+) -> MemoryPlan:
+    """A run's plan, with what a GPU needs where one trains: for the block with most photos."""
     device = torch.device(context.device)
     if device.type != "cuda" or not own_kernels():
         return plan
+    images, points = scene.images, len(scene.points)
+    if layout.blocks is not None:
+        block = max(layout.blocks.cells, key=lambda cell: len(cell.photos))
+        images, points = scene.select(block.photos).images, len(block.points)
     return replace(plan, card=plan_card(images, points, plan.count, card_memory(device)))
 
 
+def layout_memory(
+    scene: SfmScene, layout: Layout, config: RunConfig, cache: int | None = None
+) -> MemoryPlan:
+    """`plan_memory` of a run: of its scene, or of the block that needs most.
+
+    Args:
+        scene: with its test photos.
+        layout, config: of the run.
+        cache: as for `plan_memory`.
+    """
+    whole = len(scene.points)
+    if layout.blocks is None:
+        return plan_memory(scene.images, whole, config, cache)
+    plans = cell_memory(scene, layout, config, cache)
+    count = whole + PER_DENSIFICATION * _densifications(config.scene, config.roi)
+    largest = max(plans, key=lambda plan: plan.total)
+    return replace(largest, joined=PER_JOINED * count, blocks=len(layout.blocks.cells))
+
+
+def cell_memory(
+    scene: SfmScene, layout: Layout, config: RunConfig, cache: int | None = None
+) -> list[MemoryPlan]:
+    """`plan_memory` of each cell of a scene in blocks: first the blocks, then the others."""
+    splits = [split for split in (layout.blocks, layout.cells) if split]
+    return [
+        plan_memory(
+            scene.select(cell.photos).images,
+            len(cell.points),
+            config,
+            cache,
+            share=len(cell.points) / max(len(scene.points), 1),
+        )
+        for split in splits
+        for cell in split.cells
+    ]
+
+
 def plan_memory(
-    images: Sequence[PosedImage], points: int, config: RunConfig, cache: int | None = None
+    images: Sequence[PosedImage],
+    points: int,
+    config: RunConfig,
+    cache: int | None = None,
+    *,
+    share: float = 1.0,
 ) -> MemoryPlan:
     """The memory that training on these photos needs.
 
@@ -106,6 +161,7 @@ def plan_memory(
         config: of the run.
         cache: bytes of decoded photos to keep; None: a quarter of the memory, or less if less is
             free.
+        share: of the scene that these photos show; so much of its growth is here.
 
     Raises:
         SceneError: the start of training does not fit; the hint gives a size of photos that does.
@@ -113,9 +169,8 @@ def plan_memory(
     machine = machine_memory()
     largest = max(i.camera.width * i.camera.height for i in images)
     photos = sum(image.decoded_bytes for image in images)
-    count = points + PER_DENSIFICATION * (
-        _densifications(config.scene) + _densifications(config.roi)
-    )
+    growth = PER_DENSIFICATION * _densifications(config.scene, config.roi)
+    count = points + round(share * growth)
     start = PER_GAUSSIAN * points
     least = AHEAD * max(image.decoded_bytes for image in images)
     left = machine - ENGINE - start
@@ -138,9 +193,13 @@ def plan_memory(
     )
 
 
-def _densifications(config: TrainConfig) -> int:
-    until = min(config.densify_until, config.steps)
-    return max(0, (until - config.densify_from) // config.densify_every)
+def _densifications(*stages: TrainConfig) -> int:
+    """How many densifications these stages have."""
+    untils = [min(config.densify_until, config.steps) for config in stages]
+    return sum(
+        max(0, (until - config.densify_from) // config.densify_every)
+        for until, config in zip(untils, stages, strict=True)
+    )
 
 
 def _advice(images: Sequence[PosedImage], left: int) -> str:

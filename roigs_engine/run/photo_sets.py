@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from copy import copy
 
 from ..context import QUIET, Context
 from ..model.roi import OrientedBox
@@ -13,21 +14,31 @@ from ..selection.config import SelectionConfig
 from ..selection.manual import manual_selection
 from ..selection.shares import interleaved, reserved
 from .definition import Run
+from .layout import Cell
 
 
 class PhotoSets:
     """The training photos of a run and their subsets, in the scene's order.
 
     Attributes:
-        images: all training photos.
+        images: all training photos, or those of a cell.
+        rois: all boxes, or those of a cell.
     """
 
     def __init__(self, run: Run, context: Context = QUIET) -> None:
         self.run = run
         self.images = run.train_scene.images
+        self.rois = run.rois
         self.context = context
         self._selections: dict[str, CameraSelection] = {}
-        self._seen: dict[str, tuple[str, ...]] = {}
+        self._seen: dict[str, Set[str]] = {}
+
+    def of(self, cell: Cell) -> PhotoSets:
+        """The photos and boxes of a cell."""
+        part, names = copy(self), set(cell.photos)
+        part.images = tuple(image for image in self.images if image.name in names)
+        part.rois = cell.rois
+        return part
 
     def selection(self, roi: OrientedBox) -> CameraSelection:
         """The box's photos, best first: the manual selection, or the method's."""
@@ -42,11 +53,11 @@ class PhotoSets:
         return select_cameras(scene, roi, config, self.context, tests=self.run.test_scene)
 
     def selections(self) -> tuple[CameraSelection, ...]:
-        """The selections of all boxes, in the boxes' order."""
-        return tuple(self.selection(roi) for roi in self.run.rois)
+        """The selections of the boxes, in their order."""
+        return tuple(self.selection(roi) for roi in self.rois)
 
     def selected(self) -> set[str]:
-        """Names of the photos selected for any box."""
+        """Names of the photos selected for any of the boxes."""
         return set(interleaved([chosen.names for chosen in self.selections()]))
 
     def reserved(self) -> set[str]:
@@ -57,11 +68,15 @@ class PhotoSets:
     def seen(self, roi: OrientedBox) -> tuple[PosedImage, ...]:
         """The training photos that see the box."""
         if roi.name not in self._seen:
-            self._seen[roi.name] = visible_images(self.run.train_scene, roi, self.context)
-        names = set(self._seen[roi.name])
+            known = self.run.layout.seen.get(roi.name)
+            self._seen[roi.name] = known or self._visible(roi)
+        names = self._seen[roi.name]
         return tuple(image for image in self.images if image.name in names)
 
+    def _visible(self, roi: OrientedBox) -> set[str]:
+        return set(visible_images(self.run.train_scene, roi, self.context))
+
     def rows_seeing(self, images: Sequence[PosedImage]) -> tuple[int, ...]:
-        """Row numbers of the `images` that see any box of the run."""
-        names = {image.name for roi in self.run.rois for image in self.seen(roi)}
+        """Row numbers of the `images` that see any of the boxes."""
+        names = {image.name for roi in self.rois for image in self.seen(roi)}
         return tuple(row for row, image in enumerate(images) if image.name in names)

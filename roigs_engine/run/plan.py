@@ -14,13 +14,15 @@ from typing import Any
 
 from ..formats.text import json_digest
 from ..model.roi import OrientedBox
-from ..model.scene import PosedImage
+from ..model.scene import Int64, PosedImage
+from ..model.territories import Territories
 from ..selection import CameraSelection
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
 
 CUTOUTS_VERSION = 2  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
+CELLS, SEEN = "cells", "seen"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,25 +30,47 @@ class Source:
     """Where Gaussians come from.
 
     Attributes:
-        kind: `points` (the sparse points), `result` (of the one input), `crop` (the one input's
-            Gaussians in the one box) or `merge` (the first input, with the content of the k-th
-            box taken from input k + 1).
-        inputs: stages.
+        kind: `points` (the sparse points), `result` (of the one input), `crop` (the base's
+            Gaussians in the one box), `merge` (the base, with the content of the k-th box taken
+            from input k), `cells` (of each input, what its territory owns) or `seen` (the base's
+            Gaussians that photos show).
+        base: what `crop`, `merge` and `seen` start from.
+        inputs: stages, without those of the base.
         rois: boxes, for `crop` and `merge`.
-        digest: hash of the sparse points, for `points`; for `merge`, of the masks of the boxes'
-            objects, which decide what their content is; empty: there are none.
+        digest: hash of the sparse points, for `points`; of the territories, for `cells`; for
+            `merge`, of the masks of the boxes' objects, which decide what their content is; empty:
+            there are none.
+        rows: of the sparse points, for `points`; None: all.
+        territories: of the inputs, for `cells`.
+        images: the photos, for `seen`.
+        share: of the sparse points that these observe; decides nothing, for estimates.
     """
 
     kind: str
+    base: Source | None = None
     inputs: tuple[Stage, ...] = ()
     rois: tuple[OrientedBox, ...] = ()
     digest: str = ""
+    rows: Int64 | None = None
+    territories: Territories | None = None
+    images: tuple[PosedImage, ...] = ()
+    share: float = 1.0
 
     @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All stages that the Gaussians come from, those of the base first."""
+        return (*(self.base.stages if self.base else ()), *self.inputs)
+
+    @cached_property
     def fingerprint(self) -> str:
         """Identifies the Gaussians."""
-        parts = [stage.fingerprint for stage in self.inputs]
-        return ":".join([self.kind, self.digest, *parts]) if self.kind != RESULT else parts[0]
+        if self.kind == RESULT:
+            return self.inputs[0].fingerprint
+        parts = [self.base.fingerprint] if self.base else []
+        parts += [stage.fingerprint for stage in self.inputs]
+        if self.images:
+            parts.append(json_digest([camera_record(image) for image in self.images]))
+        return ":".join([self.kind, self.digest, *parts])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,8 +111,7 @@ class Stage:
         record: dict[str, Any] = {
             "config": asdict(self.config),
             "images": [
-                (i.name, i.digest, asdict(i.camera), i.world_to_camera.tolist())
-                + (() if i.mask is None else (i.mask.digest,))
+                (i.name, i.digest, *camera_record(i)) + (() if i.mask is None else (i.mask.digest,))
                 for i in self.images
             ],
             "rois": [roi.to_dict() | {"name": ""} for roi in self.rois],
@@ -118,7 +141,7 @@ class Stage:
     @property
     def inputs(self) -> tuple[Stage, ...]:
         """The stages that this stage needs the results of."""
-        return (*self.start.inputs, *(self.matched.inputs if self.matched else ()))
+        return (*self.start.stages, *(self.matched.stages if self.matched else ()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,7 +181,7 @@ class Output:
 
     folder: str
     model: PlannedModel
-    coarse: Stage
+    coarse: Source
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,9 +230,14 @@ class Plan:
             yield from model.stages
             for own in model.by_roi.values():
                 yield from own
-            yield from model.source.inputs
+            yield from model.source.stages
 
 
 def result_of(stage: Stage) -> Source:
     """The Gaussians at the end of a stage."""
     return Source(kind=RESULT, inputs=(stage,))
+
+
+def camera_record(image: PosedImage) -> tuple[Any, ...]:
+    """What decides which Gaussians a photo shows; ready for JSON."""
+    return asdict(image.camera), image.world_to_camera.tolist()

@@ -136,4 +136,6 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
         test_every=config.test_every,
         evaluate_on=config.evaluate_on,
         seed=config.seed,
+        blocks=config.blocks,
+        groups=config.groups if strategy == "joint" else (),
     )

@@ -57,6 +57,11 @@ def with_names(manifest: dict[str, Any], renamed: dict[str, str]) -> dict[str, A
     for key in ("manual", "object_masks"):
         if isinstance(by_box := manifest.get(key), dict):
             named[key] = {renamed.get(name, name): photos for name, photos in by_box.items()}
+    if isinstance(groups := manifest.get("groups"), list):
+        named["groups"] = [
+            [renamed.get(name, name) for name in group] if isinstance(group, list) else group
+            for group in groups
+        ]
     return named
 
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..training.config import TrainConfig, with_steps
+from ..training.config import TrainConfig, miniature, with_steps
 from .config import RunConfig
 from .presets import in_strategy, joint_recipe
 
+# Whole photos that surroundings get in a stage with masks, in its steps: a third are whole, and the
+# masks of the others show much of what is behind the boxes, which may be in another block.
+WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
@@ -99,6 +102,56 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         min_views=0,
         average_steps=steps // 2,
     )
+
+
+def shortened(config: TrainConfig, share: float) -> TrainConfig:
+    """A stage on a share of the photos: so much of its steps, and of the intervals between them.
+
+    So each photo is used as often as in the whole stage, a Gaussian is seen as often between two
+    densifications, and there are as many of these, whatever rounding does.
+    """
+    short = miniature(config, max(1, round(share * config.steps)))
+    ratio = short.densify_every / config.densify_every
+    begin, end = (round(ratio * step) for step in (config.densify_from, config.densify_until))
+    return replace(short, densify_from=begin, densify_until=min(end, short.steps))
+
+
+def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
+    """A stage of a part of the scene without boxes, on a share of the photos: whole photos only."""
+    whole = replace(
+        config,
+        densify_in_boxes=False,
+        grad_threshold=config.outside_grad_threshold or config.grad_threshold,
+        densify_until=config.densify_until if _grows_outside(config) else 0,
+        outside_grad_threshold=0.0,
+        lr_shN_spacing=0.0,
+        box_budget=0.0,
+        full_every=1,
+        view_weighting=0.0,
+        min_views=0,
+    )
+    return shortened(whole, share * (1 if config.full_every == 1 else WHOLE_SHARE))
+
+
+def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig:
+    """A stage of the boxes of a block and of its surroundings.
+
+    Args:
+        config: of the stage of a whole scene.
+        share: of the photos that see boxes, those that see this block's.
+        photos: share of all photos that the block has.
+    """
+    if config.full_every == 1:
+        return shortened(config, max(share, photos))
+    masked = (1 - 1 / config.full_every) * share
+    whole = WHOLE_SHARE * photos
+    every = max(2, round((masked + whole) / whole))
+    return shortened(replace(config, full_every=every), masked + whole)
+
+
+def _grows_outside(config: TrainConfig) -> bool:
+    """Whether a stage densifies outside its boxes."""
+    return not config.densify_in_boxes or config.outside_grad_threshold > 0
 
 
 def _densify_steps(config: RunConfig) -> int:

@@ -70,6 +70,10 @@ class StageResult:
         """The trained model; loaded from its file on first use."""
         return self.trained or Gaussians.load_ply(self.model_path, self.frame)
 
+    def without_model(self) -> StageResult:
+        """The same without the model in memory."""
+        return replace(self, trained=None)
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageStatus:

@@ -23,6 +23,7 @@ SIDE = 256  # pixels; shares of a view need no more
 NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
 MORE = NEAREST**-2  # how much more of a view than of any photo is too much
 LEAST = 1e-3  # share of a view that is worth a look
+FAINT = 1 / 255  # of a pixel's light: less is not shown
 POINTS = 10  # so many points nearer than a distance mean that the scene is there, not a stray
 
 
@@ -50,6 +51,14 @@ def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context
 def photo_views(images: Sequence[PosedImage]) -> list[View]:
     """The photos' own views, small."""
     return [(image.camera.thumbnail(SIDE), image.world_to_camera) for image in images]
+
+
+def shown_by(
+    gaussians: Gaussians, images: Sequence[PosedImage], context: Context = QUIET
+) -> Tensor:
+    """(N,) bool: which Gaussians the photos show: those that have some light of a view."""
+    shares = largest_shares(gaussians, photo_views(images), context)
+    return shares > FAINT / SIDE**2
 
 
 def reach(places: Float64, points: Float64) -> Float64:

@@ -64,12 +64,12 @@ def test_a_run_on_a_gpu_has_such_a_plan(tmp_path: Path, monkeypatch: pytest.Monk
     scene = make_scene(tmp_path, views=4)
     run = define_run(tmp_path / "run", scene, [BOX], tiny("joint"))
     monkeypatch.setattr(memory, "card_memory", lambda device: (8 * GB, 9 * GB))
-    plan = memory.run_memory(run, Context(device="cuda:0"))
+    plan = run.memory(Context(device="cuda:0"))
     assert plan.card is not None and "GPU memory" in plan.messages()[-1].text
-    assert memory.run_memory(run).card is None
+    assert run.memory().card is None
     monkeypatch.setattr(memory, "card_memory", lambda device: (GB // 10_000, 9 * GB))
     with pytest.raises(SceneError, match="of GPU memory"):
-        memory.run_memory(run, Context(device="cuda:0"))
+        run.memory(Context(device="cuda:0"))
 
 
 @pytest.mark.parametrize(("count", "grows"), [(600, False), (3000, False), (3000, True)])

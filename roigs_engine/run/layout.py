@@ -1,0 +1,235 @@
+"""How a run's training is laid out: in blocks of the scene, in groups of boxes, or as one.
+
+A cell is what one stage trains: the surroundings of a block (the Scene-GS of a scene that is cut),
+or a group of boxes with the surroundings nearest to them. The results of cells are joined by their
+territories. A run of one block and one group has one cell, which is the whole scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import ConfigError
+from ..model.ownership import nearest_owner
+from ..model.roi import OrientedBox
+from ..model.scene import Float64, Int64, SfmScene
+from ..model.territories import Territories
+from ..model.visibility import visible_images
+from ..selection.cells import (
+    Views,
+    ground_cells,
+    names_of,
+    observed_by,
+    photos_of_cells,
+    rows_named,
+    visible_owners,
+)
+from ..selection.groups import Groups, groups_by_photos, nearest_group
+from .config import RunConfig
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell:
+    """What one stage trains.
+
+    Attributes:
+        label: begins the names of its stages; empty: the whole scene.
+        photos: names of its training photos.
+        rois: its boxes.
+        points: rows of the sparse points that its photos observe.
+        share: of the photos that see a box of its group, those that see its own; of all photos, its
+            own, if it has no box or trains a Scene-GS.
+    """
+
+    label: str
+    photos: tuple[str, ...]
+    rois: tuple[OrientedBox, ...]
+    points: Int64
+    share: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Split:
+    """A scene in cells, and who owns what of their results."""
+
+    cells: tuple[Cell, ...]
+    territories: Territories
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """The cells of a run.
+
+    Attributes:
+        groups: names of the boxes that are trained together.
+        blocks: the cells of the Scene-GS; None: it is one stage.
+        cells: the cells of the stages after it; None: it is one stage.
+        seen: box -> names of the photos that see it; empty if it was not needed.
+    """
+
+    groups: Groups
+    blocks: Split | None = None
+    cells: Split | None = None
+    seen: Mapping[str, Set[str]] = field(default_factory=dict)
+
+
+def lay_out(
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    blocks: int,
+    groups: Groups | None,
+    context: Context = QUIET,
+) -> Layout:
+    """The layout of a run.
+
+    Args:
+        scene: of the training photos.
+        rois: the boxes.
+        blocks: number of blocks; 1: the scene is not cut.
+        groups: names of the boxes of each group; None: by the photos that they share.
+        context: checked for cancellation.
+
+    Raises:
+        RoiError: no photo sees one of the boxes.
+    """
+    if blocks == 1 and len(rois) == 1:
+        return Layout(groups=((rois[0].name,),))
+    seen = {roi.name: set(visible_images(scene, roi, context)) for roi in rois}
+    groups = groups or groups_by_photos(seen)
+    if blocks == 1 and len(groups) == 1:
+        return Layout(groups=groups, seen=seen)
+    making = _Making(Views.of(scene, context), rois, seen, groups)
+    whole = np.zeros(len(scene.points) + len(scene.images), dtype=np.int64)
+    if blocks == 1:
+        return Layout(groups=groups, cells=making.grouped(whole, 1), seen=seen)
+    block = np.concatenate(ground_cells(making.views, blocks))
+    making.keep_boxes_whole(block)
+    return Layout(
+        groups=groups,
+        blocks=making.blocks(block, blocks),
+        cells=making.grouped(block, blocks),
+        seen=seen,
+    )
+
+
+def given_groups(config: RunConfig, rois: Sequence[OrientedBox]) -> Groups | None:
+    """The groups that the layout of a run is given; None: they follow from the photos.
+
+    Raises:
+        ConfigError: they do not name each box once.
+    """
+    names = [roi.name for roi in rois]
+    if config.strategy != "joint":  # each box has a stage of its own
+        return (tuple(names),)
+    if config.groups and sorted(name for group in config.groups for name in group) != sorted(names):
+        raise ConfigError(
+            "The groups do not name each box once.", f"The boxes are: {', '.join(names)}."
+        )
+    return config.groups or None
+
+
+class _Making:
+    """The cells of a scene that is cut, or whose boxes are trained in groups."""
+
+    def __init__(
+        self,
+        views: Views,
+        rois: Sequence[OrientedBox],
+        seen: dict[str, set[str]],
+        groups: Groups,
+    ) -> None:
+        self.views, self.scene = views, views.scene
+        self.rois, self.seen, self.groups = tuple(rois), seen, groups
+        self.places: Float64 = np.concatenate([self.scene.points, self.scene.centres()])
+        self.boxed = nearest_owner(self.scene.points, self.rois)  # the box of each point
+
+    def keep_boxes_whole(self, block: Int64) -> None:
+        """Give all of a box to the block that most of its points are in."""
+        points = block[: len(self.boxed)]
+        for index in range(len(self.rois)):
+            inside = self.boxed == index
+            if inside.any():
+                points[inside] = np.bincount(points[inside]).argmax()
+
+    def block_of(self, roi: OrientedBox, block: Int64) -> int:
+        """The block of a box."""
+        inside = self.boxed == self.rois.index(roi)
+        rows = inside if inside.any() else roi.contains(self.scene.points)  # in a larger box
+        return int(np.bincount(block[: len(self.boxed)][rows]).argmax())
+
+    def blocks(self, block: Int64, count: int) -> Split:
+        """The blocks as cells of the Scene-GS."""
+        boxes = [
+            tuple(roi for roi in self.rois if self.block_of(roi, block) == index)
+            for index in range(count)
+        ]
+        labels = [f"block-{index + 1}" for index in range(count)]
+        found = self._split(block, labels, boxes)
+        photos = len(self.scene.images)
+        cells = tuple(replace(c, share=len(c.photos) / photos) for c in found.cells)
+        return replace(found, cells=cells)
+
+    def grouped(self, block: Int64, blocks: int) -> Split:
+        """The groups of each block as cells; a block without boxes, or with one group, is one."""
+        cells = np.zeros_like(block)
+        labels: list[str] = []
+        boxes: list[tuple[OrientedBox, ...]] = []
+        for index in range(blocks):
+            name = f"block-{index + 1}" if blocks > 1 else ""
+            there = [r for r in self.rois if blocks == 1 or self.block_of(r, block) == index]
+            own = [tuple(r for r in there if r.name in group) for group in self.groups]
+            own = [group for group in own if group] or [()]
+            rows = block == index
+            nearest = nearest_group(self.places[rows], own) if len(own) > 1 else 0
+            cells[rows] = len(labels) + nearest
+            for number, group in enumerate(own, start=1):
+                parts = [name, f"group-{number}" if len(own) > 1 else ""]
+                labels.append("-".join(part for part in parts if part))
+                boxes.append(group)
+        return self._split(cells, labels, boxes)
+
+    def _split(
+        self, owner: Int64, labels: Sequence[str], boxes: Sequence[tuple[OrientedBox, ...]]
+    ) -> Split:
+        """Cells from who owns each point and camera: their photos, and their territories."""
+        views, scene = self.views, self.scene
+        points, cameras = owner[: len(scene.points)].copy(), owner[len(scene.points) :]
+        roi_owner = {roi.name: k for k, own in enumerate(boxes) for roi in own}
+        for index, roi in enumerate(self.rois):
+            points[self.boxed == index] = roi_owner[roi.name]
+        photos = photos_of_cells(views, points, cameras, len(labels))
+        for index, own in enumerate(boxes):
+            names = set().union(*(self.seen[roi.name] for roi in own))
+            photos[:, index] |= rows_named(scene, tuple(names))
+        cells = tuple(
+            Cell(
+                label=label,
+                photos=names_of(scene, photos[:, index]),
+                rois=boxes[index],
+                points=observed_by(views, photos[:, index]),
+                share=self._share(photos[:, index].sum(), boxes[index]),
+            )
+            for index, label in enumerate(labels)
+        )
+        visible = visible_owners(views, points, photos)
+        return Split(
+            cells=cells,
+            territories=Territories(
+                points=scene.points,
+                owner=np.where(self.boxed >= 0, points, visible),
+                rois=self.rois,
+                roi_owner=tuple(roi_owner[roi.name] for roi in self.rois),
+            ),
+        )
+
+    def _share(self, photos: int, boxes: tuple[OrientedBox, ...]) -> float:
+        """Share of the photos that see the boxes' group, or of all photos without boxes."""
+        if not boxes:
+            return photos / max(len(self.scene.images), 1)
+        group = next(group for group in self.groups if boxes[0].name in group)
+        own = set().union(*(self.seen[roi.name] for roi in boxes))
+        return len(own) / max(len(set().union(*(self.seen[name] for name in group))), 1)

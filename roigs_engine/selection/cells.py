@@ -1,0 +1,206 @@
+"""Cuts a scene into cells on the ground, and finds the photos of each.
+
+As block-wise Gaussian Splatting does (VastGaussian, Lin et al. 2024; CityGaussian, Liu et al. 2024;
+Hierarchical 3D Gaussians, Kerbl et al. 2024): cells are rectangles on the ground with as many
+cameras and observations each; a photo trains each cell that it shows enough of, so cells overlap in
+photos. Unlike there, a point that a cell's photos hardly show belongs to the cell that shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from ..context import QUIET, Context
+from ..formats.upright import turning, up_and_error
+from ..model.scene import Float64, Int64, PosedImage, SfmScene
+from ..model.visibility import observed_points
+
+SHOWN = 0.15  # a photo trains a cell that fills this share of it, or more
+GRID = 24  # places across and down a photo whose nearest points are looked up
+FEWER = 0.5  # a point leaves a cell whose photos observe it this much less than another's
+LEAST = 0.5  # of its share of the observations: a side of a cut has more
+NEAR = 0.9  # of the positions decide along which axis to cut: not the few far ones
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Views:
+    """Which photo observes which point.
+
+    Attributes:
+        scene: V photos, P points.
+        seen: (V, P) sparse matrix of 1 and 0.
+        areas: (V, P) sparse matrix of each photo's share that is nearest to each point it observes:
+            a white wall has few points, but fills the picture.
+    """
+
+    scene: SfmScene
+    seen: csr_matrix
+    areas: csr_matrix
+
+    @classmethod
+    def of(cls, scene: SfmScene, context: Context = QUIET) -> Views:
+        """By the tracks, or by projection if there are none."""
+        found = observed_points(scene, context)
+        starts = np.concatenate([[0], np.cumsum([len(rows) for rows in found])])
+        columns = np.concatenate([np.empty(0, np.int64), *found])
+        shape = len(scene.images), len(scene.points)
+        areas = []
+        for image, rows in zip(scene.images, found, strict=True):
+            context.check_cancelled()
+            areas.append(_areas(image, scene.points[rows]))
+        return cls(
+            scene=scene,
+            seen=csr_matrix((np.ones(len(columns)), columns, starts), shape),
+            areas=csr_matrix((np.concatenate([np.empty(0), *areas]), columns, starts), shape),
+        )
+
+    def shares(self, owner: Int64, count: int) -> Float64:
+        """(V, count) share of each photo that each cell fills; `owner` is (P,)."""
+        columns = np.arange(len(owner))
+        cells = csr_matrix((np.ones(len(owner)), (columns, owner)), (len(owner), count))
+        return np.asarray((self.areas @ cells).todense())
+
+    def times(self, photos: Bools) -> Float64:
+        """(P,) by how many of some photos (V,) each point is observed."""
+        return np.asarray(self.seen.T @ photos.astype(float))
+
+
+def _areas(image: PosedImage, points: Float64) -> Float64:
+    """(N, 3) observed points -> (N,) share of the picture that is nearest to each."""
+    if len(points) == 0:
+        return np.empty(0)
+    camera, pose = image.camera, image.world_to_camera
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    pixels = local[:, :2] / np.maximum(local[:, 2:], 1e-12) * (camera.fx, camera.fy)
+    grid = (np.stack(np.meshgrid(np.arange(GRID), np.arange(GRID)), axis=-1) + 0.5) / GRID
+    size = np.array([camera.width, camera.height])
+    places = grid.reshape(-1, 2) * size - (camera.cx, camera.cy)
+    _, nearest = cKDTree(pixels).query(places)
+    return np.asarray(np.bincount(nearest, minlength=len(points)) / len(places))
+
+
+def ground(scene: SfmScene, positions: Float64) -> Float64:
+    """(N, 3) positions -> (N, 2) on the ground: by the photos' up, else the cameras' plane."""
+    poses = np.array([image.world_to_camera for image in scene.images]).reshape(-1, 4, 4)
+    up, _ = up_and_error(poses)
+    if not up.any():
+        up = _axes(scene.centres())[:, 0]
+    on_ground: Float64 = (positions @ turning(up, np.array([0.0, 0.0, 1.0])).T)[:, :2]
+    return on_ground
+
+
+def ground_cells(views: Views, count: int) -> tuple[Int64, Int64]:
+    """The cell of each point (P,) and of each camera (V,).
+
+    A cell is cut across its longer side until there are `count`, so that both sides have their
+    share of the cameras and of the observations, which weigh as much in sum. Where cameras stand
+    so close together that one side would have next to nothing to show, observations alone count.
+    """
+    scene = views.scene
+    cameras, points = len(scene.images), len(scene.points)
+    places = ground(scene, np.concatenate([scene.points, scene.centres()]))
+    observations = views.times(np.ones(cameras, bool))
+    weights = np.zeros((points + cameras, 2))  # of points and of cameras
+    weights[:points, 0] = observations / max(observations.sum(), 1)
+    weights[points:, 1] = 1 / max(cameras, 1)
+    cells = np.zeros(points + cameras, dtype=np.int64)
+    _cut(places, weights, np.arange(len(places)), (0, count), cells)
+    return cells[:points], cells[points:]
+
+
+def _cut(
+    places: Float64, weights: Float64, rows: Int64, numbers: tuple[int, int], cells: Int64
+) -> None:
+    """Number the cells of some rows from `numbers[0]` to below `numbers[1]`."""
+    first, end = numbers
+    cells[rows] = first
+    if end - first < 2 or len(rows) < 2:
+        return
+    middle = first + (end - first) // 2
+    own = places[rows]
+    away = np.linalg.norm(own - np.median(own, axis=0), axis=1)
+    near = own[away <= np.quantile(away, NEAR)]
+    along = (own - near.mean(axis=0)) @ _axes(near)[:, -1]
+    along *= np.sign((along**3).sum()) or 1.0  # the same direction in every frame
+    along = np.round(along / max(float(np.abs(along).max()), 1e-300), 9)  # and on every machine
+    order = np.argsort(along, kind="stable")
+    share = (middle - first) / (end - first)
+    both, points = (
+        np.cumsum(weights[rows][order].sum(axis=1)),
+        np.cumsum(weights[rows][order][:, 0]),
+    )
+    at = int(np.searchsorted(both, both[-1] * share))
+    shown = points[min(at, len(points) - 1)] / max(points[-1], 1e-300)
+    if not LEAST * share <= shown <= 1 - LEAST * (1 - share):
+        at = int(np.searchsorted(points, points[-1] * share))
+    mask = np.zeros(len(rows), bool)
+    mask[order[: max(1, min(at, len(rows) - 1))]] = True
+    _cut(places, weights, rows[mask], (first, middle), cells)
+    _cut(places, weights, rows[~mask], (middle, end), cells)
+
+
+def _axes(places: Float64) -> Float64:
+    """(N, D) -> (D, D): in columns, the directions in which places spread, the shortest first."""
+    away = places - places.mean(axis=0)
+    return np.asarray(np.linalg.eigh(away.T @ away)[1])
+
+
+def photos_of_cells(views: Views, owner: Int64, camera: Int64, count: int) -> Bools:
+    """(V, count) which photos train which cell.
+
+    A photo trains the cell that it shows most of, each that it shows `SHOWN` of, and the one that
+    its camera stands in if it shows any of it: the air of a cell is in the pictures taken there.
+
+    Args:
+        views: the observations.
+        owner: (P,) the cell of each point.
+        camera: (V,) the cell of each camera.
+        count: number of cells.
+    """
+    shares = views.shares(owner, count)
+    rows = np.arange(len(shares))
+    chosen: Bools = shares >= SHOWN
+    chosen[rows, np.where(shares.any(axis=1), shares.argmax(axis=1), camera)] = True
+    chosen[rows, camera] |= shares[rows, camera] > 0
+    return chosen
+
+
+def visible_owners(views: Views, owner: Int64, photos: Bools) -> Int64:
+    """(P,) the cell of each point, by what the cells' photos show.
+
+    A point stays in its cell unless the photos of another one observe it more than `1 / FEWER`
+    times as often: then its own cell's training hardly knows it.
+
+    Args:
+        views: the observations.
+        owner: (P,) the cell of each point by its place.
+        photos: (V, count) which photos train which cell.
+    """
+    times = np.stack([views.times(column) for column in photos.T], axis=1)
+    best = times.argmax(axis=1)
+    rows = np.arange(len(owner))
+    hardly = times[rows, owner] < FEWER * times[rows, best]
+    return np.where(hardly, best, owner).astype(np.int64)
+
+
+def observed_by(views: Views, photos: Bools) -> Int64:
+    """Rows of the points that some photos (V,) observe, ascending."""
+    return np.flatnonzero(views.times(photos) > 0).astype(np.int64)
+
+
+def names_of(scene: SfmScene, photos: Bools) -> tuple[str, ...]:
+    """The names of some photos (V,), in the scene's order."""
+    return tuple(i.name for i, chosen in zip(scene.images, photos, strict=True) if chosen)
+
+
+def rows_named(scene: SfmScene, names: Sequence[str]) -> Bools:
+    """(V,) which photos have one of these names."""
+    wanted = set(names)
+    return np.array([image.name in wanted for image in scene.images], dtype=bool)

@@ -1,0 +1,88 @@
+"""Stages keep their fingerprints: runs of earlier versions resume, and finished stages are used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.scene import Camera, PosedImage, SfmScene
+from roigs_engine.run.config import COMPARISONS
+from roigs_engine.run.definition import define_run
+from roigs_engine.run.presets import preset
+from roigs_engine.run.strategies import plan_run
+
+CAMERA = Camera(width=64, height=48, fx=64.0, fy=64.0, cx=32.0, cy=24.0)
+TURNS = [np.linalg.matrix_power(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), k) for k in range(4)]
+RECORDED = {
+    "draft": {
+        "scene": "52af9720",
+        "joint": "07e8734e",
+        "compare-independent/scene": "bcb710c0",
+        "compare-independent/object-vase": "4283bafc",
+        "compare-independent/object-tin": "00104b8a",
+        "compare-independent/refine": "96014dcf",
+        "full-scene": "34aab47b",
+        "tuned-scene": "603256e7",
+        "full-object-vase": "34aab47b",
+        "full-object-tin": "34aab47b",
+        "tuned-object-vase": "0feade5a",
+        "tuned-object-tin": "946f7bda",
+    },
+    "paper": {
+        "scene": "951aabe0",
+        "object-vase": "1b128121",
+        "object-tin": "0d914ac2",
+        "compare-joint/scene": "de5b1bea",
+        "compare-joint/joint": "f2e6f736",
+        "full-scene": "0f27950c",
+        "tuned-coarse-scene": "de5b1bea",
+        "tuned-scene": "0d28c4b1",
+        "full-object-vase": "0f27950c",
+        "full-object-tin": "0f27950c",
+        "tuned-object-vase": "60cab0d3",
+        "tuned-object-tin": "62bcc1db",
+    },
+}
+
+
+def exact_scene() -> SfmScene:
+    """Photos and points at positions that every machine computes alike."""
+    grid = np.arange(-2.0, 3.0)
+    points = np.stack(np.meshgrid(grid, grid / 2, grid, indexing="ij"), axis=-1).reshape(-1, 3)
+    images = []
+    for k in range(12):
+        pose = np.eye(4)
+        pose[:3, :3] = TURNS[k % 4]
+        pose[:3, 3] = [k // 4 - 1, 0.25 * (k % 2), 8]
+        images.append(
+            PosedImage(
+                name=f"{k:02d}.png",
+                path=Path(f"{k:02d}.png"),
+                camera=CAMERA,
+                world_to_camera=pose,
+                point_indices=np.arange(k % 3, len(points), 2),
+                digest=str(k),
+            )
+        )
+    colors = (points * 40 + 128).astype(np.uint8)
+    return SfmScene(images=tuple(images), points=points, colors=colors)
+
+
+def boxes() -> list[OrientedBox]:
+    """Two boxes that the same photos see."""
+    return [
+        OrientedBox.axis_aligned("vase", [-2.25, -1, -1], [-0.75, 1, 1]),
+        OrientedBox.axis_aligned("tin", [0.75, -1, -1], [2.25, 1, 1]),
+    ]
+
+
+@pytest.mark.parametrize("name", ["draft", "paper"])
+def test_stages_keep_their_fingerprints(tmp_path: Path, name: str) -> None:
+    config = replace(preset(name), test_every=4)
+    run = define_run(tmp_path, exact_scene(), boxes(), config)
+    found = {stage.name: stage.fingerprint[:8] for stage in plan_run(run, COMPARISONS).stages}
+    assert found == RECORDED[name]
