@@ -86,8 +86,11 @@ class Connection:
                 return
 
 
-def _in_thread(call: Callable[[], T], give_up: Callable[[], bool]) -> T:
-    """The result of a call, made in a thread of its own; TimeoutError if it is given up."""
+def _in_thread(call: Callable[[], T], give_up: Callable[[], bool], *, stay: bool = False) -> T:
+    """The result of a call, made in a thread of its own; TimeoutError if it is given up.
+
+    With `stay` the thread does not end: on Linux, programs that Ray has started in it would.
+    """
     answers: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
 
     def work() -> None:
@@ -95,6 +98,8 @@ def _in_thread(call: Callable[[], T], give_up: Callable[[], bool]) -> T:
             answers.put((call(), None))
         except BaseException as error:
             answers.put((None, error))
+        if stay:
+            threading.Event().wait()
 
     threading.Thread(target=work, daemon=True).start()
     while True:
@@ -111,7 +116,7 @@ def _connected(address: str) -> Any:
     """The module ray, connected."""
     place = host_and_port(address.removeprefix(CLIENT))
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    if place is not None and place[0] in (LOOPBACK, "localhost"):
+    if address == "local" or (place is not None and place[0] in (LOOPBACK, "localhost")):
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # else it goes outside
     try:
         import ray
@@ -135,7 +140,11 @@ def _connected(address: str) -> Any:
         _hush(ray)
         seconds = START_SECONDS if address == "local" else JOIN_SECONDS
         until = time.monotonic() + seconds
-        _in_thread(lambda: ray.init(address=address, **options), lambda: time.monotonic() > until)
+        _in_thread(
+            lambda: ray.init(address=address, **options),
+            lambda: time.monotonic() > until,
+            stay=address == "local",
+        )
     except TimeoutError as error:
         atexit.unregister(ray.shutdown)
         raise _nothing_there(address, error) from error

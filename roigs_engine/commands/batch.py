@@ -220,6 +220,7 @@ def _execute(
 
     context = replace(console.context, emit=lambda event: shown.message(event))
     scheduler = Scheduler(scenes, executor, context, retries=args.retries, told=told)
+    console.resumes = True
     board = Board(scheduler.scenes, time.monotonic())
     shown = Shown(console, board, json_lines=args.events)
     console.context.info(f"{board.head()}.")

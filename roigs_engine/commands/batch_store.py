@@ -120,7 +120,8 @@ def localized(
             try:
                 if args.cluster and store is None:
                     raise ConfigError(
-                        "A scene on a store needs --run-dir on a store, too, with --cluster."
+                        "With --cluster, a scene on a store needs a run folder on a store.",
+                        "Give --run-dir an address, too.",
                     )
                 options = local_options(row.options, context)
             except EngineError as error:

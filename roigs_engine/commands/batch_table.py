@@ -186,8 +186,9 @@ class Table:
     def _line(self, place: tuple[str, ...]) -> int:
         """The line of a key, or of what it is in; 1 if it is written in another way."""
         while place:
-            if place in self._lines:
-                return self._lines[place]
+            lines = [n for key, n in self._lines.items() if key[: len(place)] == place]
+            if lines:
+                return min(lines)
             place = place[:-1]
         return 1
 

@@ -54,6 +54,7 @@ class Console:
         self._log: TextIO | None = None
         self._log_path: Path | None = None
         self._early: list[str] | None = None  # for the log, until it is open
+        self.resumes = False  # whether the same command goes on where it was stopped
 
     def watch(self) -> None:
         """Start to watch for stop requests: signals, and standard input (JSON lines)."""
@@ -162,7 +163,7 @@ class Console:
                 self.close_bar()
                 self._line(f"error: {message} {hint}".rstrip())
             case Done(stopped=True):
-                how = "resumes from here" if self._log is not None else "starts again"
+                how = "resumes from here" if self.resumes or self._log else "starts again"
                 self._line(f"Stopped. The same command {how}.")
             case Done():
                 self.close_bar()

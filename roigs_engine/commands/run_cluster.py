@@ -57,6 +57,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         refuse_linked_folders(folder)
         scene = plan_row(row, folder, BatchRecord(folder), console).scene
         write_json(folder / CLUSTER_OPTIONS, row.options)
+        console.resumes = True
         executor = RayExecutor(args.cluster, folder / CLUSTER_OPTIONS, console.context)
         try:
             state = _execute(args, executor, scene, console)

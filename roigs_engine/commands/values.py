@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
+from ..storage.urls import is_url
 
 MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
 
@@ -93,7 +94,10 @@ class PathName(Name):
 
     def of_json(self, value: Any) -> Path:
         """The path of an options file."""
-        return Path(super().of_json(value))
+        text = super().of_json(value)
+        if is_url(text):
+            raise ArgumentTypeError(f"{shown(text)} is an address; only `batch` takes one")
+        return Path(text)
 
 
 NAME, PATH = Name(), PathName()

@@ -12,10 +12,9 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .ownership import nearest_owner
 from .roi import OrientedBox
@@ -77,7 +76,9 @@ class Territories:
         return np.asarray(votes.argmax(axis=1), dtype=np.int64)
 
     @cached_property
-    def _tree(self) -> cKDTree:
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree  # Blender's Python, which reads plans, may lack scipy
+
         return cKDTree(self.points)
 
 

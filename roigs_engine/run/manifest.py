@@ -179,8 +179,17 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
     if name == "sizes" and isinstance(before, list) and isinstance(now, list):
         sizes = (", ".join(map(str, value)) for value in (before, now))
         return "the photos' size was {}, now {} (--max-side, --downscale)".format(*sizes)
+    if name == "groups":
+        before, now = (_groups_in_words(value) for value in (before, now))
+    if name == "blocks":
+        before, now = before or 1, now or 1
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
+
+
+def _groups_in_words(groups: list[list[str]] | None) -> str:
+    """Groups of boxes, as `--group` takes them."""
+    return " and ".join(",".join(group) for group in groups) if groups else "all boxes"
 
 
 def _other_scene(before: dict[str, Any], now: dict[str, Any]) -> bool:

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
 
 from ..context import QUIET, Context
 from ..formats.upright import turning, up_and_error
 from ..model.scene import Float64, Int64, PosedImage, SfmScene
 from ..model.visibility import observed_points
+
+if TYPE_CHECKING:  # Blender's Python, which reads options, may lack scipy
+    from scipy.sparse import csr_matrix
 
 SHOWN = 0.15  # a photo trains a cell that fills this share of it, or more
 GRID = 24  # places across and down a photo whose nearest points are looked up
@@ -47,6 +49,8 @@ class Views:
     @classmethod
     def of(cls, scene: SfmScene, context: Context = QUIET) -> Views:
         """By the tracks, or by projection if there are none."""
+        from scipy.sparse import csr_matrix
+
         found = observed_points(scene, context)
         starts = np.concatenate([[0], np.cumsum([len(rows) for rows in found])])
         columns = np.concatenate([np.empty(0, np.int64), *found])
@@ -63,6 +67,8 @@ class Views:
 
     def shares(self, owner: Int64, count: int) -> Float64:
         """(V, count) share of each photo that each cell fills; `owner` is (P,)."""
+        from scipy.sparse import csr_matrix
+
         columns = np.arange(len(owner))
         cells = csr_matrix((np.ones(len(owner)), (columns, owner)), (len(owner), count))
         return np.asarray((self.areas @ cells).todense())
@@ -74,6 +80,8 @@ class Views:
 
 def _areas(image: PosedImage, points: Float64) -> Float64:
     """(N, 3) observed points -> (N,) share of the picture that is nearest to each."""
+    from scipy.spatial import cKDTree
+
     if len(points) == 0:
         return np.empty(0)
     camera, pose = image.camera, image.world_to_camera

@@ -23,8 +23,10 @@ def parsed_groups(texts: Sequence[str], boxes: Sequence[str]) -> Groups:
         boxes: names of the boxes.
 
     Raises:
-        ConfigError: a box is unknown or is named twice.
+        ConfigError: a box is unknown or is named twice, or `all` is not alone.
     """
+    if ALL in texts and ALL not in boxes and len(texts) > 1:
+        raise ConfigError(f"--group {ALL} is all boxes.", "Give it alone.")
     groups = [tuple(boxes) if t == ALL and ALL not in boxes else _names(t, boxes) for t in texts]
     named = [name for group in groups for name in group]
     if not all(groups):

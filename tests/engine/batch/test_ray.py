@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -205,3 +206,20 @@ def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: 
     assert last["event"] == "failed"
     assert last["message"] == f"The Ray cluster {cluster.address} is gone."
     assert "the same command goes on" in last["hint"]
+
+
+def test_a_ray_of_ones_own_stays_and_is_for_this_machine_alone() -> None:
+    """Its programs end with the thread that has started them; others are not to reach it."""
+    code = (
+        "import time\n"
+        "from roigs_engine.batch.ray_connection import Connection\n"
+        "connection = Connection('local')\n"
+        "time.sleep(3)\n"
+        "print([n['NodeManagerAddress'] for n in connection.ask(connection.ray.nodes)])\n"
+        "connection.close()\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("RAY_")}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert ended.stdout.strip().endswith("['127.0.0.1']"), ended.stderr[-2000:]

@@ -107,3 +107,12 @@ def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -
     assert a.args.preset == "paper" and a.args.roi == [BOX] and a.outputs == (".spz",)
     assert b.args.preset == "draft" and b.args.roi == [] and b.args.compare == []
     assert a.digest != b.digest
+
+
+def test_a_misspelt_head_is_named_with_its_line(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "t.toml"
+    table.write_text("[scenes.hall]\nscene = 'hall'\n\n[scene.attic]\nscene = 'attic'\n")
+    assert main(["batch", str(table), "--run-dir", str(tmp_path / "run")]) == 2
+    assert "line 4: 'scene' is unknown" in capsys.readouterr().err

@@ -137,3 +137,8 @@ def test_a_model_needs_a_name_and_a_file(
     assert "NAME=FILE.ply" in refused(capsys, *command, f"--model={text}")
     command = ["compose", tmp_path / "a.ply", "--roi", BOX, "--out", tmp_path / "out"]
     assert "ROI=FILE.ply" in refused(capsys, *command, f"--object={text}")
+
+
+def test_addresses_are_for_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, "run", tmp_path, "--run-dir", "s3://museum/runs")
+    assert "'s3://museum/runs' is an address; only `batch` takes one" in said

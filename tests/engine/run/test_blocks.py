@@ -100,7 +100,7 @@ def test_without_blocks_nothing_changes(tmp_path: Path, scene: SfmScene) -> None
 
 def test_a_folder_of_other_blocks_is_refused(tmp_path: Path, scene: SfmScene) -> None:
     opened(tmp_path, scene, BOXES, tiny("joint", blocks=2))
-    with pytest.raises(RunFolderError, match="blocks was 2, now None"):
+    with pytest.raises(RunFolderError, match="blocks was 2, now 1"):
         opened(tmp_path, scene, BOXES, tiny("joint"))
 
 

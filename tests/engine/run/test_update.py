@@ -16,6 +16,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.folder import train_run
+from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
@@ -287,3 +288,10 @@ def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
     train(tmp_path, scene, [BOX], joint, update=True)
     assert written(tmp_path, "joint") == before
     assert {name: data for name, data in plys(tmp_path).items() if name in made} == made
+
+
+def test_other_blocks_and_groups_in_words() -> None:
+    one, two = {"config": {}}, {"config": {"blocks": 2}}
+    assert manifest_difference(one, two) == "blocks was 1, now 2"
+    split = {"groups": [["vase", "tin"], ["clock"]]}
+    assert manifest_difference({}, split) == "groups was all boxes, now vase,tin and clock"

@@ -50,7 +50,7 @@ def test_what_the_option_names() -> None:
         (["vase,lamp"], "'lamp', which is no box"),
         (["vase", "tin,vase"], "'vase' twice"),
         (["vase,vase"], "'vase' twice"),
-        (["all", "tin"], "'tin' twice"),
+        (["all", "tin"], "all is all boxes"),
         ([","], "names no box"),
     ],
 )
