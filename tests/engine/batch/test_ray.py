@@ -195,6 +195,8 @@ def test_one_run_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
 
 def test_a_head_that_is_killed_is_one_line(cluster: Any, table: Path, tmp_path: Path) -> None:
     """Last: it ends the cluster. `test_kills.py` goes on with another one."""
+    text = table.read_text(encoding="utf-8")  # longer than it takes to see that the head is gone
+    table.write_text(text.replace("steps-factor = 0.01", "steps-factor = 0.5"), encoding="utf-8")
     options = ("--run-dir", tmp_path / "run", "--cluster", cluster.address, "--events")
     with start("batch", table, *options) as batch:
         for event in events(batch):
