@@ -169,5 +169,6 @@ def _hush(ray: Any) -> None:
 
 
 def host_and_port(address: str) -> tuple[str, int] | None:
+    """Host and port of `HOST:PORT`; None if it is something else."""
     host, _, port = address.rpartition(":")
     return (host.strip("[]"), int(port)) if host and port.isdecimal() else None

@@ -90,7 +90,7 @@ class Console:
             self._log = open_log(path)
         except OSError as error:
             raise cannot_write(path, error) from error
-        self._log_path = path
+        self._log_path, self.resumes = path, True
         early, self._early = self._early or [], None
         if early:
             self._append("\n".join(early), self._log)
@@ -163,7 +163,7 @@ class Console:
                 self.close_bar()
                 self._line(f"error: {message} {hint}".rstrip())
             case Done(stopped=True):
-                how = "resumes from here" if self.resumes or self._log else "starts again"
+                how = "resumes from here" if self.resumes else "starts again"
                 self._line(f"Stopped. The same command {how}.")
             case Done():
                 self.close_bar()

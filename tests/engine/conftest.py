@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,6 +32,17 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
         yield request.param
         library.set_threads(None)
         cpu.KernelView._idle.clear()
+
+
+@pytest.fixture
+def memory_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """An empty file system in memory, as fsspec has it, and a home for this machine's copies."""
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
+    found = fsspec.filesystem("memory")
+    found.store.clear()
+    yield found
+    found.store.clear()
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,23 +22,12 @@ RUNS = "memory://museum/runs"
 
 
 @pytest.fixture
-def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """A file system in memory, and a home for copies."""
-    fsspec = pytest.importorskip("fsspec")
-    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
-    found = fsspec.filesystem("memory")
-    found.store.clear()
-    yield found
-    found.store.clear()
-
-
-@pytest.fixture
-def table(store: Any, tmp_path: Path) -> Path:
+def table(memory_store: Any, tmp_path: Path) -> Path:
     """A table whose scenes are on the store."""
     names = [f"{k}.png" for k in range(10)]
     for name in ("hall", "attic"):
         write_project(tmp_path / "scans" / name, names=names, dots=True)
-        store.put(str(tmp_path / "scans" / name), f"/museum/scans/{name}", recursive=True)
+        memory_store.put(str(tmp_path / "scans" / name), f"/museum/scans/{name}", recursive=True)
     path = table_of(tmp_path, tmp_path / "scans")
     text = path.read_text(encoding="utf-8")
     for name in ("hall", "attic"):
@@ -50,7 +38,7 @@ def table(store: Any, tmp_path: Path) -> Path:
 
 def test_the_same_bytes_and_a_machine_that_is_lost(
     table: Path,
-    store: Any,
+    memory_store: Any,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     forked_engines: None,
@@ -79,23 +67,23 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
     monkeypatch.setattr("roigs_engine.batch.local.run_part", elsewhere)
     assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
     monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
-    assert not [path for path in store.find("/museum/runs") if ".lease" in path]
+    assert not [path for path in memory_store.find("/museum/runs") if ".lease" in path]
     for name in ("hall", "attic"):
-        store.get(f"/museum/runs/{name}", str(tmp_path / "got" / name), recursive=True)
+        memory_store.get(f"/museum/runs/{name}", str(tmp_path / "got" / name), recursive=True)
         got = {k: v for k, v in contents(tmp_path / "got" / name).items() if k[0] != "."}
         row = tmp_path / f"{name}-row.json"
         record = json.loads((tmp_path / "home").rglob(f"rows/{name}.json").__next__().read_text())
         row.write_text(json.dumps(record), encoding="utf-8")
         assert main(["run", str(row), "--run-dir", str(tmp_path / "hand" / name)]) == 0
         assert got == contents(tmp_path / "hand" / name)
-    assert "3 of 3 objects done" in store.cat("/museum/runs/report.html").decode()
+    assert "3 of 3 objects done" in memory_store.cat("/museum/runs/report.html").decode()
     capsys.readouterr()
     assert main(["batch", str(table), "--run-dir", RUNS, "--dry-run"]) == 0
     assert capsys.readouterr().out.count(" done\n") == 2
 
 
 def test_a_full_disk_of_one_machine_is_its_reason(
-    table: Path, store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    table: Path, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(self: Any, *_: Any) -> None:
         raise OSError(28, "No space left on device")
@@ -108,13 +96,13 @@ def test_a_full_disk_of_one_machine_is_its_reason(
         last=False,
         options={"scene": "memory://museum/scans/hall"},
     )
-    monkeypatch.setattr(type(store), "get_file", full)
+    monkeypatch.setattr(type(memory_store), "get_file", full)
     ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
     assert ended.state == FAILED and "No space left on device" in ended.reason
-    assert not list(store.find("/museum/runs"))  # nothing of it is published or held
+    assert not list(memory_store.find("/museum/runs"))  # nothing of it is published or held
 
 
-def test_half_a_commit_is_none(store: Any, tmp_path: Path) -> None:
+def test_half_a_commit_is_none(memory_store: Any, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     (folder / "scene").mkdir(parents=True)
     model = folder / "scene" / "model.ply"
@@ -123,18 +111,20 @@ def test_half_a_commit_is_none(store: Any, tmp_path: Path) -> None:
     model.write_bytes(b"second")
     run = stored_run(RUNS, "hall")
     run.publish(folder, "joint", last=False)
-    whole = store.cat("/museum/runs/hall/.commits/joint.json")
-    store.pipe("/museum/runs/hall/.commits/joint.json", whole[:-9])  # killed while it was written
+    whole = memory_store.cat("/museum/runs/hall/.commits/joint.json")
+    memory_store.pipe(
+        "/museum/runs/hall/.commits/joint.json", whole[:-9]
+    )  # killed while it was written
     stored_run(RUNS, "hall").fetch(tmp_path / "got")
     assert (tmp_path / "got" / "scene" / "model.ply").read_bytes() == b"first"
-    store.pipe("/museum/runs/hall/.commits/joint.json", whole)
+    memory_store.pipe("/museum/runs/hall/.commits/joint.json", whole)
     run.fetch(tmp_path / "got")
     assert (tmp_path / "got" / "scene" / "model.ply").read_bytes() == b"second"
     model.unlink()
     run.publish(folder, "archive", last=True)  # what is gone stays gone
     run.fetch(tmp_path / "got")
     assert not (tmp_path / "got" / "scene" / "model.ply").exists()
-    assert not store.exists("/museum/runs/hall/.objects") or not store.find(
+    assert not memory_store.exists("/museum/runs/hall/.objects") or not memory_store.find(
         "/museum/runs/hall/.objects"
     )
 

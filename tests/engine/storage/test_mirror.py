@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,9 @@ URL = "memory://museum/scans/{}"
 
 
 @pytest.fixture
-def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def store(memory_store: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A store with two scenes, and a record of the files that are read."""
-    fsspec = pytest.importorskip("fsspec")
-    monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
-    found = fsspec.filesystem("memory")
-    found.store.clear()
+    found = memory_store
     for scene in ("hall", "attic"):
         for name in ("images/1.png", "images/2.png"):
             found.pipe(f"/museum/scans/{scene}/{name}", f"{scene} {name}".encode() * 1000)
@@ -35,8 +31,7 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         "get_file",
         lambda self, path, *rest: (found.read.append(path), real(self, path, *rest)),
     )
-    yield found
-    found.store.clear()
+    return found
 
 
 def test_a_file_is_read_once_until_it_changes(store: Any) -> None:
