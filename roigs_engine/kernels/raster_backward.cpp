@@ -44,14 +44,10 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
 // Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
 // most of its time in. Returns false when the block has ended.
 ROIGS_INLINE bool visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)[kMoments]) {
-    const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
-    const Floats u = s.l11 * x + (s.l21 * y + s.u0);
-    const Floats v = s.l22 * y + s.v0;
-    const Floats exponent = (s.log2_opacity - u * u) - v * v;
-    const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
-    const Floats uncapped = exp2(exponent);
-    const Floats alpha = keep(drawn, min(uncapped, splat(kAlphaMax)));
-    const Mask moves = both(drawn, less(uncapped, splat(kAlphaMax)));
+    Floats u, v;
+    Mask moves;
+    const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
+    const Floats alpha = alpha_of(exponent, moves);
 
     const Floats weight = alpha * p.transmittance;
     const Floats colour = p.red * s.red + p.green * s.green + p.blue * s.blue;

@@ -197,15 +197,28 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
     return taken;
 }
 
+// log2(alpha) of a splat at pixels, before it is cut or capped, and the pixels' whitened offset.
+ROIGS_INLINE Floats exponent_at(const LocalSplat& s, Floats x, Floats y, Floats& u, Floats& v) {
+    u = s.l11 * x + (s.l21 * y + s.u0);
+    v = s.l22 * y + s.v0;
+    return (s.log2_opacity - u * u) - v * v;
+}
+
+// Alpha, and where it depends on the parameters: drawn and not capped.
+ROIGS_INLINE Floats alpha_of(Floats exponent, Mask& moves) {
+    const Mask drawn = greater(exponent, splat(kLog2AlphaMin));
+    const Floats uncapped = exp2(exponent);
+    moves = both(drawn, less(uncapped, splat(kAlphaMax)));
+    return keep(drawn, min(uncapped, splat(kAlphaMax)));
+}
+
 // The next splats of a block, evaluated side by side. One evaluation is a chain of some twenty
 // operations that wait for each other. A processor sees a hundred operations ahead or so: with
 // several chains among these, it works on one while another waits.
 template <int kTogether>
 struct Together {
-    int index[kTogether];               // in the batch
-    Floats u[kTogether], v[kTogether];  // whitened offset
+    int index[kTogether];  // in the batch
     Floats alpha[kTogether];
-    Mask moves[kTogether];  // alpha depends on the parameters: drawn and not capped
 
     // Takes splats out of `todo`, front to back; when there are too few, some draw nothing.
     ROIGS_INLINE Together(const Batch& batch, uint64_t& todo, Floats x, Floats y) {
@@ -213,19 +226,11 @@ struct Together {
             index[k] = todo ? __builtin_ctzll(todo) : kBatch;
             todo &= todo - 1;
         }
-        Floats exponent[kTogether];
-        for (int k = 0; k < kTogether; ++k) {
-            const LocalSplat& s = batch.splats[index[k]];
-            u[k] = s.l11 * x + (s.l21 * y + s.u0);
-            v[k] = s.l22 * y + s.v0;
-            exponent[k] = (s.log2_opacity - u[k] * u[k]) - v[k] * v[k];
-        }
-        for (int k = 0; k < kTogether; ++k) {
-            const Mask drawn = greater(exponent[k], splat(kLog2AlphaMin));
-            const Floats uncapped = exp2(exponent[k]);
-            alpha[k] = keep(drawn, min(uncapped, splat(kAlphaMax)));
-            moves[k] = both(drawn, less(uncapped, splat(kAlphaMax)));
-        }
+        Floats exponent[kTogether], u, v;
+        Mask moves;
+        for (int k = 0; k < kTogether; ++k)
+            exponent[k] = exponent_at(batch.splats[index[k]], x, y, u, v);
+        for (int k = 0; k < kTogether; ++k) alpha[k] = alpha_of(exponent[k], moves);
     }
 };
 
