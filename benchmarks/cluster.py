@@ -65,6 +65,8 @@ def cluster(nodes: int) -> Iterator[str]:
             made.add_node(**each)
         yield made.address
     finally:
+        for node in [*made.worker_nodes, made.head_node]:
+            made.remove_node(node, allow_graceful=False)  # a graceful end has timed out
         made.shutdown()
 
 

@@ -3,29 +3,32 @@
     python -m benchmarks.cluster_model BATCH [--objects 200] [--machines 10 100] [--out DIR]
 
 BATCH is the folder of a finished batch (`--run-dir`), whose scenes' stage times are drawn from. The
-machines are equal but for stragglers. Parts are given out as `roigs_engine.batch.schedule` does;
-one whose machine is lost goes on elsewhere from its last checkpoint. The bound is the time in which
-the machines that are left at each moment can do all the work, or that the longest scene takes.
+machines are equal but for stragglers. Parts are given out as `roigs_engine.batch.schedule` does,
+and moved by its own rule; one whose machine is lost goes on elsewhere from its last checkpoint. The
+bound is the time in which the machines that are left at each moment can do all the work, or that
+the longest scene takes.
 Writes `cluster_model.md` and, with matplotlib (the extra `study`), `cluster_model.png`.
 """
 
 from __future__ import annotations
 
 import argparse
-import heapq
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.markdown import table
-from roigs_engine.batch.schedule import SLOW, WORTH_MOVING
+from roigs_engine.batch.engine_process import DONE
+from roigs_engine.batch.moves import RUNNING, WAITING, PartState, next_move, share
+from roigs_engine.batch.parts import Part
 from roigs_engine.batch.times import START
 from roigs_engine.formats.run_files import STAGE
 from roigs_engine.run.stage_folder import CHECKPOINT_SECONDS
 from roigs_engine.run.stage_record import read_record
 
 HOUR = 3600.0
+LOOK = 10.0  # seconds between two looks of the scheduler, which looks more often
 PERCENT_LOST, SLOW_SHARE, SLOWNESS = 5.0, 0.05, 3.0
 HEAD = ("machines", "objects", "lost", "hours", "bound, h", "hours / bound", "worst of seeds")
 
@@ -39,7 +42,7 @@ class World:
         lost: share of them that is lost per hour.
         slow: share of stragglers, which take `SLOWNESS` times as long.
         seed: of which, and when.
-        moves: whether parts of stragglers are moved to idle machines.
+        moves: whether parts go on elsewhere or later (`roigs_engine.batch.moves`).
     """
 
     machines: int
@@ -49,14 +52,29 @@ class World:
     moves: bool = True
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(kw_only=True)
 class Given:
-    """A part at work: when it ends, where, seconds left after that, when it began."""
+    """A part at work on a machine.
 
-    ends: float
+    Attributes:
+        state: of the part, as the scheduler sees it.
+        machine: its number.
+        began: when it was given out.
+        kept: seconds of its work that were done before.
+    """
+
+    state: PartState
     machine: int
-    left: float
     began: float
+    kept: float
+
+    def done(self, now: float, speed: float) -> float:
+        """Seconds of its work that are done."""
+        return min(self.kept + max(0.0, now - self.began - START) * speed, self.state.part.work)
+
+    def ends(self, speed: float) -> float:
+        """When it is done."""
+        return self.began + START + (self.state.part.work - self.kept) / speed
 
 
 @dataclass(frozen=True)
@@ -69,79 +87,102 @@ class Simulated:
 
 
 def simulate(scenes: Sequence[float], world: World) -> Simulated:
-    """Give out scenes, of so many seconds each, the longest first.
+    """Give out scenes, of so many seconds each, as the scheduler does.
 
     Raises:
         ValueError: all machines are lost before the end.
     """
-    rng = random.Random(world.seed)
-    speed = [1 / SLOWNESS if rng.random() < world.slow else 1.0 for _ in range(world.machines)]
-    ends = [rng.expovariate(world.lost / HOUR) if world.lost else 1e18 for _ in speed]
-    waiting = [-(seconds + START) for seconds in scenes]
-    heapq.heapify(waiting)
-    free = set(range(world.machines))
-    running: list[Given] = []
-    now = 0.0
-    while waiting or running:
-        free = {machine for machine in free if ends[machine] > now}
-        while waiting and free:
-            seconds = -heapq.heappop(waiting)
-            free.remove(machine := rng.choice(sorted(free)))
-            running.append(_given(machine, seconds, now, speed, ends, rng))
-        if world.moves and free and not waiting:
-            _move(running, waiting, free, now, speed)
-            if waiting:
-                continue
-        if not running:
+    return _Simulation(scenes, world).run()
+
+
+class _Simulation:
+    def __init__(self, scenes: Sequence[float], world: World) -> None:
+        self._scenes, self._moves = scenes, world.moves
+        self._rng = random.Random(world.seed)
+        machines = range(world.machines)
+        self._speed = [1 / SLOWNESS if self._rng.random() < world.slow else 1.0 for _ in machines]
+        lost = world.lost / HOUR
+        self._ends = [self._rng.expovariate(lost) if lost else 1e18 for _ in machines]
+        self._states = [_state(index, seconds) for index, seconds in enumerate(scenes)]
+        self._after = {state.part.key: 0.0 for state in self._states}
+        self._given: list[Given] = []
+        self._slow: set[int] = set()
+        self._now = 0.0
+
+    def run(self) -> Simulated:
+        while any(state.state != DONE for state in self._states):
+            self._start()
+            if self._moves:
+                self._move()
+            self._wait()
+        lost = sum(end < self._now for end in self._ends)
+        bound = _bound(self._scenes, self._speed, self._ends)
+        return Simulated(seconds=self._now, bound=bound, lost=lost)
+
+    def _ready(self) -> list[PartState]:
+        waiting = [state for state in self._states if state.state == WAITING]
+        return sorted(waiting, key=lambda state: -state.left)
+
+    def _free(self) -> list[int]:
+        """Machines without a part; slow ones only if there are no others."""
+        there = {machine for machine, end in enumerate(self._ends) if end > self._now}
+        if not there:
             raise ValueError("all machines are lost")
-        first = min(running)
-        running.remove(first)
-        now = first.ends
-        if first.left > 0:
-            heapq.heappush(waiting, -first.left)
-        else:
-            free.add(first.machine)
-    lost = sum(end < now for end in ends)
-    return Simulated(seconds=now, bound=_bound(scenes, speed, ends), lost=lost)
+        return sorted((there - self._slow or there) - {given.machine for given in self._given})
+
+    def _start(self) -> None:
+        free = self._free()
+        self._rng.shuffle(free)
+        for state, machine in zip(self._ready(), free, strict=False):
+            state.state, state.started = RUNNING, self._now
+            state.first = (self._now + START, state.kept)
+            kept = state.kept * state.part.work
+            self._given.append(Given(state=state, machine=machine, began=self._now, kept=kept))
+
+    def _move(self) -> None:
+        for given in self._given:
+            done = given.done(self._now, self._speed[given.machine])
+            given.state.progress = {"stage": "joint", "step": done, "total": given.state.part.work}
+        idle = bool(self._free())
+        found = next_move(self._states, self._after, self._ready(), self._now, idle=idle)
+        if found is None:
+            return
+        given = next(given for given in self._given if given.state is found.state)
+        self._given.remove(given)
+        if found.slow:
+            found.state.avoid = (str(given.machine),)
+            self._slow.add(given.machine)
+        found.state.made_way = found.state.made_way or not found.slow
+        self._stop(found.state, share(found.state))
+        self._start()
+
+    def _stop(self, state: PartState, kept: float) -> None:
+        state.state, state.kept, state.first, state.progress = WAITING, kept, (0.0, 0.0), {}
+
+    def _wait(self) -> None:
+        """Go on to the next look of the scheduler, or to the next end of a part if none moves."""
+        ends = [self._end(given) for given in self._given]
+        self._now = min([*ends, self._now + LOOK if self._moves else 1e18])
+        for given, end in zip(list(self._given), ends, strict=True):
+            if end > self._now:
+                continue
+            self._given.remove(given)
+            speed = self._speed[given.machine]
+            if given.ends(speed) <= end:
+                given.state.state, given.state.seconds = DONE, end - given.began
+                continue
+            saved = end - self._rng.uniform(0, CHECKPOINT_SECONDS)
+            self._stop(given.state, given.done(saved, speed) / given.state.part.work)
+
+    def _end(self, given: Given) -> float:
+        """When a part ends, or its machine is lost."""
+        return min(given.ends(self._speed[given.machine]), self._ends[given.machine])
 
 
-def _move(
-    running: list[Given],
-    waiting: list[float],
-    free: set[int],
-    now: float,
-    speed: Sequence[float],
-) -> None:
-    """Stop the slow part that would end last, as `schedule.straggler` does."""
-    slow = [
-        given
-        for given in running
-        if speed[given.machine] < 1 / SLOW
-        and given.began + START < now
-        and given.ends - now > WORTH_MOVING
-    ]
-    if slow:
-        last = max(slow)
-        running.remove(last)
-        free.discard(last.machine)  # so that the part avoids it; it stays idle
-        left = (last.ends - now) * speed[last.machine] + START
-        heapq.heappush(waiting, -left)
-
-
-def _given(
-    machine: int,
-    seconds: float,
-    now: float,
-    speed: Sequence[float],
-    ends: Sequence[float],
-    rng: random.Random,
-) -> Given:
-    """A part on a machine: when that ends, and what is then left to do."""
-    done = now + seconds / speed[machine]
-    if done <= ends[machine]:
-        return Given(done, machine, 0.0, now)
-    saved = max(0.0, ends[machine] - now - rng.uniform(0, CHECKPOINT_SECONDS)) * speed[machine]
-    return Given(ends[machine], machine, min(seconds, seconds - saved + START), now)
+def _state(index: int, seconds: float) -> PartState:
+    stages = (("joint", seconds),)
+    part = Part(scene=str(index), name="all", argv=(), work=seconds, stages=stages)
+    return PartState(part=part)
 
 
 def _bound(scenes: Sequence[float], speed: Sequence[float], ends: Sequence[float]) -> float:

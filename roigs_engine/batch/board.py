@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from ..formats.events import MAX_NUMBER, Progress
 from ..formats.text import counted
 from .engine_process import DONE, FAILED
-from .schedule import RUNNING, PartState, SceneState, share
+from .moves import RUNNING, PartState, share
+from .schedule import SceneState
 
 ENOUGH = 0.01  # of the work must be done before the time left is told
 MOST_LINES = 12  # of running parts

@@ -29,15 +29,18 @@ class LocalExecutor:
         context: asked whether to stop.
     """
 
-    nodes = 1
-
     def __init__(self, jobs: int, context: Context) -> None:
         self._jobs, self._context = jobs, context
         self._running: dict[tuple[str, str], Part] = {}
         self._reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
 
-    def has_room(self, part: Part) -> bool:
-        """Whether the part can start now; a part that is too large alone starts alone."""
+    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
+        """Whether the part can start now; a part that is too large alone starts alone.
+
+        Args:
+            part: to be done.
+            avoid: nodes that do not count; there is only one here.
+        """
         if not self._running:
             return True
         taken = sum(other.memory for other in self._running.values())
@@ -73,10 +76,6 @@ class LocalExecutor:
 
     def can_move(self, avoid: tuple[str, ...]) -> bool:
         """Whether a part that failed may do better elsewhere."""
-        return False
-
-    def is_idle(self) -> bool:
-        """Whether a part that runs could go on elsewhere at once."""
         return False
 
     def stop(self, part: Part) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from .parts import Part
 from .ray_connection import CONNECT_SECONDS, Connection
 
 LOOK_SECONDS = 120.0  # for a machine to answer; it imports the engine for that
+NODE_LABEL = "ray.io/node-id"  # that Ray gives each machine
 REFRESH = 5.0  # seconds between two looks at the machines
 
 
@@ -45,7 +44,6 @@ class RayExecutor:
         self._said: set[tuple[str, str]] = set()  # problems of nodes
         self._fitted = time.monotonic()  # when a machine was last there that fits
         self._stopped: set[tuple[str, str]] = set()  # parts that are asked to stop
-        self._given: Counter[str] = Counter()  # parts that were sent to one machine
         self._looked = 0.0
         self._nodes: dict[str, dict[str, float]] = {}  # that fit, by id: their resources
         try:
@@ -64,21 +62,21 @@ class RayExecutor:
         """Of all machines that fit."""
         return sum(node.get("CPU", 0.0) for node in self._nodes.values())
 
-    def has_room(self, part: Part) -> bool:
-        """Whether a core is free, or one part for each machine waits there already."""
+    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
+        """Whether a core is free; see `LocalExecutor.has_room`."""
         taken = sum(cores for _, cores in self._running.values())
-        return taken < self.cores + len(self._nodes)
+        return taken + 1 <= sum(has.get("CPU", 0.0) for has in self._fit(avoid).values())
+
+    def _fit(self, avoid: tuple[str, ...]) -> dict[str, dict[str, float]]:
+        """The machines without some; all, if there are no others."""
+        return {n: has for n, has in self._nodes.items() if n not in avoid} or self._nodes
 
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
         """Give a part to Ray; see `LocalExecutor.start`."""
         self._connection.ask(lambda: self._start(part, waiting, avoid))
 
     def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> None:
-        fit = {n: has for n, has in self._nodes.items() if n not in avoid} or self._nodes
-        place: Any = "SPREAD"
-        if avoid or self._misfits:  # not just anywhere: so what it asks for must be there
-            node = self._freest(fit, gpu=part.gpu)
-            fit, place = {node: fit[node]}, self._affinity(node, soft=False)
+        fit = self._fit(avoid)
         largest = max(node.get("CPU", 1.0) for node in fit.values())
         cores = max(1, int(min(self.cores / (len(self._running) + 1 + waiting), largest)))
         room = max(node.get("memory", 0.0) for node in fit.values())
@@ -87,7 +85,8 @@ class RayExecutor:
             num_cpus=cores,
             num_gpus=1 if part.gpu and gpus else 0,
             memory=int(min(part.memory, room)),
-            scheduling_strategy=place,
+            scheduling_strategy="SPREAD",
+            label_selector=_without((self._nodes.keys() - fit.keys()) | self._misfits),
         )
         argv = with_threads(part, cores)
         reference = task.remote(argv, part, self._mailbox, __version__, self._sign)
@@ -120,11 +119,6 @@ class RayExecutor:
     def can_move(self, avoid: tuple[str, ...]) -> bool:
         """Whether there is a machine where the part has not failed."""
         return bool(self._nodes.keys() - set(avoid))
-
-    def is_idle(self) -> bool:
-        """Whether a core is free."""
-        taken = sum(cores for _, cores in self._running.values())
-        return len(self._nodes) > 1 and taken + 1 <= self.cores
 
     def stop(self, part: Part) -> None:
         """Ask one part to stop, with a checkpoint."""
@@ -159,16 +153,6 @@ class RayExecutor:
             reason = f"Its machine or process was lost ({lines[0]:.100})."
             return Outcome(state=LOST, reason=reason)
         assert isinstance(found, Outcome)
-        return found
-
-    def _freest(self, fit: Mapping[str, Mapping[str, float]], *, gpu: bool) -> str:
-        """The machine with most free cores; one with a GPU, if that helps and there is one."""
-        names = [node for node, has in fit.items() if gpu and has.get("GPU")] or list(fit)
-        free: dict[str, dict[str, float]] = {}
-        with suppress(AttributeError):  # no public name tells it
-            free = self._ray._private.state.available_resources_per_node()
-        found = max(names, key=lambda n: (free.get(n, {}).get("CPU", 0.0), -self._given[n]))
-        self._given[found] += 1
         return found
 
     def _affinity(self, node: str, *, soft: bool) -> Any:
@@ -236,3 +220,8 @@ class RayExecutor:
                 return "has no roigs; install it there (pip install 'roigs[cluster]')", False
             return f"does not answer ({type(error).__name__})", True
         return ray_tasks.misfit(found, __version__, self._sign), False
+
+
+def _without(nodes: Collection[str]) -> dict[str, str]:
+    """A label selector for all machines but some."""
+    return {NODE_LABEL: f"!in({', '.join(sorted(nodes))})"} if nodes else {}

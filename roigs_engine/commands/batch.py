@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from ..batch.engine_process import Outcome
     from ..batch.parts import ScenePlan
     from ..batch.record import BatchRecord
-    from ..batch.schedule import Executor, PartState, SceneState
+    from ..batch.moves import PartState
+    from ..batch.schedule import Executor, SceneState
     from ..formats.events import Record
 
 MOST_JOBS, MOST_RETRIES, RETRIES = 1024, 100, 3

@@ -12,7 +12,8 @@ from ..batch.board import Board, duration
 from ..batch.engine_process import DONE, Outcome
 from ..batch.makespan import makespan
 from ..batch.parts import ScenePlan
-from ..batch.schedule import PartState, SceneState
+from ..batch.moves import PartState
+from ..batch.schedule import SceneState
 from ..formats.events import Event, Message, Preview, Progress, Record, StageStarted
 from ..formats.text import counted, in_gb, printable
 from .console import Console

@@ -33,7 +33,7 @@ class Instant:
         self._room, self._machines = room, machines
         self._running: list[tuple[Part, tuple[str, ...]]] = []
 
-    def has_room(self, part: Part) -> bool:
+    def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
         return len(self._running) < self._room
 
     def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
@@ -49,9 +49,6 @@ class Instant:
 
     def can_move(self, avoid: tuple[str, ...]) -> bool:
         return len(set(avoid)) < self._machines
-
-    def is_idle(self) -> bool:
-        return self._machines > 1 and len(self._running) < self._room
 
     def stop(self, part: Part) -> None:
         self.asked.append(part.label)

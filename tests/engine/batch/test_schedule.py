@@ -9,8 +9,8 @@ from roigs_engine.batch.board import Board
 from roigs_engine.batch.engine_process import DONE, FAILED, LOST, STOPPED, Outcome
 from roigs_engine.batch.local import Report
 from roigs_engine.batch.makespan import lower_bound, makespan
-from roigs_engine.batch.parts import Part
-from roigs_engine.batch.schedule import RUNNING, PartState, Scheduler, share, straggler
+from roigs_engine.batch.moves import Move
+from roigs_engine.batch.schedule import Scheduler
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import Stopped
 from tests.engine.batch.parts_of_scenes import Instant, part, scene
@@ -97,60 +97,33 @@ def test_a_stop_waits_for_what_runs_and_starts_nothing() -> None:
     assert executor.order == ["large"]
 
 
-def progress(stage: str, step: int) -> dict[str, object]:
-    return {"event": "progress", "stage": stage, "step": step, "total": 100}
-
-
-def test_the_share_of_a_part_that_has_several_stages() -> None:
-    stages = (("scene", 2.0), ("joint", 6.0), ("", 2.0))  # the last: evaluation
-    whole = Part(scene="a", name="all", argv=(), work=10, stages=stages)
-    state = PartState(part=whole, state=RUNNING)
-    for stage, step, expected in (
-        *(("photos", 50, 0.0), ("scene", 50, 0.1), ("joint", 0, 0.2), ("joint", 50, 0.5)),
-        ("evaluate", 10, 0.8),
-    ):
-        state.progress = progress(stage, step)
-        assert share(state) == pytest.approx(expected)
-    state.state = DONE
-    assert share(state) == 1
-
-
-def slow_scenes(step: int) -> list[PartState]:
-    """Three parts that took 100 s each, and one that has done a part of its steps in 100 s."""
-    states = [PartState(part=part(name, "all", work=10)) for name in "abcd"]
-    for state in states[:3]:
-        state.state, state.first, state.seconds = DONE, (1.0, 0.0), 100.0
-        state.started = 1.0
-    last = states[3]
-    last.state, last.first, last.progress = RUNNING, (1.0, 0.0), progress("joint", step)
-    return states
-
-
-def test_a_part_on_a_slow_machine_goes_on_elsewhere_once() -> None:
-    states = slow_scenes(30)  # 333 s in all, 233 s of them left
-    assert straggler(states, 101.0) is states[3]
-    states[3].avoid = ("slow",)
-    assert straggler(states, 101.0) is None
-    assert straggler(slow_scenes(60), 101.0) is None  # 167 s in all
-    assert straggler(slow_scenes(30)[2:], 101.0) is None  # nothing to compare with
-
-
-def test_a_moved_part_avoids_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("slow", "avoided"), [(True, [(), ("here",)]), (False, [(), ()])])
+def test_a_moved_part_avoids_its_machine_if_that_is_slow(
+    slow: bool, avoided: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Waiting(Instant):
         def wait(self, seconds: float) -> list[Report]:
             return super().wait(seconds) if self.asked else []
 
-    ends = iter([Outcome(state=STOPPED, node="slow"), Outcome(state=DONE, node="fast")])
-    executor = Waiting(lambda part, avoid: next(ends), room=2, machines=2)
+    ends = iter([Outcome(state=STOPPED, node="here"), *3 * [Outcome(state=DONE, node="there")]])
+    executor = Waiting(lambda part, avoid: next(ends), machines=2)
     made = scheduler(executor, SMALL)
     state = made.scenes["small"].parts["all"]
-    monkeypatch.setattr(
-        schedule, "straggler", lambda states, now: state if not executor.asked else None
-    )
+    move = Move(state=state, slow=slow)
+    monkeypatch.setattr(schedule, "next_move", lambda *_, **__: None if executor.asked else move)
     made.run()
     assert executor.asked == ["small"]
-    assert executor.avoided == [(), ("slow",)]
+    assert executor.avoided == avoided
     assert made.scenes["small"].state == DONE
+
+
+def test_what_is_left_of_a_part_decides_when_its_turn_is() -> None:
+    """Of two parts that were lost, the one with more left goes on first."""
+    executor = Instant()
+    made = scheduler(executor, SMALL, LARGE)
+    made.scenes["large"].parts["all"].kept = 0.95  # 2.5 of 50 left; small has 5
+    made.run()
+    assert executor.order == ["small", "large"]
 
 
 def test_makespan_of_parts_on_machines() -> None:

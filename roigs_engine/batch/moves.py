@@ -1,0 +1,179 @@
+"""Which part that runs is to go on elsewhere or later, so that the whole batch ends sooner.
+
+A batch ends with its last part. So the longest part that is left must run, and on a machine that
+is not slow: a slow machine's part moves away from it, and a short part makes way for a long one
+that a lost or slow machine has left. A part is stopped with a checkpoint, so a move costs the few
+seconds that an engine takes to start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+
+from ..formats.events import Record
+from .engine_process import DONE
+from .parts import Part
+
+WAITING, RUNNING = "waiting", "running"
+BEFORE = ("photos", "undistort")  # work with progress that comes before the stages
+SLOW, SHORT = 2.0, 0.5  # times as long as usual; as long as the part that it makes way for
+WORTH_MOVING = 60.0  # seconds that are left
+SEEN_SECONDS = 30.0  # of progress, which tell how fast a part is
+ENOUGH_SEEN = 3  # parts that tell what is usual
+MOST_NODES = 3  # where a part may fail, or be slow
+
+
+@dataclass(kw_only=True)
+class PartState:
+    """How far a part is.
+
+    Attributes:
+        part: the part.
+        state: `waiting`, `running`, `done`, `failed`.
+        lost: how often its process was lost.
+        avoid: nodes where it failed.
+        progress: the last event with its progress.
+        started: `time.monotonic()` of its first event, or of when it was given out.
+        seen: whether it had an event; until then it may wait for a machine.
+        first: `time.monotonic()` of its first progress, and its share then; zeros: none yet.
+        seconds: it took, once it is done.
+        kept: its share when it last stopped or was lost.
+        moving: whether it was asked to stop, to go on elsewhere or later.
+        from_slow: whether that is since its machine is slow.
+        made_way: whether it made way for a longer part; it does once.
+    """
+
+    part: Part
+    state: str = WAITING
+    lost: int = 0
+    avoid: tuple[str, ...] = ()
+    progress: Record = field(default_factory=dict)
+    started: float = 0.0
+    first: tuple[float, float] = (0.0, 0.0)
+    seconds: float = 0.0
+    kept: float = 0.0
+    moving: bool = False
+    from_slow: bool = False
+    made_way: bool = False
+    seen: bool = False
+
+    @property
+    def left(self) -> float:
+        """Its work that is left."""
+        return self.part.work * (1 - max(share(self), self.kept))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Move:
+    """A part that is to stop, and whether its machine is slow: that gets no more parts."""
+
+    state: PartState
+    slow: bool
+
+
+def share(state: PartState) -> float:
+    """How much of a part is done, 0 to 1, by its stages' work and the last progress."""
+    if state.state == DONE:
+        return 1.0
+    total, step = state.progress.get("total"), state.progress.get("step")
+    if state.state != RUNNING or not total or step is None or not state.part.work:
+        return 0.0
+    done, at, whole = 0.0, state.progress.get("stage"), state.part.work
+    for name, work in state.part.stages:
+        if name == at:
+            return float(min(1.0, (done + work * step / total) / whole))
+        done += work
+    # Not a stage: looking at photos comes before all of them, evaluation after them.
+    return 0.0 if at in BEFORE else sum(w for name, w in state.part.stages if name) / whole
+
+
+def next_move(
+    states: Sequence[PartState],
+    after: Mapping[tuple[str, str], float],
+    ready: Sequence[PartState],
+    now: float,
+    *,
+    idle: bool,
+) -> Move | None:
+    """The next part that is to stop; None: none is.
+
+    Args:
+        states: all parts.
+        after: key of a part -> the work of those that wait for it, on the longest way.
+        ready: parts that wait for a machine only.
+        now: `time.monotonic()`.
+        idle: whether a machine has nothing to do.
+    """
+    usual = _Usual(states, now)
+    if usual.overall is None:
+        return None
+    seconds = usual.of
+    ends = {s.part.key: found for s in states if (found := _seconds_left(s, now)) is not None}
+    running = [s for s in states if s.state == RUNNING]
+    # Until all is done, were the rest shared evenly.
+    rest = sum(seconds(s.part, s.left) for s in states if s.state == WAITING)
+    rest += sum(ends.get(s.part.key, seconds(s.part, s.left)) for s in running)
+    rest /= max(len(running), 1)
+    movable = [
+        (ends[s.part.key] + usual.overall * after[s.part.key], s)
+        for s in running
+        if ends.get(s.part.key, 0.0) > WORTH_MOVING and not s.moving
+    ]
+    slow = [
+        (left, s)
+        for left, s in movable
+        if len(s.avoid) < MOST_NODES
+        and s.part.name in usual.by_name
+        and ends[s.part.key] > SLOW * seconds(s.part, s.left)
+    ]
+    if slow:
+        left, last = max(slow, key=lambda pair: pair[0])
+        if left > rest if ready else idle:
+            return Move(state=last, slow=True)
+    longest = max(
+        (seconds(s.part, s.left) + usual.overall * after[s.part.key] for s in ready), default=0.0
+    )
+    short = [(left, s) for left, s in movable if left < SHORT * longest and not s.made_way]
+    if short and longest > rest + WORTH_MOVING and not any(s.moving for s in running):
+        return Move(state=min(short, key=lambda pair: pair[0])[1], slow=False)
+    return None
+
+
+class _Usual:
+    """Seconds that a unit of work usually takes: in parts of one name, which scenes have each, and
+    overall; None: too few parts were seen.
+    """
+
+    def __init__(self, states: Sequence[PartState], now: float) -> None:
+        rates: dict[str, list[float]] = {}
+        for state in states:
+            rate = _rate(state, now)
+            if rate is not None:
+                rates.setdefault(state.part.name, []).append(rate)
+        seen = [rate for each in rates.values() for rate in each]
+        self.overall = median(seen) if len(seen) >= ENOUGH_SEEN else None
+        self.by_name = {n: median(each) for n, each in rates.items() if len(each) >= ENOUGH_SEEN}
+
+    def of(self, part: Part, work: float) -> float:
+        """Seconds of some work in a part."""
+        return self.by_name.get(part.name, self.overall or 0.0) * work
+
+
+def _rate(state: PartState, now: float) -> float | None:
+    """Seconds that a unit of a part's work takes, from its progress; None: not known."""
+    began, before = state.first
+    if not began or not state.part.work or state.state not in (DONE, RUNNING):
+        return None
+    until = state.started + state.seconds if state.state == DONE else now
+    done = share(state) - before
+    if done <= 0 or until - began < SEEN_SECONDS:
+        return None
+    return (until - began) / (done * state.part.work)
+
+
+def _seconds_left(state: PartState, now: float) -> float | None:
+    """Seconds until a part ends, as fast as it runs; None: not known."""
+    rate = _rate(state, now)
+    return None if state.state != RUNNING or rate is None else rate * state.left
