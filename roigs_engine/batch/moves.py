@@ -62,7 +62,7 @@ class PartState:
     @property
     def left(self) -> float:
         """Its work that is left."""
-        return self.part.work * (1 - max(share(self), self.kept))
+        return self.part.work * (1 - share(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +74,12 @@ class Move:
 
 
 def share(state: PartState) -> float:
-    """How much of a part is done, 0 to 1, by its stages' work and the last progress."""
-    if state.state == DONE:
-        return 1.0
+    """How much of a part is done, 0 to 1: what it kept, or more by its last progress."""
+    return 1.0 if state.state == DONE else max(state.kept, _shown(state))
+
+
+def _shown(state: PartState) -> float:
+    """How much of a part its last progress shows, by its stages' work."""
     total, step = state.progress.get("total"), state.progress.get("step")
     if state.state != RUNNING or not total or step is None or not state.part.work:
         return 0.0

@@ -158,7 +158,7 @@ class Scheduler:
         self._told(scene, state, report)
 
     def _end(self, scene: SceneState, state: PartState, outcome: Outcome) -> None:
-        state.kept = max(state.kept, share(state))
+        state.kept = share(state)
         state.state, label, moving = WAITING, state.part.label, state.moving
         state.moving = state.seen = False
         if outcome.state == DONE:

@@ -26,6 +26,8 @@ def test_the_share_of_a_part_that_has_several_stages() -> None:
     ):
         state.progress = progress(stage, step)
         assert share(state) == pytest.approx(expected)
+    state.kept, state.progress = 0.4, {}  # stopped, and given out again
+    assert share(state) == pytest.approx(0.4)
     state.state = DONE
     assert share(state) == 1
 
