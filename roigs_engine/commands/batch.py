@@ -26,9 +26,9 @@ from .values import NAME, PATH, integer
 
 if TYPE_CHECKING:
     from ..batch.engine_process import Outcome
+    from ..batch.moves import PartState
     from ..batch.parts import ScenePlan
     from ..batch.record import BatchRecord
-    from ..batch.moves import PartState
     from ..batch.schedule import Executor, SceneState
     from ..formats.events import Record
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from ..batch.board import Board, duration
 from ..batch.engine_process import DONE, Outcome
 from ..batch.makespan import makespan
-from ..batch.parts import ScenePlan
 from ..batch.moves import PartState
+from ..batch.parts import ScenePlan
 from ..batch.schedule import SceneState
 from ..formats.events import Event, Message, Preview, Progress, Record, StageStarted
 from ..formats.text import counted, in_gb, printable
