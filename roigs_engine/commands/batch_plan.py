@@ -198,9 +198,10 @@ def _parts(
         for suffix in row.object_outputs
         for name in objects
     ]
+    how = [f"--{name.replace('_', '-')}={value}" for name, value in row.output_options.items()]
     for (source, _), out in zip(sources, written(row, folder, objects), strict=True):
         name = out.relative_to(folder / run_files.BATCH_OUTPUTS).as_posix()
-        argv = ("convert", str(source), str(out))
+        argv = ("convert", *how, str(source), str(out))
         made = Part(scene=row.name, name=name, argv=argv, needs=(WHOLE,), memory=4 * ENGINE)
         made = replace(made, staging=_staging(row, folder, name))
         found.append(made)

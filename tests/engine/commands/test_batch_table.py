@@ -7,9 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.batch.record import BatchRecord
 from roigs_engine.cli import main
+from roigs_engine.commands.batch_plan import plan_row
 from roigs_engine.commands.batch_table import Table
+from roigs_engine.commands.console import Console
 from tests.engine.commands.command_line import BOX, refused
+from tests.engine.rasterize.test_placed import cloud
 from tests.engine.synthetic_colmap import write_project
 
 EIGHT = [f"{k}.png" for k in range(8)]
@@ -53,14 +57,15 @@ def test_every_wrong_line_is_named_and_nothing_starts(
         "[scenes.one]",
         f"scene = '{scans / 'hall'}'",
         "max_side = -3",  # 6
-        "[scenes.two]",  # no scene
+        "from_up = 'x'",
+        "[scenes.two]",  # 8, no scene
         "[scenes.three]",  # a box without points
         f"scene = '{scans / 'hall'}'",
         "roi = ['nothing=30,30,30,31,31,31']",
         "[scenes.four]",  # no such scene
         f"scene = '{scans / 'cellar'}'",
         f"roi = ['{BOX}']",
-        '[scenes."result.ply"]',  # 14
+        '[scenes."result.ply"]',  # 15
         f"scene = '{scans / 'hall'}'",
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
@@ -68,8 +73,8 @@ def test_every_wrong_line_is_named_and_nothing_starts(
     assert main(["batch", str(table), "--run-dir", str(run)]) == 2
     said = capsys.readouterr().err.splitlines()
     named = [line.partition("line ")[2].partition(":")[0] for line in said if "line " in line]
-    assert named == ["2", "3", "6", "7", "8", "11", "14"], said
-    assert said[-1].startswith(f"error: {table} has 7 mistakes; nothing was started.")
+    assert named == ["2", "3", "6", "7", "8", "9", "12", "15"], said
+    assert said[-1].startswith(f"error: {table} has 8 mistakes; nothing was started.")
     assert not list(run.glob("*"))
 
 
@@ -107,6 +112,30 @@ def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -
     assert a.args.preset == "paper" and a.args.roi == [BOX] and a.outputs == (".spz",)
     assert b.args.preset == "draft" and b.args.roi == [] and b.args.compare == []
     assert a.digest != b.digest
+
+
+def test_outputs_are_turned_as_convert_turns_them(scans: Path, tmp_path: Path) -> None:
+    table = tmp_path / "t.toml"
+    lines = [
+        *("[defaults]", f"roi = ['{BOX}']", "outputs = ['glb']", "from-up = '-y'"),
+        *("[scenes.a]", f"scene = '{scans / 'hall'}'", "from_up = 'z'", "sh_degree = 0"),
+        *("[scenes.b]", f"scene = '{scans / 'hall'}'"),
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    found, record = {}, BatchRecord(tmp_path)
+    for row in Table(table).rows:
+        plan = plan_row(row, tmp_path, record, Console(json_lines=False)).scene
+        found[row.name] = next(part.argv for part in plan.parts if part.argv[0] == "convert")
+        assert not {"from_up", "sh_degree"} & row.options.keys()  # no options of `run`
+    source, out = (str(tmp_path / name) for name in ("a/result.ply", "outputs/a.glb"))
+    assert sorted(found["a"][:-2]) == ["--from-up=z", "--sh-degree=0", "convert"]
+    assert found["a"][-2:] == (source, out)
+    assert found["b"][1] == "--from-up=-y"
+    (tmp_path / "outputs").mkdir()
+    for argv in found.values():
+        cloud().save_ply(Path(argv[-2]))
+        assert main(list(argv)) == 0
+    assert (tmp_path / "outputs/a.glb").stat().st_size < (tmp_path / "outputs/b.glb").stat().st_size
 
 
 def test_a_misspelt_head_is_named_with_its_line(
