@@ -14,11 +14,12 @@ from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.files import write_json
 from ..formats.lock import locked
-from ..formats.run_files import BATCH, BATCH_LOCK, REPORT_PAGE
+from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
 from ..formats.text import counted
 from ..storage.urls import is_url
 from .batch_init import write_table
-from .batch_plan import checked_plans, options_path, plan_row, written
+from .batch_outputs import files_of_run, outputs_of
+from .batch_plan import checked_plans, options_path, plan_row
 from .batch_store import PLACE, Store, StoredRecord, localized
 from .batch_table import Row, Table
 from .console import Console
@@ -199,13 +200,10 @@ def _execute(
 
     def told(scene: SceneState, part: PartState, report: Record | Outcome) -> None:
         nonlocal written_at
-        if isinstance(report, Outcome) and scene.state == DONE:
+        if isinstance(report, Outcome) and part.state == DONE:
             row = by_name[scene.plan.name]
-            files = written(row, folder, scene.plan.objects)
             try:
-                if args.store:
-                    args.store.fetch(row.name)
-                record.add(row.name, row.digest, folder / row.name, files)
+                _note(args, record, row, scene, part, context)
             except EngineError as error:
                 context.warn(f"{row.name}: {error} The next batch looks at this scene again.")
         shown.take(scene, part, report)
@@ -230,6 +228,29 @@ def _execute(
         shown.draw(now=True)
         show_page()
     return list(scheduler.scenes.values())
+
+
+def _note(
+    args: argparse.Namespace,
+    record: BatchRecord,
+    row: Row,
+    scene: SceneState,
+    part: PartState,
+    context: Context,
+) -> None:
+    """Write down what a part has finished; raises as `BatchRecord.add`."""
+    from ..batch.parts import WHOLE
+
+    folder, objects = args.run_dir, scene.plan.objects
+    outputs = {output.name: output for output in outputs_of(row, folder, objects)}
+    if part.part.name in outputs:
+        record.add_output(row.name, outputs[part.part.name])
+    elif part.part.name == WHOLE:
+        for name in record.left_over(row.name, outputs.values()):
+            context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
+        if args.store:
+            args.store.fetch(row.name)
+        record.add(row.name, row.digest, folder / row.name, files_of_run(row, folder, objects))
 
 
 def _finish(where: str, states: Sequence[SceneState], console: Console) -> dict[str, str]:

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
 from ..batch.record import BatchRecord
-from ..batch.staged import Staging
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
 from ..formats.events import Event
 from ..formats.text import counted
-from ..machine import ENGINE
 from . import run as run_command
 from . import train
 from .automatic import box_names
+from .batch_outputs import files_of_run, output_parts, outputs_of, run_folder
+from .batch_store import staging
 from .batch_table import Row, Table, Wrong
 from .console import Console
 
@@ -75,9 +75,11 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
         compare = run_command.compared(args)
         run_command.check(args)
     names = tuple(box_names(args, args.run_dir))
+    outputs = outputs_of(row, folder, names)
     run, context = train.defined_run(args, quiet)
     if run is None:
-        parts = _parts(row, folder, names, [], (("", PHOTOS_WORK),), 0)
+        parts = _parts(row, folder, [], (("", PHOTOS_WORK),), 0)
+        parts += output_parts(row, folder, outputs)
         return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
     memory = run.memory(context).total
     plan = plan_run(run, compare, context)
@@ -86,17 +88,13 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
     row = replace(row, blocks=run.config.blocks)  # `auto` is of this machine, for all of them
-    parts = _parts(row, folder, tuple(roi.name for roi in run.rois), cut, own, memory)
-    done = record.is_done(row.name, row.digest, run, written(row, folder, names))
-    scene = replace(_scene(row, names, parts, plan), done=done)
+    parts = _parts(row, folder, cut, own, memory) + output_parts(row, folder, outputs)
+    done = record.is_done(row.name, row.digest, run, files_of_run(row, folder, names))
+    missing = [output for output in outputs if done and not record.has_output(row.name, output)]
+    if missing:
+        parts = output_parts(row, folder, missing, needs=())
+    scene = replace(_scene(row, names, parts, plan), done=done and not missing)
     return Planned(scene=scene, run=run, plan=plan, context=context)
-
-
-def written(row: Row, folder: Path, objects: Sequence[str]) -> list[Path]:
-    """The files that a row writes outside its run folder."""
-    out = folder / run_files.BATCH_OUTPUTS
-    whole = [out / f"{row.name}{suffix}" for suffix in row.outputs]
-    return whole + [out / row.name / f"{o}{s}" for s in row.object_outputs for o in objects]
 
 
 def checked_plans(
@@ -132,11 +130,6 @@ def checked_plans(
     return device, scenes
 
 
-def run_folder(row: Row, folder: Path) -> Path:
-    """The run folder of a row."""
-    return row.home or folder / row.name
-
-
 def options_path(row: Row, folder: Path) -> Path:
     """The options file of a row, which its engines read."""
     if row.home is not None:
@@ -163,12 +156,11 @@ def _scene(
 def _parts(
     row: Row,
     folder: Path,
-    objects: Sequence[str],
     cut: Sequence[Cut],
     own: tuple[tuple[str, float], ...],
     memory: int,
 ) -> tuple[Part, ...]:
-    """The parts of a row: of its run, then its outputs."""
+    """The parts of a row's run."""
     run_dir = run_folder(row, folder)
     options = [row.command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
     options += ["--update"] if row.args.update else []
@@ -184,7 +176,7 @@ def _parts(
         argv = (*options, *(word for each in words for word in ("--part", each)))
         work = sum(share for _, share in stages)
         made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
-        return replace(made, staging=_staging(row, folder, name))
+        return replace(made, staging=staging(row, folder, name))
 
     firsts = [each.name for each in cut if not each.needs]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
@@ -193,30 +185,4 @@ def _parts(
         before = (PREPARE,) if firsts == [each.name] else ()
         found.append(part(each.name, each.needs or opened, each.stages, *before))
     found.append(part(WHOLE, tuple(other.name for other in found), own))
-    sources = [(run_dir / run_files.RESULT, s) for s in row.outputs] + [
-        (run_dir / run_files.FINE / f"{name}.ply", suffix)
-        for suffix in row.object_outputs
-        for name in objects
-    ]
-    how = [f"--{name.replace('_', '-')}={value}" for name, value in row.output_options.items()]
-    for (source, _), out in zip(sources, written(row, folder, objects), strict=True):
-        name = out.relative_to(folder / run_files.BATCH_OUTPUTS).as_posix()
-        argv = ("convert", *how, str(source), str(out))
-        made = Part(scene=row.name, name=name, argv=argv, needs=(WHOLE,), memory=4 * ENGINE)
-        made = replace(made, staging=_staging(row, folder, name))
-        found.append(made)
     return tuple(found)
-
-
-def _staging(row: Row, folder: Path, part: str) -> Staging | None:
-    """Where a part's files are, if the batch is on a store."""
-    if not row.store:
-        return None
-    return Staging(
-        url=row.store,
-        base=str(folder),
-        run=row.name,
-        part=part,
-        last=part == WHOLE,
-        options=row.asked or row.options,
-    )

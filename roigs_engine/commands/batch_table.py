@@ -75,9 +75,9 @@ class Row:
 
     @property
     def digest(self) -> str:
-        """Of everything that decides what is made."""
+        """Of everything that decides what its run makes."""
         decides = {k: v for k, v in (self.asked or self.options).items() if k not in NO_RESULT}
-        return json_digest([decides, self.outputs, self.object_outputs, self.output_options])
+        return json_digest(decides)
 
 
 class Table:

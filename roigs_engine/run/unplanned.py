@@ -1,4 +1,4 @@
-"""Stages that a changed run has no longer: those of fewer blocks, other groups, another strategy."""
+"""Stages that a run has no longer: those of fewer blocks, other groups, another strategy."""
 
 from __future__ import annotations
 

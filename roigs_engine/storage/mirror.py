@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -74,10 +74,14 @@ def _listed(found: Any, place: str, url: str) -> dict[str, list[Any]]:
         name = str(path)[len(place) :].lstrip("/")
         if not name or ".." in PurePosixPath(name).parts:
             continue
-        marks = ("ETag", "etag", "md5", "mtime", "created", "LastModified")
-        mark = next((str(facts[key]) for key in marks if facts.get(key)), "")
-        files[name] = [int(facts["size"]), mark]
+        files[name] = sign(facts)
     return files
+
+
+def sign(facts: Mapping[str, Any]) -> list[Any]:
+    """What changes with a file, of what a store tells: its size, and a mark of its content."""
+    marks = ("ETag", "etag", "md5", "mtime", "created", "LastModified")
+    return [int(facts["size"]), next((str(facts[key]) for key in marks if facts.get(key)), "")]
 
 
 def _copy(found: Any, source: str, target: Path, size: int, url: str) -> None:

@@ -80,6 +80,10 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
     capsys.readouterr()
     assert main(["batch", str(table), "--run-dir", RUNS, "--dry-run"]) == 0
     assert capsys.readouterr().out.count(" done\n") == 2
+    memory_store.rm("/museum/runs/outputs/hall.compressed.ply")
+    assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
+    assert memory_store.exists("/museum/runs/outputs/hall.compressed.ply")
+    assert "attic: done" not in capsys.readouterr().err
 
 
 def test_a_full_disk_of_one_machine_is_its_reason(
