@@ -11,17 +11,18 @@ from typing import Any
 
 from ..batch.parts import WHOLE
 from ..batch.record import BatchRecord
-from ..batch.staged import Staging, batch_folder, local_options, stored_run
+from ..batch.staged import Staging, local_options, stored_run
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
 from ..photos.contents import FILE as CONTENTS
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
-from ..storage.urls import file_system, is_url
+from ..storage.urls import file_system, folder_of, is_url
 from .batch_table import Row, Wrong
 from .values import PATH, Name
 
+BATCHES = "batches"
 SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
 """Files of a run that the page and the record of a batch need, beside its pictures."""
 
@@ -38,7 +39,7 @@ PLACE = PlaceName()
 
 
 class Store:
-    """The folder of a batch on a store, and its copy here.
+    """The folder of a batch on a store, and a copy here of what its page needs.
 
     Args:
         url: of the folder.
@@ -47,7 +48,7 @@ class Store:
     def __init__(self, url: str) -> None:
         """Raises ConfigError if the address cannot be used."""
         self.url = url
-        self.folder = batch_folder(url)
+        self.folder = folder_of(url, BATCHES)
         self._found, self._place = file_system(url)
 
     @contextmanager
