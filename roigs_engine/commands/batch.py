@@ -43,6 +43,17 @@ EXAMPLES = """\
   python -m roigs_engine batch museum.toml --run-dir runs/museum --cluster auto"""
 
 
+class OnlyIsForBoxes(argparse.Action):
+    """Says which option chooses scenes."""
+
+    def __call__(self, *_: object) -> None:
+        """Raise a ConfigError."""
+        raise ConfigError(
+            "--only chooses boxes, and a batch is of scenes.",
+            "Use --scene NAME for one of them; for boxes, write `only` in the table.",
+        )
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument(
@@ -62,13 +73,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
     )
     parser.add_argument(
-        "--only",
+        "--scene",
+        dest="scenes",
         type=NAME,
         action="append",
         default=[],
-        metavar="SCENE",
-        help="only the scene of this name; repeatable",
+        metavar="NAME",
+        help="do the scene of this name only; repeatable",
     )
+    parser.add_argument("--only", action=OnlyIsForBoxes, help=argparse.SUPPRESS)
     parser.add_argument(
         "--jobs",
         type=integer(1, MOST_JOBS),
@@ -112,7 +125,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     store = args.store = Store(args.run_dir) if isinstance(args.run_dir, str) else None
     folder = args.run_dir = store.folder if store else args.run_dir.absolute()
     table = Table(args.table)
-    rows, wrong = localized(_chosen(table, args.only), store, args, console.context)
+    rows, wrong = localized(_chosen(table, args.scenes), store, args, console.context)
     table.wrong += wrong
     if args.dry_run:
         return _show(table, rows, _record(args, rows), console)
@@ -132,14 +145,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     return _finish(store.url if store else str(folder), states, console)
 
 
-def _chosen(table: Table, only: list[str]) -> list[Row]:
-    """The table's rows, or those that `--only` names; ConfigError if it names another."""
+def _chosen(table: Table, scenes: list[str]) -> list[Row]:
+    """The table's rows, or those that `--scene` names; ConfigError if it names another."""
     names = [row.name for row in table.rows]
-    unknown = [name for name in only if name not in names]
+    unknown = [name for name in scenes if name not in names]
     if unknown and not table.wrong:
         hint = f"The scenes are: {', '.join(names)}."
         raise ConfigError(f"There is no scene '{unknown[0]}'.", hint)
-    return [row for row in table.rows if not only or row.name in only]
+    return [row for row in table.rows if not scenes or row.name in scenes]
 
 
 def _record(args: argparse.Namespace, rows: Sequence[Row]) -> BatchRecord:

@@ -147,7 +147,7 @@ def test_a_dry_run_writes_nothing(
     shown = capsys.readouterr().out
     assert "3 objects in 2 scenes" in shown and "an estimate" in shown
     assert not (tmp_path / "run").exists()
-    assert main(["batch", str(table), "--run-dir", "x", "--dry-run", "--only", "cellar"]) == 2
+    assert main(["batch", str(table), "--run-dir", "x", "--dry-run", "--scene", "cellar"]) == 2
 
 
 def test_a_stop_and_a_scene_that_fails(

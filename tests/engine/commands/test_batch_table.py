@@ -98,6 +98,20 @@ def test_what_is_asked_for_wrongly(tmp_path: Path, capsys: pytest.CaptureFixture
     table = tmp_path / "t.toml"
     assert "needs TABLE and --run-dir" in refused(capsys, "batch", table)
     assert "Cannot read" in refused(capsys, "batch", table, "--run-dir", tmp_path / "run")
+    line = refused(capsys, "batch", table, "--run-dir", tmp_path / "run", "--only", "hall")
+    assert "--only chooses boxes" in line and "Use --scene NAME" in line
+
+
+def test_one_of_the_scenes(scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "t.toml"
+    rows = [f"[scenes.{n}]\nscene = '{scans / n}'\nroi = ['{BOX}']" for n in ("hall", "attic")]
+    table.write_text("\n".join(["[defaults]", "steps_factor = 0.003", *rows]), encoding="utf-8")
+    options = ("batch", table, "--run-dir", tmp_path / "run", "--dry-run", "--scene")
+    assert main([*map(str, options), "attic"]) == 0
+    shown = capsys.readouterr().out
+    assert "1 object in 1 scene," in shown and "\nattic " in shown and "hall" not in shown
+    line = refused(capsys, *options, "attci")
+    assert "There is no scene 'attci'. The scenes are: hall, attic." in line
 
 
 def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -> None:
