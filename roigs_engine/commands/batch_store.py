@@ -18,7 +18,7 @@ from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPO
 from ..photos.contents import FILE as CONTENTS
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import sign
-from ..storage.urls import file_system, folder_of, is_url
+from ..storage.urls import file_system, folder_of, is_url, refuse_lost
 from .batch_table import Row, Wrong
 from .values import PATH, Name
 
@@ -47,6 +47,7 @@ class Store:
 
     def __init__(self, url: str) -> None:
         """Raises ConfigError if the address cannot be used."""
+        refuse_lost(url)
         self.url = url
         self.folder = folder_of(url, BATCHES)
         self._found, self._place = file_system(url)
