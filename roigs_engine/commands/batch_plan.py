@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,6 +64,7 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     Raises:
         EngineError: the row cannot be done.
     """
+    from ..run.memory import stage_memory
     from ..run.strategies import plan_run
 
     args, quiet = copy(row.args), QuietConsole(console)
@@ -78,16 +79,20 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     outputs = outputs_of(row, folder, names)
     run, context = train.defined_run(args, quiet)
     if run is None:
-        parts = _parts(row, folder, [], (("", PHOTOS_WORK),), 0)
+        parts = _parts(row, folder, [], (("", PHOTOS_WORK),), {WHOLE: 0})
         parts += output_parts(row, folder, outputs)
         return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
-    memory = run.memory(context).total
+    whole = run.memory(context)
     plan = plan_run(run, compare, context)
     cut = cuts(plan) if row.command == run_command.NAME else []
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
     row = replace(row, blocks=run.config.blocks)  # `auto` is of this machine, for all of them
+    memory = {PREPARE: whole.total, WHOLE: whole.joining if cut else whole.total}
+    for stage in plan.stages:
+        given = (run.train_scene, run.config, whole, context.photo_memory)
+        memory[stage.name] = stage_memory(stage, *given)
     parts = _parts(row, folder, cut, own, memory) + output_parts(row, folder, outputs)
     done = record.is_done(row.name, row.digest, run, files_of_run(row, folder, names))
     missing = [output for output in outputs if done and not record.has_output(row.name, output)]
@@ -158,7 +163,7 @@ def _parts(
     folder: Path,
     cut: Sequence[Cut],
     own: tuple[tuple[str, float], ...],
-    memory: int,
+    memory: Mapping[str, int],
 ) -> tuple[Part, ...]:
     """The parts of a row's run."""
     run_dir = run_folder(row, folder)
@@ -167,7 +172,7 @@ def _parts(
     options += ["--blocks", str(row.blocks)] if row.blocks > 1 else []
 
     gpu = row.args.device != "cpu"
-    kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)
+    kind = Part(scene=row.name, name="", argv=(), gpu=gpu)
 
     def part(
         name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
@@ -175,8 +180,9 @@ def _parts(
         words = (*before, name) if row.command == run_command.NAME else ()
         argv = (*options, *(word for each in words for word in ("--part", each)))
         work = sum(share for _, share in stages)
+        needed = max(memory[stage] for stage in {name, *(n for n, _ in stages if n)})
         made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
-        return replace(made, staging=staging(row, folder, name))
+        return replace(made, memory=needed, staging=staging(row, folder, name))
 
     firsts = [each.name for each in cut if not each.needs]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
