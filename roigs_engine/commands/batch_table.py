@@ -19,6 +19,7 @@ from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
 from ..storage.urls import is_url
 from . import convert, run
+from .options import AUTO
 from .options_file import typed
 from .values import PATH, shown
 
@@ -124,6 +125,12 @@ class Table:
         found = {"compare": [], **defaults, **given}
         if "scene" not in found and len(self.wrong) == before:
             self._say(place, f"Scene '{name}' has no folder. Add scene = \"FOLDER\".")
+        if not (found.get("rois") or found.get("roi")) and len(self.wrong) == before:
+            self._say(
+                place,
+                f'Scene \'{name}\' has no box. Add rois = "FILE", or roi = ["{AUTO}"]: a box'
+                " around what most photos show.",
+            )
         if len(self.wrong) > before:
             return
         outputs, objects = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -67,14 +68,21 @@ def test_every_wrong_line_is_named_and_nothing_starts(
         f"roi = ['{BOX}']",
         '[scenes."result.ply"]',  # 15
         f"scene = '{scans / 'hall'}'",
+        "[scenes.five]",  # 17, no box
+        f"scene = '{scans / 'hall'}'",
+        "[scenes.six]",  # 19, boxes without a model
+        f"scene = '{shutil.copytree(scans / 'hall' / 'images', tmp_path / 'photos')}'",
+        f"roi = ['{BOX}']",
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
     run = tmp_path / "run"
     assert main(["batch", str(table), "--run-dir", str(run)]) == 2
     said = capsys.readouterr().err.splitlines()
     named = [line.partition("line ")[2].partition(":")[0] for line in said if "line " in line]
-    assert named == ["2", "3", "6", "7", "8", "9", "12", "15"], said
-    assert said[-1].startswith(f"error: {table} has 8 mistakes; nothing was started.")
+    assert named == ["2", "3", "6", "7", "8", "9", "12", "15", "17", "19"], said
+    assert "Scene 'five' has no box. Add rois = " in "".join(said)
+    assert '(roi = ["auto"] in a table)' in "".join(said)
+    assert said[-1].startswith(f"error: {table} has 10 mistakes; nothing was started.")
     assert not list(run.glob("*"))
 
 
