@@ -110,12 +110,14 @@ class Table:
         taken = first_taken(record[SCENES])
         if taken is not None:
             self._say((SCENES, taken), f"Another scene is called '{taken}', but for its case.")
+        self._check_outputs()
 
     def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
         """Add a scene, unless something is wrong with it."""
         place, before = (SCENES, name), len(self.wrong)
         if not is_file_name(name) or is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
-            self._say(place, f"A scene cannot be called {shown(name)}: its folder is.")
+            text = f"A scene cannot be called {shown(name)}, as its run folder is. Rename it."
+            self._say(place, text)
         if not isinstance(values, dict):
             self._say(place, f"'{name}' is {shown(values)}; write [{SCENES}.{name}].")
             return
@@ -140,6 +142,17 @@ class Table:
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in found.items()}
         row = Row(name=name, line=self._line(place), options=plain, args=args, outputs=outputs)
         self.rows.append(replace(row, object_outputs=objects, output_options=turned))
+
+    def _check_outputs(self) -> None:
+        """Two scenes must not write one file, nor a file where the other has its objects'."""
+        taken: dict[str, str] = {}
+        for row in self.rows:
+            places = [f"{row.name}{suffix}" for suffix in row.outputs]
+            for place in [*places, *([row.name] if row.object_outputs else [])]:
+                other = taken.setdefault(place.casefold(), row.name)
+                if other != row.name:
+                    text = f"Scenes '{other}' and '{row.name}' both write {BATCH_OUTPUTS}/{place}."
+                    self._say((SCENES, row.name), f"{text} Rename one.")
 
     def _check_head(self, record: dict[str, Any]) -> None:
         for key in record.keys() - {DEFAULTS, SCENES}:
@@ -181,12 +194,13 @@ class Table:
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             self._say(where, f"'{where[-1]}' is {shown(value)}; write a list such as [\"glb\"].")
             return []
-        found = [f".{item.lstrip('.').lower()}" for item in value]
+        found = list(dict.fromkeys(f".{item.lstrip('.').lower()}" for item in value))
         for suffix in found:
             try:
                 format_of(Path(f"result{suffix}"))
             except EngineError as error:
-                self._say(where, str(error))
+                text = f"'{where[-1]}' has {shown(suffix.lstrip('.'))}, which is no format."
+                self._say(where, f"{text} {error.hint}")
         return found
 
     def _absolute(self, value: Any) -> Any:

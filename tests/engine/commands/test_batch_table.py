@@ -169,6 +169,25 @@ def test_outputs_are_turned_as_convert_turns_them(scans: Path, tmp_path: Path) -
     assert (tmp_path / "outputs/a.glb").stat().st_size < (tmp_path / "outputs/b.glb").stat().st_size
 
 
+def test_two_scenes_do_not_write_one_file(scans: Path, tmp_path: Path) -> None:
+    table = tmp_path / "t.toml"
+    row = f"\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']\n"
+    lines = [
+        f"[scenes.a]{row}outputs = ['glb', '.GLB', 'compressed.ply']",
+        f"[scenes.'a.glb']{row}object_outputs = ['ply']",  # a folder of that name
+        f"[scenes.'A.compressed']{row}outputs = ['ply']",
+        f"[scenes.b]{row}outputs = ['ply', 'no such']",
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    found = Table(table)
+    assert found.rows[0].outputs == (".glb", ".compressed.ply")
+    assert [(wrong.line, wrong.text.partition(".")[0]) for wrong in found.wrong] == [
+        (16, "'outputs' has 'no such', which is no format"),
+        (5, "Scenes 'a' and 'a"),
+        (9, "Scenes 'a' and 'A"),
+    ]
+
+
 def test_a_misspelt_head_is_named_with_its_line(
     scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
