@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
+from ..formats.clean_up import is_run_folder
 from ..formats.files import write_json
 from ..formats.lock import locked
 from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
@@ -122,6 +123,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         )
     if args.jobs and args.cluster:
         raise ConfigError("--jobs is for this machine.", "Leave it out with --cluster.")
+    if isinstance(args.run_dir, Path) and is_run_folder(args.run_dir):
+        raise ConfigError(
+            f"{args.run_dir} is the folder of one run, whose report a batch would replace.",
+            "Choose another --run-dir.",
+        )
     store = args.store = Store(args.run_dir) if isinstance(args.run_dir, str) else None
     folder = args.run_dir = store.folder if store else args.run_dir.absolute()
     table = Table(args.table)

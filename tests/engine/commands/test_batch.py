@@ -12,7 +12,7 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from roigs_engine.formats.splat_ply import read_ply
-from tests.engine.commands.command_line import start
+from tests.engine.commands.command_line import refused, start
 from tests.engine.commands.forked_engines import forked_engines
 from tests.engine.killing import timeless
 from tests.engine.synthetic_colmap import write_project
@@ -105,6 +105,14 @@ def test_done_objects_are_not_done_again(
     assert capsys.readouterr().out.count(" done\n") == 2
     assert main(["batch", table, "--run-dir", str(finished / "run")]) == 0
     assert {p: p.stat().st_mtime_ns for p in (finished / "run").rglob("*.ply")} == before
+
+
+def test_a_run_folder_is_not_the_folder_of_a_batch(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = finished / "run" / "attic"
+    line = refused(capsys, "batch", finished / "museum.toml", "--run-dir", place)
+    assert "is the folder of one run" in line and not (place / "attic").exists()
 
 
 def times(folder: Path) -> dict[str, int]:
