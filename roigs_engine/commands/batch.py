@@ -231,7 +231,8 @@ def _execute(
             written_at = time.monotonic()
 
     def show_page() -> None:
-        write_batch_page(folder, scheduler.scenes.values())
+        is_there = args.store.is_there if args.store else None
+        write_batch_page(folder, scheduler.scenes.values(), is_there)
         if args.store:
             args.store.put(BATCH, REPORT_PAGE)
 

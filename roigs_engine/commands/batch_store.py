@@ -51,6 +51,7 @@ class Store:
         self.url = url
         self.folder = folder_of(url, BATCHES)
         self._found, self._place = file_system(url)
+        self._there: set[str] = set()
 
     @contextmanager
     def held(self, context: Context) -> Iterator[None]:
@@ -80,8 +81,16 @@ class Store:
 
     def fetch(self, name: str) -> None:
         """Copy here what the page and the record need of a run."""
-        run = stored_run(self.url, name)
-        run.fetch(self.folder / name, lambda file: file in SHOWN or file.startswith(f"{CROPS}/"))
+
+        def wanted(file: str) -> bool:
+            self._there.add(f"{name}/{file}")
+            return file in SHOWN or file.startswith(f"{CROPS}/")
+
+        stored_run(self.url, name).fetch(self.folder / name, wanted)
+
+    def is_there(self, name: str) -> bool:
+        """Whether a run that was fetched has a file, by its name in the batch's folder."""
+        return name in self._there
 
     def stamp(self, name: str) -> list[Any]:
         """What changes with a file of the batch's folder; OSError if it is gone."""

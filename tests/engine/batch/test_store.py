@@ -80,7 +80,8 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
         row.write_text(json.dumps(record), encoding="utf-8")
         assert main(["run", str(row), "--run-dir", str(tmp_path / "hand" / name)]) == 0
         assert got == contents(tmp_path / "hand" / name)
-    assert "3 of 3 objects done" in memory_store.cat("/museum/runs/report.html").decode()
+    page = memory_store.cat("/museum/runs/report.html").decode()
+    assert "3 of 3 objects done" in page and page.count('href="hall/rois/') == 2
     capsys.readouterr()
     assert main(["batch", str(table), "--run-dir", RUNS, "--dry-run"]) == 0
     assert capsys.readouterr().out.count(" done\n") == 2
