@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import EngineError, RunFolderError
 from ..formats.files import read_json, write_json
-from ..formats.run_files import BATCH, MANIFEST, REPORT_DATA, RESULT
+from ..formats.run_files import BATCH, BATCH_OUTPUTS, MANIFEST, REPORT_DATA, RESULT
 from ..formats.text import json_digest
 from ..run.definition import Run
 from ..run.manifest import from_json, manifest_difference, read_manifest
@@ -114,8 +115,13 @@ class BatchRecord:
         self._write()
 
     def left_over(self, name: str, outputs: Iterable[Output]) -> list[str]:
-        """The outputs that were made for a scene and that it has no longer."""
-        return sorted(self._made(name).keys() - {output.name for output in outputs})
+        """The outputs that are there, made for a scene that has them no longer."""
+        found = []
+        for place in sorted(self._made(name).keys() - {output.name for output in outputs}):
+            with suppress(OSError):
+                self._stamp(self.folder / BATCH_OUTPUTS / place)
+                found.append(place)
+        return found
 
     def _made(self, name: str) -> dict[str, Any]:
         """The outputs of a scene: their place -> options and stamp."""
