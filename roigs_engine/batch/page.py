@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +21,7 @@ from .board import duration
 from .engine_process import DONE, FAILED
 from .schedule import SceneState
 
+IsThere = Callable[[str], bool]
 THUMBNAIL = 160  # pixels of the longer side
 MOST_KEPT = 2000  # of about 4 KB each
 COLUMNS = ("", "Scene", "Object", "State", "PSNR, dB", "SSIM", "Gaussians", "Training", "Files")
@@ -41,8 +42,15 @@ class ObjectRow:
     scores: dict[str, Any]
 
 
-def write_batch_page(folder: Path, scenes: Iterable[SceneState]) -> Path:
+def write_batch_page(
+    folder: Path, scenes: Iterable[SceneState], is_there: IsThere | None = None
+) -> Path:
     """Write the page over all scenes; returns its path.
+
+    Args:
+        folder: of the batch.
+        scenes: how far they are.
+        is_there: whether there is a file of that name beside the page; None: look in the folder.
 
     Raises:
         RunFolderError: it cannot be written.
@@ -50,7 +58,8 @@ def write_batch_page(folder: Path, scenes: Iterable[SceneState]) -> Path:
     path = folder / REPORT_PAGE
     rows = [row for scene in scenes for row in _rows(folder, scene)]
     rows.sort(key=lambda row: row.state != FAILED)  # first what somebody has to look at
-    write_text(path, _page(folder, rows), durable=False)
+    is_there = is_there or (lambda name: (folder / name).exists())
+    write_text(path, _page(folder, rows, is_there), durable=False)
     return path
 
 
@@ -77,7 +86,7 @@ def _rows(folder: Path, scene: SceneState) -> list[ObjectRow]:
     ]
 
 
-def _page(folder: Path, rows: Sequence[ObjectRow]) -> str:
+def _page(folder: Path, rows: Sequence[ObjectRow], is_there: IsThere) -> str:
     done = sum(row.state == DONE for row in rows)
     failed = sum(row.state == FAILED for row in rows)
     title = f"{done} of {counted(len(rows), 'object')} done"
@@ -94,7 +103,7 @@ def _page(folder: Path, rows: Sequence[ObjectRow]) -> str:
         f"<style>{STYLE}\n{CLEAR}</style>",
         f"<h1>{_text(title)}</h1>",
         f'<div class="wide"><table><tr>{heads}</tr>',
-        *(_row(folder, row) for row in rows),
+        *(_row(folder, row, is_there) for row in rows),
         "</table></div>",
         "</html>",
         "",
@@ -102,7 +111,7 @@ def _page(folder: Path, rows: Sequence[ObjectRow]) -> str:
     return "\n".join(parts)
 
 
-def _row(folder: Path, row: ObjectRow) -> str:
+def _row(folder: Path, row: ObjectRow, is_there: IsThere) -> str:
     scores = row.scores
     if row.state == FAILED:  # its reason has the room of the numbers that it lacks
         rest = f'<td class="failed" colspan="{len(COLUMNS) - 3}">failed: {_text(row.reason)}</td>'
@@ -116,22 +125,19 @@ def _row(folder: Path, row: ObjectRow) -> str:
         _number(scores.get("roi_ssim"), "{:.3f}"),
         _number(scores.get("gaussians_in_box"), "{:,}"),
         _text(duration(scores["seconds"])) if _is_number(scores.get("seconds")) else "",
-        _links(folder, row) if row.state == DONE else "",
+        _links(row, is_there) if row.state == DONE else "",
     ]
     return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
 
-def _links(folder: Path, row: ObjectRow) -> str:
+def _links(row: ObjectRow, is_there: IsThere) -> str:
     """Links to what the object's run folder has."""
-    names = {
-        "report": REPORT_PAGE,
-        "object": f"{FINE}/{row.name}.ply",
-        "scene": RESULT,
-    }
-    found = {what: name for what, name in names.items() if (folder / row.scene / name).exists()}
+    names = {"report": REPORT_PAGE, "object": f"{FINE}/{row.name}.ply", "scene": RESULT}
+    found = {what: f"{row.scene}/{name}" for what, name in names.items()}
     return " ".join(
-        f'<a href="{html.escape(quote(f"{row.scene}/{name}"))}">{what}</a>'
+        f'<a href="{html.escape(quote(name))}">{what}</a>'
         for what, name in found.items()
+        if is_there(name)
     )
 
 

@@ -22,6 +22,7 @@ CONNECT_SECONDS = 10.0
 LOOK_EVERY, POLL = 5.0, 0.5  # seconds
 JOIN_SECONDS, START_SECONDS = 50.0, 300.0  # to join a cluster, and to start one here
 MOST_MISSED = 3  # looks for the head may fail until the cluster counts as gone
+NO_RAY = "any running Ray instance"  # Ray's words, where `auto` finds none
 LOOPBACK, CLIENT = "127.0.0.1", "ray://"
 SMALL_STORE = 80 << 20  # bytes: parts pass files, not objects
 
@@ -155,10 +156,16 @@ def _connected(address: str) -> Any:
 
 def _nothing_there(address: str, error: Exception) -> ConfigError:
     reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    if address == "auto" and NO_RAY in reason:
+        return ConfigError(
+            "--cluster auto found no Ray cluster that this machine is part of.",
+            "Start one here with `ray start --head`, join one with `ray start --address=HOST:6379`,"
+            " or use --cluster local, a Ray of this machine alone.",
+        )
     return ConfigError(
         f"There is no Ray cluster at {address} ({reason:.100}).",
-        "Start one with `ray start --head`, or use --cluster local. If it wants a token, set"
-        " RAY_AUTH_MODE=token (docs/many.md).",
+        "Start one there with `ray start --head`, correct the address, or use --cluster local. If"
+        " it wants a token, set RAY_AUTH_MODE=token (docs/many.md).",
     )
 
 

@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import EngineError, RunFolderError
 from ..formats.files import read_json, write_json
-from ..formats.run_files import BATCH, MANIFEST, REPORT_DATA, RESULT
+from ..formats.run_files import BATCH, BATCH_OUTPUTS, MANIFEST, REPORT_DATA, RESULT
 from ..formats.text import json_digest
 from ..run.definition import Run
 from ..run.manifest import from_json, manifest_difference, read_manifest
 
-VERSION = 1
+VERSION = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """A file that a batch writes beside its run folders.
+
+    Attributes:
+        name: its place in the folder of outputs.
+        source: the PLY that it is made of.
+        path: where it is.
+        options: words of the command line that makes it.
+    """
+
+    name: str
+    source: Path
+    path: Path
+    options: tuple[str, ...] = ()
 
 
 class BatchRecord:
@@ -35,13 +54,13 @@ class BatchRecord:
             pass
 
     def is_done(self, name: str, row: str, run: Run, files: Iterable[Path]) -> bool:
-        """Whether a scene is finished as the table has it now.
+        """Whether the run of a scene is finished as the table has it now.
 
         Args:
             name: of the scene.
             row: digest of its row.
             run: of its row; its photos are hashed if an engine has read them before.
-            files: what it writes.
+            files: what it writes that others read.
         """
         known = self._scenes.get(name)
         if not isinstance(known, dict) or known.get("row") != row:
@@ -57,7 +76,7 @@ class BatchRecord:
             return False
 
     def add(self, name: str, row: str, folder: Path, files: Iterable[Path]) -> None:
-        """Write down that a scene is finished.
+        """Write down that the run of a scene is finished; its outputs are to be made of it.
 
         Args:
             name, row, files: as `is_done`.
@@ -72,16 +91,57 @@ class BatchRecord:
                 "row": row,
                 "manifest": json_digest(read_manifest(folder / MANIFEST)),
                 "files": self._stamps(folder, files),
+                "outputs": {},
             }
         except OSError as error:
-            raise RunFolderError(f"Cannot read {error.filename} ({error.strerror}).") from error
+            raise _unreadable(error) from error
+        self._write()
+
+    def has_output(self, name: str, output: Output) -> bool:
+        """Whether an output of a scene whose run is finished is as the table has it now."""
+        try:
+            made = self._made(name).get(output.name)
+            return made == [list(output.options), self._stamp(output.path)]
+        except OSError:
+            return False
+
+    def add_output(self, name: str, output: Output) -> None:
+        """Write down that an output of a scene is made; raises as `add`."""
+        try:
+            stamp = self._stamp(output.path)
+        except OSError as error:
+            raise _unreadable(error) from error
+        self._made(name)[output.name] = [list(output.options), stamp]
+        self._write()
+
+    def left_over(self, name: str, outputs: Iterable[Output]) -> list[str]:
+        """The outputs that are there, made for a scene that has them no longer."""
+        found = []
+        for place in sorted(self._made(name).keys() - {output.name for output in outputs}):
+            with suppress(OSError):
+                self._stamp(self.folder / BATCH_OUTPUTS / place)
+                found.append(place)
+        return found
+
+    def _made(self, name: str) -> dict[str, Any]:
+        """The outputs of a scene: their place -> options and stamp."""
+        known = self._scenes.get(name)
+        found = known.get("outputs") if isinstance(known, dict) else None
+        return found if isinstance(found, dict) else {}
+
+    def _write(self) -> None:
         write_json(self.folder / BATCH, {"version": VERSION, "scenes": self._scenes})
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
-        """Size and time of files, by their place in the batch's folder; OSError if one is gone."""
-        found = {}
-        for path in (run / RESULT, run / REPORT_DATA, *files):
-            status = path.stat()
-            place = path.relative_to(self.folder).as_posix()
-            found[place] = [status.st_size, status.st_mtime_ns]
-        return found
+        """What changes with files, by their place in the batch's folder; OSError if one is gone."""
+        paths = (run / RESULT, run / REPORT_DATA, *files)
+        return {path.relative_to(self.folder).as_posix(): self._stamp(path) for path in paths}
+
+    def _stamp(self, path: Path) -> list[Any]:
+        """What changes with a file: size and time; OSError if it is gone."""
+        status = path.stat()
+        return [status.st_size, status.st_mtime_ns]
+
+
+def _unreadable(error: OSError) -> RunFolderError:
+    return RunFolderError(f"Cannot read {error.filename} ({error.strerror}).")

@@ -16,10 +16,11 @@ from ..context import Context
 from ..errors import EngineError, Stopped
 from ..formats.events import Record
 from ..formats.files import write_json
-from ..formats.run_files import BATCH_ROWS, CHECKPOINT
+from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, CHECKPOINT
 from ..storage.commits import StoredRun
 from ..storage.lease import Lease, LeaseTakenError
-from ..storage.mirror import keep, mirror
+from ..storage.mirror import SCENES, mirror
+from ..storage.room import claim, keep, limit, make_room
 from ..storage.urls import file_system, folder_of, is_url
 from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
 
@@ -50,7 +51,7 @@ class Staging:
 
 
 def batch_folder(url: str) -> Path:
-    """This machine's folder for a batch on a store."""
+    """This machine's folder for run folders of a batch on a store."""
     return folder_of(url, RUNS)
 
 
@@ -112,8 +113,10 @@ def _leased(
     emit: Callable[[Record], None],
     context: Context,
 ) -> Outcome:
+    limit()
     home = batch_folder(staging.url)
     folder = home / staging.run
+    claim(context, folder, home / BATCH_ROWS, home / BATCH_OUTPUTS)
     write_json(home / BATCH_ROWS / f"{staging.run}.json", local_options(staging.options, context))
     run.fetch(folder)
     words = [word.replace(staging.base, str(home)) for word in argv]
@@ -125,8 +128,10 @@ def _leased(
         out = Path(words[-1])
         if ended.state == DONE:
             run.put_beside(out, out.relative_to(home).as_posix())
+            out.unlink()
     elif ended.state in (DONE, STOPPED):
         run.publish(folder, staging.part, last=staging.last and ended.state == DONE)
+    make_room()
     return ended
 
 
@@ -134,15 +139,16 @@ def _leased(
 def _at_work(run: StoredRun, folder: Path, staging: Staging, lease: Lease) -> Iterator[None]:
     """Publish checkpoints as the engine writes them, for the machine that goes on if this ends.
 
-    The copies that the engine reads are kept.
+    The copies that the engine uses are kept.
     """
     ended = threading.Event()
     known: dict[str, int] = {}
 
     def work() -> None:
         while not ended.wait(PUBLISH_SECONDS):
+            keep(folder)
             for url in filter(is_url, (str(staging.options.get(key)) for key in INPUTS)):
-                keep(_folder_and_file(url)[0])
+                keep(folder_of(_folder_and_file(url)[0], SCENES))
             now = {
                 p.relative_to(folder).as_posix(): p.stat().st_mtime_ns
                 for p in folder.rglob(CHECKPOINT)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..formats.text import json_digest
 from ..run.plan import Plan, Stage
-from .parts import ScenePlan, chains, stage_work
+from .parts import WHOLE, ScenePlan, chains, stage_work
 
 if TYPE_CHECKING:
     from ..context import Context
@@ -39,7 +39,7 @@ class Times:
             context: gives the device; checked for cancellation.
         """
         found = {part.key: 0.0 if scene.done else START for part in scene.parts}
-        if scene.done or run is None or plan is None:
+        if run is None or plan is None or scene.done or (scene.name, WHOLE) not in found:
             return found
         from ..run.forecast import forecast
 
@@ -53,7 +53,7 @@ class Times:
         for chain in chains(plan):
             seconds = sum(self._rates[kinds[s.name]] * stage_work(s) for s in chain)
             key = (scene.name, chain[-1].name)
-            found[key if key in found else (scene.name, "all")] += seconds
+            found[key if key in found else (scene.name, WHOLE)] += seconds
         return found
 
 

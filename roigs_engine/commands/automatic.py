@@ -110,8 +110,9 @@ def check_photos(args: argparse.Namespace) -> bool:
         )
     if not is_auto(args) and not model_suffix(project_of(args) / "sparse/0"):
         raise ConfigError(
-            f"{args.scene} has no COLMAP model, in whose frame boxes are.",
-            f"Use --roi {AUTO}, or make the model first (`reconstruct`).",
+            f"{args.scene} has no COLMAP model, so boxes have no coordinates yet.",
+            f'Use --roi {AUTO} instead of boxes (roi = ["{AUTO}"] in a table), or make the model'
+            " first (`reconstruct`).",
         )
     return True
 

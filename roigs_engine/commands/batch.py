@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING
 
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
+from ..formats.clean_up import is_run_folder
 from ..formats.files import write_json
 from ..formats.lock import locked
-from ..formats.run_files import BATCH, BATCH_LOCK, REPORT_PAGE
+from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
 from ..formats.text import counted
 from ..storage.urls import is_url
 from .batch_init import write_table
-from .batch_plan import checked_plans, options_path, plan_row, written
+from .batch_outputs import files_of_run, outputs_of
+from .batch_plan import checked_plans, options_path, plan_row
 from .batch_store import PLACE, Store, StoredRecord, localized
 from .batch_table import Row, Table
 from .console import Console
@@ -43,6 +45,17 @@ EXAMPLES = """\
   python -m roigs_engine batch museum.toml --run-dir runs/museum --cluster auto"""
 
 
+class OnlyIsForBoxes(argparse.Action):
+    """Says which option chooses scenes."""
+
+    def __call__(self, *_: object) -> None:
+        """Raise a ConfigError."""
+        raise ConfigError(
+            "--only chooses boxes, and a batch is of scenes.",
+            "Use --scene NAME for one of them; for boxes, write `only` in the table.",
+        )
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument(
@@ -62,13 +75,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
     )
     parser.add_argument(
-        "--only",
+        "--scene",
+        dest="scenes",
         type=NAME,
         action="append",
         default=[],
-        metavar="SCENE",
-        help="only the scene of this name; repeatable",
+        metavar="NAME",
+        help="do the scene of this name only; repeatable",
     )
+    parser.add_argument("--only", action=OnlyIsForBoxes, help=argparse.SUPPRESS)
     parser.add_argument(
         "--jobs",
         type=integer(1, MOST_JOBS),
@@ -109,10 +124,15 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         )
     if args.jobs and args.cluster:
         raise ConfigError("--jobs is for this machine.", "Leave it out with --cluster.")
+    if isinstance(args.run_dir, Path) and is_run_folder(args.run_dir):
+        raise ConfigError(
+            f"{args.run_dir} is the folder of one run, whose report a batch would replace.",
+            "Choose another --run-dir.",
+        )
     store = args.store = Store(args.run_dir) if isinstance(args.run_dir, str) else None
     folder = args.run_dir = store.folder if store else args.run_dir.absolute()
     table = Table(args.table)
-    rows, wrong = localized(_chosen(table, args.only), store, args, console.context)
+    rows, wrong = localized(_chosen(table, args.scenes), store, args, console.context)
     table.wrong += wrong
     if args.dry_run:
         return _show(table, rows, _record(args, rows), console)
@@ -132,14 +152,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     return _finish(store.url if store else str(folder), states, console)
 
 
-def _chosen(table: Table, only: list[str]) -> list[Row]:
-    """The table's rows, or those that `--only` names; ConfigError if it names another."""
+def _chosen(table: Table, scenes: list[str]) -> list[Row]:
+    """The table's rows, or those that `--scene` names; ConfigError if it names another."""
     names = [row.name for row in table.rows]
-    unknown = [name for name in only if name not in names]
+    unknown = [name for name in scenes if name not in names]
     if unknown and not table.wrong:
         hint = f"The scenes are: {', '.join(names)}."
         raise ConfigError(f"There is no scene '{unknown[0]}'.", hint)
-    return [row for row in table.rows if not only or row.name in only]
+    return [row for row in table.rows if not scenes or row.name in scenes]
 
 
 def _record(args: argparse.Namespace, rows: Sequence[Row]) -> BatchRecord:
@@ -200,13 +220,10 @@ def _execute(
 
     def told(scene: SceneState, part: PartState, report: Record | Outcome) -> None:
         nonlocal written_at
-        if isinstance(report, Outcome) and scene.state == DONE:
+        if isinstance(report, Outcome) and part.state == DONE:
             row = by_name[scene.plan.name]
-            files = written(row, folder, scene.plan.objects)
             try:
-                if args.store:
-                    args.store.fetch(row.name)
-                record.add(row.name, row.digest, folder / row.name, files)
+                _note(args, record, row, scene, part, context)
             except EngineError as error:
                 context.warn(f"{row.name}: {error} The next batch looks at this scene again.")
         shown.take(scene, part, report)
@@ -215,7 +232,8 @@ def _execute(
             written_at = time.monotonic()
 
     def show_page() -> None:
-        write_batch_page(folder, scheduler.scenes.values())
+        is_there = args.store.is_there if args.store else None
+        write_batch_page(folder, scheduler.scenes.values(), is_there)
         if args.store:
             args.store.put(BATCH, REPORT_PAGE)
 
@@ -231,6 +249,29 @@ def _execute(
         shown.draw(now=True)
         show_page()
     return list(scheduler.scenes.values())
+
+
+def _note(
+    args: argparse.Namespace,
+    record: BatchRecord,
+    row: Row,
+    scene: SceneState,
+    part: PartState,
+    context: Context,
+) -> None:
+    """Write down what a part has finished; raises as `BatchRecord.add`."""
+    from ..batch.parts import WHOLE
+
+    folder, objects = args.run_dir, scene.plan.objects
+    outputs = {output.name: output for output in outputs_of(row, folder, objects)}
+    if part.part.name in outputs:
+        record.add_output(row.name, outputs[part.part.name])
+    elif part.part.name == WHOLE:
+        for name in record.left_over(row.name, outputs.values()):
+            context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
+        if args.store:
+            args.store.fetch(row.name)
+        record.add(row.name, row.digest, folder / row.name, files_of_run(row, folder, objects))
 
 
 def _finish(where: str, states: Sequence[SceneState], console: Console) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
 from ..batch.record import BatchRecord
-from ..batch.staged import Staging
 from ..errors import ConfigError, EngineError
 from ..formats import run_files
 from ..formats.events import Event
 from ..formats.text import counted
-from ..machine import ENGINE
 from . import run as run_command
 from . import train
 from .automatic import box_names
+from .batch_outputs import files_of_run, output_parts, outputs_of, run_folder
+from .batch_store import staging
 from .batch_table import Row, Table, Wrong
 from .console import Console
 
@@ -64,6 +64,7 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
     Raises:
         EngineError: the row cannot be done.
     """
+    from ..run.memory import stage_memory
     from ..run.strategies import plan_run
 
     args, quiet = copy(row.args), QuietConsole(console)
@@ -75,28 +76,30 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, console: Console) -> P
         compare = run_command.compared(args)
         run_command.check(args)
     names = tuple(box_names(args, args.run_dir))
+    outputs = outputs_of(row, folder, names)
     run, context = train.defined_run(args, quiet)
     if run is None:
-        parts = _parts(row, folder, names, [], (("", PHOTOS_WORK),), 0)
+        parts = _parts(row, folder, [], (("", PHOTOS_WORK),), {WHOLE: 0})
+        parts += output_parts(row, folder, outputs)
         return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
-    memory = run.memory(context).total
+    whole = run.memory(context)
     plan = plan_run(run, compare, context)
     cut = cuts(plan) if row.command == run_command.NAME else []
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
     row = replace(row, blocks=run.config.blocks)  # `auto` is of this machine, for all of them
-    parts = _parts(row, folder, tuple(roi.name for roi in run.rois), cut, own, memory)
-    done = record.is_done(row.name, row.digest, run, written(row, folder, names))
-    scene = replace(_scene(row, names, parts, plan), done=done)
+    memory = {PREPARE: whole.total, WHOLE: whole.joining if cut else whole.total}
+    for stage in plan.stages:
+        given = (run.train_scene, run.config, whole, context.photo_memory)
+        memory[stage.name] = stage_memory(stage, *given)
+    parts = _parts(row, folder, cut, own, memory) + output_parts(row, folder, outputs)
+    done = record.is_done(row.name, row.digest, run, files_of_run(row, folder, names))
+    missing = [output for output in outputs if done and not record.has_output(row.name, output)]
+    if missing:
+        parts = output_parts(row, folder, missing, needs=())
+    scene = replace(_scene(row, names, parts, plan), done=done and not missing)
     return Planned(scene=scene, run=run, plan=plan, context=context)
-
-
-def written(row: Row, folder: Path, objects: Sequence[str]) -> list[Path]:
-    """The files that a row writes outside its run folder."""
-    out = folder / run_files.BATCH_OUTPUTS
-    whole = [out / f"{row.name}{suffix}" for suffix in row.outputs]
-    return whole + [out / row.name / f"{o}{s}" for s in row.object_outputs for o in objects]
 
 
 def checked_plans(
@@ -132,11 +135,6 @@ def checked_plans(
     return device, scenes
 
 
-def run_folder(row: Row, folder: Path) -> Path:
-    """The run folder of a row."""
-    return row.home or folder / row.name
-
-
 def options_path(row: Row, folder: Path) -> Path:
     """The options file of a row, which its engines read."""
     if row.home is not None:
@@ -163,19 +161,18 @@ def _scene(
 def _parts(
     row: Row,
     folder: Path,
-    objects: Sequence[str],
     cut: Sequence[Cut],
     own: tuple[tuple[str, float], ...],
-    memory: int,
+    memory: Mapping[str, int],
 ) -> tuple[Part, ...]:
-    """The parts of a row: of its run, then its outputs."""
+    """The parts of a row's run."""
     run_dir = run_folder(row, folder)
     options = [row.command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
     options += ["--update"] if row.args.update else []
     options += ["--blocks", str(row.blocks)] if row.blocks > 1 else []
 
     gpu = row.args.device != "cpu"
-    kind = Part(scene=row.name, name="", argv=(), memory=memory, gpu=gpu)
+    kind = Part(scene=row.name, name="", argv=(), gpu=gpu)
 
     def part(
         name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
@@ -183,8 +180,9 @@ def _parts(
         words = (*before, name) if row.command == run_command.NAME else ()
         argv = (*options, *(word for each in words for word in ("--part", each)))
         work = sum(share for _, share in stages)
+        needed = max(memory[stage] for stage in {name, *(n for n, _ in stages if n)})
         made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
-        return replace(made, staging=_staging(row, folder, name))
+        return replace(made, memory=needed, staging=staging(row, folder, name))
 
     firsts = [each.name for each in cut if not each.needs]
     found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
@@ -193,29 +191,4 @@ def _parts(
         before = (PREPARE,) if firsts == [each.name] else ()
         found.append(part(each.name, each.needs or opened, each.stages, *before))
     found.append(part(WHOLE, tuple(other.name for other in found), own))
-    sources = [(run_dir / run_files.RESULT, s) for s in row.outputs] + [
-        (run_dir / run_files.FINE / f"{name}.ply", suffix)
-        for suffix in row.object_outputs
-        for name in objects
-    ]
-    for (source, _), out in zip(sources, written(row, folder, objects), strict=True):
-        name = out.relative_to(folder / run_files.BATCH_OUTPUTS).as_posix()
-        argv = ("convert", str(source), str(out))
-        made = Part(scene=row.name, name=name, argv=argv, needs=(WHOLE,), memory=4 * ENGINE)
-        made = replace(made, staging=_staging(row, folder, name))
-        found.append(made)
     return tuple(found)
-
-
-def _staging(row: Row, folder: Path, part: str) -> Staging | None:
-    """Where a part's files are, if the batch is on a store."""
-    if not row.store:
-        return None
-    return Staging(
-        url=row.store,
-        base=str(folder),
-        run=row.name,
-        part=part,
-        last=part == WHOLE,
-        options=row.asked or row.options,
-    )

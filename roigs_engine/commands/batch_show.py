@@ -12,7 +12,7 @@ from ..batch.board import Board, duration
 from ..batch.engine_process import DONE, Outcome
 from ..batch.makespan import makespan
 from ..batch.moves import PartState
-from ..batch.parts import ScenePlan
+from ..batch.parts import WHOLE, ScenePlan
 from ..batch.schedule import SceneState
 from ..formats.events import Event, Message, Preview, Progress, Record, StageStarted
 from ..formats.text import counted, in_gb, printable
@@ -153,5 +153,5 @@ def _row(scene: ScenePlan, seconds: Mapping[tuple[str, str], float]) -> tuple[st
         f"{sum(stage.steps for stage in scene.stages):,}" if scene.stages else "?",
         in_gb(memory) if scene.stages else "?",
         f"{sum(seconds[part.key] for part in scene.parts) / 60:.1f}" if scene.stages else "?",
-        "done" if scene.done else "",
+        "done" if scene.done else "" if WHOLE in {p.name for p in scene.parts} else "outputs",
     )

@@ -9,17 +9,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..batch.parts import WHOLE
 from ..batch.record import BatchRecord
-from ..batch.staged import batch_folder, local_options, stored_run
+from ..batch.staged import Staging, local_options, stored_run
 from ..context import Context
 from ..errors import ConfigError, EngineError, RunFolderError
 from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
 from ..photos.contents import FILE as CONTENTS
 from ..storage.lease import Lease, LeaseTakenError
-from ..storage.urls import file_system, is_url
+from ..storage.mirror import sign
+from ..storage.urls import file_system, folder_of, is_url, refuse_lost
 from .batch_table import Row, Wrong
 from .values import PATH, Name
 
+BATCHES = "batches"
 SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
 """Files of a run that the page and the record of a batch need, beside its pictures."""
 
@@ -36,7 +39,7 @@ PLACE = PlaceName()
 
 
 class Store:
-    """The folder of a batch on a store, and its copy here.
+    """The folder of a batch on a store, and a copy here of what its page needs.
 
     Args:
         url: of the folder.
@@ -44,9 +47,11 @@ class Store:
 
     def __init__(self, url: str) -> None:
         """Raises ConfigError if the address cannot be used."""
+        refuse_lost(url)
         self.url = url
-        self.folder = batch_folder(url)
+        self.folder = folder_of(url, BATCHES)
         self._found, self._place = file_system(url)
+        self._there: set[str] = set()
 
     @contextmanager
     def held(self, context: Context) -> Iterator[None]:
@@ -76,8 +81,20 @@ class Store:
 
     def fetch(self, name: str) -> None:
         """Copy here what the page and the record need of a run."""
-        run = stored_run(self.url, name)
-        run.fetch(self.folder / name, lambda file: file in SHOWN or file.startswith(f"{CROPS}/"))
+
+        def wanted(file: str) -> bool:
+            self._there.add(f"{name}/{file}")
+            return file in SHOWN or file.startswith(f"{CROPS}/")
+
+        stored_run(self.url, name).fetch(self.folder / name, wanted)
+
+    def is_there(self, name: str) -> bool:
+        """Whether a run that was fetched has a file, by its name in the batch's folder."""
+        return name in self._there
+
+    def stamp(self, name: str) -> list[Any]:
+        """What changes with a file of the batch's folder; OSError if it is gone."""
+        return sign(self._found.info(f"{self._place}/{name}"))
 
     def put(self, *names: str) -> None:
         """Publish files of the batch's folder, by their names."""
@@ -93,7 +110,7 @@ class StoredRecord(BatchRecord):
     """What is done on a store: files by their hashes, as no copy of them needs to be here."""
 
     def __init__(self, store: Store) -> None:
-        self._url = store.url
+        self._url, self._store = store.url, store
         super().__init__(store.folder)
 
     def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
@@ -101,6 +118,9 @@ class StoredRecord(BatchRecord):
         if not entries:
             raise FileNotFoundError(2, "nothing is published", str(run))
         return {name: [entries[name]["size"], entries[name]["sha"]] for name in sorted(entries)}
+
+    def _stamp(self, path: Path) -> list[Any]:
+        return self._store.stamp(path.relative_to(self.folder).as_posix())
 
 
 def localized(
@@ -134,6 +154,20 @@ def localized(
         url = store.url if store else ""
         found.append(replace(row, store=url, elsewhere=bool(args.cluster)))
     return found, wrong
+
+
+def staging(row: Row, folder: Path, part: str) -> Staging | None:
+    """Where a part's files are; None: the batch is not on a store. `folder` is of the batch."""
+    if not row.store:
+        return None
+    return Staging(
+        url=row.store,
+        base=str(folder),
+        run=row.name,
+        part=part,
+        last=part == WHOLE,
+        options=row.asked or row.options,
+    )
 
 
 def _unusable(url: str, error: OSError) -> RunFolderError:

@@ -18,7 +18,8 @@ from ..formats.names import first_taken, is_file_name
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
 from ..storage.urls import is_url
-from . import run
+from . import convert, run
+from .options import AUTO
 from .options_file import typed
 from .values import PATH, shown
 
@@ -26,6 +27,7 @@ DEFAULTS, SCENES = "defaults", "scenes"
 OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
 NO_KEYS = {"help", "events", "run_dir", "update", "dry_run", "part", "threads"}
 NO_KEYS |= {"cluster"}
+OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
 NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
 HEADER, KEY = re.compile(r"\s*\[+\s*(.*?)\s*\]+"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
 
@@ -49,6 +51,7 @@ class Row:
         args: the same as the command line gives them, without a run folder.
         outputs: suffixes of files to write of the result.
         object_outputs: the same of each object.
+        output_options: of `convert`, for these files.
         command: `run` or `train`.
         home: its run folder, if that is not in the folder of a batch.
         store: address of the batch's folder, if that is on a store.
@@ -63,6 +66,7 @@ class Row:
     args: argparse.Namespace = field(repr=False)
     outputs: tuple[str, ...] = ()
     object_outputs: tuple[str, ...] = ()
+    output_options: dict[str, Any] = field(default_factory=dict)
     command: str = "run"
     home: Path | None = None
     store: str = ""
@@ -72,9 +76,9 @@ class Row:
 
     @property
     def digest(self) -> str:
-        """Of everything that decides what is made."""
+        """Of everything that decides what its run makes."""
         decides = {k: v for k, v in (self.asked or self.options).items() if k not in NO_RESULT}
-        return json_digest([decides, self.outputs, self.object_outputs])
+        return json_digest(decides)
 
 
 class Table:
@@ -96,7 +100,7 @@ class Table:
         self.rows: list[Row] = []
         self.wrong: list[Wrong] = []
         self._folder = Path(os.path.abspath(path)).parent
-        self._options = _options()
+        self._options, self._of_outputs = _options(), _output_options()
         text, record = _read(path)
         self._lines = dict(_lines(text))
         self._check_head(record)
@@ -106,12 +110,14 @@ class Table:
         taken = first_taken(record[SCENES])
         if taken is not None:
             self._say((SCENES, taken), f"Another scene is called '{taken}', but for its case.")
+        self._check_outputs()
 
     def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
         """Add a scene, unless something is wrong with it."""
         place, before = (SCENES, name), len(self.wrong)
         if not is_file_name(name) or is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
-            self._say(place, f"A scene cannot be called {shown(name)}: its folder is.")
+            text = f"A scene cannot be called {shown(name)}, as its run folder is. Rename it."
+            self._say(place, text)
         if not isinstance(values, dict):
             self._say(place, f"'{name}' is {shown(values)}; write [{SCENES}.{name}].")
             return
@@ -121,14 +127,32 @@ class Table:
         found = {"compare": [], **defaults, **given}
         if "scene" not in found and len(self.wrong) == before:
             self._say(place, f"Scene '{name}' has no folder. Add scene = \"FOLDER\".")
+        if not (found.get("rois") or found.get("roi")) and len(self.wrong) == before:
+            self._say(
+                place,
+                f'Scene \'{name}\' has no box. Add rois = "FILE", or roi = ["{AUTO}"]: a box'
+                " around what most photos show.",
+            )
         if len(self.wrong) > before:
             return
         outputs, objects = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))
+        turned = {key: found.pop(key) for key in OF_OUTPUTS & found.keys()}
         args = argparse.Namespace(**{a.dest: a.default for a in self._options.values()})
         vars(args).update(found, update=True, part=[], dry_run=False)
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in found.items()}
         row = Row(name=name, line=self._line(place), options=plain, args=args, outputs=outputs)
-        self.rows.append(replace(row, object_outputs=objects))
+        self.rows.append(replace(row, object_outputs=objects, output_options=turned))
+
+    def _check_outputs(self) -> None:
+        """Two scenes must not write one file, nor a file where the other has its objects'."""
+        taken: dict[str, str] = {}
+        for row in self.rows:
+            places = [f"{row.name}{suffix}" for suffix in row.outputs]
+            for place in [*places, *([row.name] if row.object_outputs else [])]:
+                other = taken.setdefault(place.casefold(), row.name)
+                if other != row.name:
+                    text = f"Scenes '{other}' and '{row.name}' both write {BATCH_OUTPUTS}/{place}."
+                    self._say((SCENES, row.name), f"{text} Rename one.")
 
     def _check_head(self, record: dict[str, Any]) -> None:
         for key in record.keys() - {DEFAULTS, SCENES}:
@@ -148,15 +172,17 @@ class Table:
                 self._say(where, f"'{key}' is there twice, with - and with _.")
             elif name in (OUTPUTS, OBJECT_OUTPUTS):
                 found[name] = self._suffixes(value, where)
-            elif name not in self._options:
-                known = ", ".join(sorted({*self._options, OUTPUTS, OBJECT_OUTPUTS}))
+            elif name not in self._options and name not in self._of_outputs:
+                options = {*self._options, *self._of_outputs}
+                known = ", ".join(sorted({*options, OUTPUTS, OBJECT_OUTPUTS}))
                 self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
             else:
-                if is_url(value) and self._options[name].type is PATH:
+                option = self._options.get(name) or self._of_outputs[name]
+                if is_url(value) and option.type is PATH:
                     found[name] = value
                     continue
                 try:
-                    found[name] = self._absolute(typed(self._options[name], value, f"'{key}'"))
+                    found[name] = self._absolute(typed(option, value, f"'{key}'"))
                 except EngineError as error:
                     self._say(where, str(error))
         if found.get("masks") and found.get("no_masks"):
@@ -168,12 +194,13 @@ class Table:
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             self._say(where, f"'{where[-1]}' is {shown(value)}; write a list such as [\"glb\"].")
             return []
-        found = [f".{item.lstrip('.').lower()}" for item in value]
+        found = list(dict.fromkeys(f".{item.lstrip('.').lower()}" for item in value))
         for suffix in found:
             try:
                 format_of(Path(f"result{suffix}"))
             except EngineError as error:
-                self._say(where, str(error))
+                text = f"'{where[-1]}' has {shown(suffix.lstrip('.'))}, which is no format."
+                self._say(where, f"{text} {error.hint}")
         return found
 
     def _absolute(self, value: Any) -> Any:
@@ -198,6 +225,13 @@ def _options() -> dict[str, argparse.Action]:
     parser = argparse.ArgumentParser()
     run.add_arguments(parser)
     return {a.dest: a for a in parser._actions if a.dest not in NO_KEYS}
+
+
+def _output_options() -> dict[str, argparse.Action]:
+    """The options of `convert` that a table may have, by name."""
+    parser = argparse.ArgumentParser()
+    convert.add_arguments(parser)
+    return {a.dest: a for a in parser._actions if a.dest in OF_OUTPUTS}
 
 
 def _read(path: Path) -> tuple[str, dict[str, Any]]:

@@ -107,7 +107,8 @@ def check(args: argparse.Namespace) -> None:
     """Raise ConfigError if these options train, but leave nothing to evaluate on."""
     if run_config(args).test_every == 0:
         raise ConfigError(
-            "--test-every 0 leaves no test photo to evaluate.", "Use `train` with it."
+            "--test-every 0 leaves no test photo to evaluate.",
+            "Use 2 or more, or `train`, which does not evaluate.",
         )
 
 

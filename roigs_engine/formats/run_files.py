@@ -84,6 +84,12 @@ _PREFIXES = (OBJECT_STAGE, FULL_OBJECT_STAGE, TUNED_STAGE, COMPARED)
 _NAMES = {*_FILES, CLUSTER_OPTIONS, CLUSTER_LOCK, *_RESULTS, *_STAGES}
 
 
+def is_strategy_stage(name: str) -> bool:
+    """Whether a strategy may have a stage of that name; those of baselines are called otherwise."""
+    fixed = name in (SCENE_STAGE, JOINT_STAGE, REFINE_STAGE, CUTOUT_STAGE)
+    return fixed or name.startswith(OBJECT_STAGE) or CELL.fullmatch(name) is not None
+
+
 def is_own(name: str) -> bool:
     """Whether a run writes a file or folder of that name; case does not count."""
     name = name.casefold()

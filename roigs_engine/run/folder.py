@@ -14,6 +14,7 @@ from .executor import Executor, TrainedModel
 from .forecast import forecast_if_long
 from .manifest import claim
 from .strategies import plan_run
+from .unplanned import archive_unplanned
 
 
 def open_folder(run: Run, context: Context = QUIET, *, update: bool = False) -> None:
@@ -61,6 +62,8 @@ def train_opened(
         space = disk_space(run, expected)
         if space.level == "warning":
             context.emit(space)
+    if update:
+        archive_unplanned(run, plan, context)
     executor = Executor(run, context, update=update, preview_seconds=preview_seconds)
     return executor.execute(plan)
 

@@ -143,16 +143,11 @@ def expected_start(source: Source, ends: dict[str, int], scene: SfmScene) -> int
     own = [ends[stage.name] for stage in source.inputs]
     if source.territories is not None:  # each result has some of what its neighbours own, too
         owned = np.bincount(source.territories.owner, minlength=len(own))
-        shares = owned / max(len(scene.points), 1) / [_share(s, scene) for s in source.inputs]
+        points = len(scene.points)
+        shares = owned / max(points, 1) / [s.start_share(points) for s in source.inputs]
         return round(float((shares.clip(max=1) * own).sum()))
     base = expected_start(source.base, ends, scene) if source.base else 0
     return max([round(source.share * base), *own])
-
-
-def _share(stage: Stage, scene: SfmScene) -> float:
-    """Share of the scene's sparse points that a stage begins with, about."""
-    rows = stage.start.rows
-    return stage.start.share if rows is None else max(len(rows), 1) / max(len(scene.points), 1)
 
 
 def _minutes(seconds: float) -> str:

@@ -23,6 +23,7 @@ from ..training.config import TrainConfig
 from .card_memory import CardPlan, plan_card
 from .config import RunConfig
 from .layout import Layout
+from .plan import Stage
 
 PER_JOINED = 1450  # bytes of a Gaussian while models are joined and written; four of 400,000 were
 PER_GAUSSIAN = 2800  # bytes: parameters, gradients, moments, and the copies while densifying
@@ -66,6 +67,11 @@ class MemoryPlan:
         """The most memory that is expected."""
         training = min(self.photos, self.cache) + self.end
         return ENGINE + self.picture + max(training, self.joined)
+
+    @property
+    def joining(self) -> int:
+        """The most memory that is expected once all stages are trained."""
+        return ENGINE + self.picture + self.joined if self.joined else self.total
 
     def messages(self) -> list[Message]:
         """Messages for the user before the run starts."""
@@ -143,6 +149,28 @@ def cell_memory(
         for split in splits
         for cell in split.cells
     ]
+
+
+def stage_memory(
+    stage: Stage, scene: SfmScene, config: RunConfig, whole: MemoryPlan, cache: int | None = None
+) -> int:
+    """The most memory, bytes, of an engine that trains one stage of a run.
+
+    Args:
+        stage: of the plan.
+        scene: of the training photos.
+        config: of the run.
+        whole: the memory of the run.
+        cache: as for `plan_memory`.
+    """
+    share = stage.start_share(len(scene.points))
+    points = round(share * len(scene.points))
+    try:
+        own = plan_memory(stage.images, points, config, cache, share=share)
+    except SceneError:  # too large for this machine; maybe not for the one that does it
+        return machine_memory()
+    joins = stage.start.base is not None  # the models of all blocks become one, to start from
+    return replace(own, joined=whole.joined if joins else 0).total
 
 
 def plan_memory(

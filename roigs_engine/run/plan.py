@@ -138,6 +138,11 @@ class Stage:
             if roi.name in image.objects
         ]
 
+    def start_share(self, points: int) -> float:
+        """Share of the scene, which has so many sparse points, that it begins with, about."""
+        rows = self.start.rows
+        return self.start.share if rows is None else max(len(rows), 1) / max(points, 1)
+
     @property
     def inputs(self) -> tuple[Stage, ...]:
         """The stages that this stage needs the results of."""

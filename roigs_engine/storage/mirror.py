@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..context import Context
-from ..errors import ConfigError, EngineError, RunFolderError
+from ..errors import ConfigError, EngineError
 from ..formats.files import read_json, write_json
-from ..formats.lock import locked
-from .urls import file_system, folder_of, home
+from .room import alone, claim, keep, limit, make_room
+from .urls import file_system, folder_of
 
 SCENES, FILES, INDEX, LOCK = "scenes", "files", "index.json", "copy.lock"
-LIMIT_VARIABLE = "ROIGS_CACHE_GB"
-LIMIT = 50.0  # GB
-WAIT = 0.5
-IN_USE = 3600.0  # seconds for which a copy stays: an engine may be at work on it
 
 
 def mirror(url: str, context: Context) -> Path:
@@ -35,9 +28,10 @@ def mirror(url: str, context: Context) -> Path:
         ConfigError: there is no such folder, or it cannot be read.
     """
     found, place = file_system(url)
-    _limit()
+    limit()
     folder = folder_of(url, SCENES)
-    with _alone(folder, context):
+    claim(context, folder)
+    with alone(folder, LOCK, context):
         files = _listed(found, place, url)
         known = _index(folder)
         for name, sign in files.items():
@@ -50,15 +44,9 @@ def mirror(url: str, context: Context) -> Path:
         for name in known.keys() - files.keys():
             (folder / FILES / name).unlink(missing_ok=True)
         write_json(folder / INDEX, {name: known[name] for name in files})
-        os.utime(folder)
-        _make_room(folder, sum(sign[0] for sign in files.values()))
+        keep(folder)
+    make_room(context)
     return folder / FILES
-
-
-def keep(url: str) -> None:
-    """Note that the copy of a folder is in use."""
-    with suppress(OSError):
-        os.utime(folder_of(url, SCENES))
 
 
 def _listed(found: Any, place: str, url: str) -> dict[str, list[Any]]:
@@ -74,10 +62,14 @@ def _listed(found: Any, place: str, url: str) -> dict[str, list[Any]]:
         name = str(path)[len(place) :].lstrip("/")
         if not name or ".." in PurePosixPath(name).parts:
             continue
-        marks = ("ETag", "etag", "md5", "mtime", "created", "LastModified")
-        mark = next((str(facts[key]) for key in marks if facts.get(key)), "")
-        files[name] = [int(facts["size"]), mark]
+        files[name] = sign(facts)
     return files
+
+
+def sign(facts: Mapping[str, Any]) -> list[Any]:
+    """What changes with a file, of what a store tells: its size, and a mark of its content."""
+    marks = ("ETag", "etag", "md5", "mtime", "created", "LastModified")
+    return [int(facts["size"]), next((str(facts[key]) for key in marks if facts.get(key)), "")]
 
 
 def _copy(found: Any, source: str, target: Path, size: int, url: str) -> None:
@@ -102,43 +94,6 @@ def _index(folder: Path) -> dict[str, Any]:
     except EngineError:
         return {}
     return found if isinstance(found, dict) else {}
-
-
-def _limit() -> float:
-    """Bytes that all copies may take; ConfigError if the user's number is none."""
-    text = os.environ.get(LIMIT_VARIABLE) or str(LIMIT)
-    try:
-        if (gigabytes := float(text)) >= 0:
-            return 1e9 * gigabytes
-    except ValueError:
-        pass
-    raise ConfigError(f"{LIMIT_VARIABLE} is '{text:.60}'.", "Use a number of gigabytes.")
-
-
-def _make_room(current: Path, size: int) -> None:
-    """Remove the copies that were used longest ago, until all are within the limit."""
-    limit = _limit() - size
-    others = [f for f in current.parent.iterdir() if f.is_dir() and f != current]
-    for folder in sorted(others, key=lambda f: f.stat().st_mtime, reverse=True):
-        limit -= sum(sign[0] for sign in _index(folder).values())
-        if limit < 0 and time.time() - folder.stat().st_mtime > IN_USE:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def _alone(folder: Path, context: Context) -> Iterator[None]:
-    """Hold a folder here, once no other process brings it up to date."""
-    home().mkdir(parents=True, exist_ok=True)
-    while True:
-        try:
-            with locked(folder, context.warn, option=None, name=LOCK):
-                yield
-            return
-        except RunFolderError as error:
-            if not isinstance(error.__cause__, BlockingIOError):
-                raise
-        context.check_cancelled()
-        time.sleep(WAIT)
 
 
 def _unreadable(url: str, error: Exception) -> ConfigError:

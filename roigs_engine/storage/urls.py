@@ -12,6 +12,8 @@ from typing import Any
 from ..errors import ConfigError
 
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
+LOST = ("memory",)
+"""Kinds of addresses that are in the memory of this process."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
 
@@ -19,6 +21,16 @@ HOME = "ROIGS_CACHE"
 def is_url(text: object) -> bool:
     """Whether a path is an address of a store, `s3://bucket/scans`, and no folder."""
     return isinstance(text, str) and SCHEME.match(text) is not None
+
+
+def refuse_lost(url: str) -> None:
+    """Raise ConfigError if what is written there is gone when this process ends."""
+    match = SCHEME.match(url)
+    if match and match[1].lower() in LOST:
+        raise ConfigError(
+            f"What is written to {url:.200} is gone when the command ends.",
+            "Use a folder, or a store such as s3://BUCKET/RUNS.",
+        )
 
 
 def home() -> Path:

@@ -14,6 +14,7 @@ import pytest
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import bindings, library
 from roigs_engine.rasterize import cpu
+from roigs_engine.storage import urls
 
 
 @pytest.fixture(scope="module", params=["generic", "avx2", "avx512", "neon"])
@@ -36,8 +37,12 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
 
 @pytest.fixture
 def memory_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """An empty file system in memory, as fsspec has it, and a home for this machine's copies."""
+    """An empty file system in memory, as fsspec has it, and a home for this machine's copies.
+
+    A batch may have its run folders there: its engines' parts are in this process.
+    """
     fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setattr(urls, "LOST", ())
     monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
     found = fsspec.filesystem("memory")
     found.store.clear()

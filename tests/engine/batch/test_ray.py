@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -181,6 +182,12 @@ def test_no_cluster_is_one_line(
     monkeypatch.undo()
     pytest.importorskip("ray", reason="Ray is not installed (the extra `cluster`)")
     assert "no Ray cluster at 127.0.0.1:1 " in refused(capsys, *options, "127.0.0.1:1")
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    services = "ray._private.services"  # which may find the one of another test
+    monkeypatch.setattr(f"{services}.find_gcs_addresses", cache(lambda: ()))
+    monkeypatch.setattr(f"{services}.find_bootstrap_address", lambda *_: None)
+    line = refused(capsys, *options, "auto")
+    assert "auto found no Ray cluster" in line and "use --cluster local" in line
     assert "is no address" in refused(capsys, *options, "museum")
     run = ("run", tmp_path / "hall", "--roi", BOX, "--run-dir", tmp_path / "one", "--cluster", "x")
     assert "--threads is for this machine" in refused(capsys, *run, "--threads", 2)

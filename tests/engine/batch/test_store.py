@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from roigs_engine.batch import staged
-from roigs_engine.batch.engine_process import FAILED, LOST, Outcome
+from roigs_engine.batch.engine_process import FAILED, LOST, STOPPED, Outcome
 from roigs_engine.batch.staged import stored_run
 from roigs_engine.cli import main
+from roigs_engine.storage.room import keep, make_room
 from tests.engine.commands.command_line import refused
 from tests.engine.commands.forked_engines import forked_engines
 from tests.engine.commands.test_batch import contents, table_of
@@ -66,6 +69,7 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
     monkeypatch.setattr(staged, "_leased", lose)
     monkeypatch.setattr("roigs_engine.batch.local.run_part", elsewhere)
     assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
+    assert not list((tmp_path / "homes").rglob("outputs/*.ply"))  # they are on the store
     monkeypatch.setenv("ROIGS_CACHE", str(tmp_path / "home"))
     assert not [path for path in memory_store.find("/museum/runs") if ".lease" in path]
     for name in ("hall", "attic"):
@@ -76,10 +80,15 @@ def test_the_same_bytes_and_a_machine_that_is_lost(
         row.write_text(json.dumps(record), encoding="utf-8")
         assert main(["run", str(row), "--run-dir", str(tmp_path / "hand" / name)]) == 0
         assert got == contents(tmp_path / "hand" / name)
-    assert "3 of 3 objects done" in memory_store.cat("/museum/runs/report.html").decode()
+    page = memory_store.cat("/museum/runs/report.html").decode()
+    assert "3 of 3 objects done" in page and page.count('href="hall/rois/') == 2
     capsys.readouterr()
     assert main(["batch", str(table), "--run-dir", RUNS, "--dry-run"]) == 0
     assert capsys.readouterr().out.count(" done\n") == 2
+    memory_store.rm("/museum/runs/outputs/hall.compressed.ply")
+    assert main(["batch", str(table), "--run-dir", RUNS, "--jobs", "1"]) == 0
+    assert memory_store.exists("/museum/runs/outputs/hall.compressed.ply")
+    assert "attic: done" not in capsys.readouterr().err
 
 
 def test_a_full_disk_of_one_machine_is_its_reason(
@@ -100,6 +109,36 @@ def test_a_full_disk_of_one_machine_is_its_reason(
     ended = staged.run_part(["run"], staging, lambda event: None, lambda: False)
     assert ended.state == FAILED and "No space left on device" in ended.reason
     assert not list(memory_store.find("/museum/runs"))  # nothing of it is published or held
+
+
+def test_a_part_makes_room_of_what_was_used_long_ago(
+    memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not its own run folder, however long it takes, nor one that is at work beside it."""
+    old = time.time() - 7200
+    runs = staged.batch_folder(RUNS)
+    for name in ("hall", "attic", "cellar"):
+        (runs / name).mkdir(parents=True)
+        (runs / name / "result.ply").write_bytes(bytes(5000))
+        os.utime(runs / name, (old, old))
+    memory_store.pipe("/museum/runs/hall/rois/vase.ply", b"")
+    monkeypatch.setenv("ROIGS_CACHE_GB", "0")
+    monkeypatch.setattr(staged, "PUBLISH_SECONDS", 0.01)
+
+    def engine(*_: Any) -> Outcome:
+        keep(runs / "attic")
+        os.utime(runs / "hall", (old, old))
+        until = time.monotonic() + 20
+        while (runs / "hall").stat().st_mtime < old + 1 and time.monotonic() < until:
+            time.sleep(0.01)
+        make_room()
+        assert (runs / "hall").is_dir() and not (runs / "cellar").exists()
+        return Outcome(state=STOPPED)
+
+    monkeypatch.setattr(staged, "run_engine", engine)
+    staging = staged.Staging(url=RUNS, base="x", run="hall", part="scene", last=False, options={})
+    assert staged.run_part(["run"], staging, lambda event: None, lambda: False).state == STOPPED
+    assert (runs / "hall").is_dir() and (runs / "attic").is_dir()
 
 
 def test_half_a_commit_is_none(memory_store: Any, tmp_path: Path) -> None:

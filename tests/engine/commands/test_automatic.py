@@ -128,7 +128,7 @@ def test_photos_that_cannot_be_used_so_are_one_line(
         capsys, "train", photos, "--roi", "auto", *inside
     )
     line = refused(capsys, "train", photos, "--roi", BOX, "--run-dir", tmp_path / "run")
-    assert "has no COLMAP model, in whose frame boxes are" in line
+    assert "has no COLMAP model, so boxes have no coordinates yet" in line
     assert not (tmp_path / "run").exists() and not (photos / "runs").exists()
     assert "has no COLMAP model" in refused(capsys, "select", photos, "--roi", "auto")
 

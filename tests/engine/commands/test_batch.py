@@ -6,11 +6,13 @@ import json
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
-from tests.engine.commands.command_line import start
+from roigs_engine.formats.splat_ply import read_ply
+from tests.engine.commands.command_line import refused, start
 from tests.engine.commands.forked_engines import forked_engines
 from tests.engine.killing import timeless
 from tests.engine.synthetic_colmap import write_project
@@ -105,6 +107,46 @@ def test_done_objects_are_not_done_again(
     assert {p: p.stat().st_mtime_ns for p in (finished / "run").rglob("*.ply")} == before
 
 
+def test_a_run_folder_is_not_the_folder_of_a_batch(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = finished / "run" / "attic"
+    line = refused(capsys, "batch", finished / "museum.toml", "--run-dir", place)
+    assert "is the folder of one run" in line and not (place / "attic").exists()
+
+
+def times(folder: Path) -> dict[str, int]:
+    return {p.relative_to(folder).as_posix(): p.stat().st_mtime_ns for p in folder.rglob("*.ply")}
+
+
+def test_outputs_alone_are_made_again(
+    finished: Path, scans: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the table wants others, their settings change, or somebody deletes one."""
+    run, table = finished / "run", finished / "museum.toml"
+    text, before = table.read_text(encoding="utf-8"), times(run)
+    more = text.replace("[scenes.attic]", "[scenes.attic]\nfrom_up = 'z'\noutputs = ['ply']")
+    table.write_text(more.replace("[scenes.hall]", "[scenes.hall]\nobject_outputs = ['ply']"))
+    (run / "outputs" / "hall.compressed.ply").unlink()
+    assert main(["batch", str(table), "--run-dir", str(run), "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.count(" outputs\n") == 2 and "4 parts" in shown and " done\n" not in shown
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 0
+    after = times(run)
+    made = {"outputs/attic.ply", "outputs/hall/vase.ply", "outputs/hall/lamp.ply"}
+    assert {k for k, v in after.items() if before.get(k) != v} == {
+        *made,
+        "outputs/hall.compressed.ply",
+    }
+    means = [read_ply(run / name)["means"] for name in ("attic/result.ply", "outputs/attic.ply")]
+    np.testing.assert_allclose(means[1], means[0][:, [0, 2, 1]] * [1, -1, 1], atol=1e-5)
+    table.write_text(more.replace("from_up = 'z'", "sh_degree = 0"))
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 0
+    changed = {k for k, v in times(run).items() if after.get(k) != v}
+    assert changed == {"outputs/attic.ply"}
+    table.write_text(text, encoding="utf-8")
+
+
 def test_a_dry_run_writes_nothing(
     scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,7 +155,7 @@ def test_a_dry_run_writes_nothing(
     shown = capsys.readouterr().out
     assert "3 objects in 2 scenes" in shown and "an estimate" in shown
     assert not (tmp_path / "run").exists()
-    assert main(["batch", str(table), "--run-dir", "x", "--dry-run", "--only", "cellar"]) == 2
+    assert main(["batch", str(table), "--run-dir", "x", "--dry-run", "--scene", "cellar"]) == 2
 
 
 def test_a_stop_and_a_scene_that_fails(
@@ -142,7 +184,9 @@ def test_a_stop_and_a_scene_that_fails(
     assert "failed: attic: " in page and "2 of 3 objects done" in page
 
 
-def test_a_changed_box_redoes_what_depends_on_it(finished: Path, scans: Path) -> None:
+def test_a_changed_box_redoes_what_depends_on_it(
+    finished: Path, scans: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Last: it changes the folder."""
     run = finished / "run"
     attic = (run / "attic" / run_files.RESULT).stat().st_mtime_ns
@@ -154,3 +198,15 @@ def test_a_changed_box_redoes_what_depends_on_it(finished: Path, scans: Path) ->
     assert len(manifest["rois"]) == 2
     assert (run / "hall" / run_files.ARCHIVE).is_dir()
     assert (run / "hall" / "object-lamp" / run_files.MODEL).stat().st_mtime_ns >= lamp
+    text = table.read_text(encoding="utf-8").replace("'independent'", "'independent'\n{}")
+    table.write_text(text.format("object_outputs = ['compressed.ply', 'ply']"), encoding="utf-8")
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 0
+    table.write_text(text.format("only = ['vase']"), encoding="utf-8")
+    whole = (run / "outputs" / "hall.compressed.ply").stat().st_mtime_ns
+    (run / "outputs" / "hall" / "lamp.ply").unlink()
+    capsys.readouterr()
+    assert main(["batch", str(table), "--run-dir", str(run)]) == 0
+    assert (run / "outputs" / "hall.compressed.ply").stat().st_mtime_ns > whole
+    said = capsys.readouterr().err
+    assert "outputs/hall/lamp.compressed.ply is of an earlier result" in said
+    assert "lamp.ply is" not in said

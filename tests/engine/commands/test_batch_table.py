@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
+from roigs_engine.batch.record import BatchRecord
 from roigs_engine.cli import main
+from roigs_engine.commands.batch_plan import plan_row
 from roigs_engine.commands.batch_table import Table
+from roigs_engine.commands.console import Console
 from tests.engine.commands.command_line import BOX, refused
+from tests.engine.rasterize.test_placed import cloud
 from tests.engine.synthetic_colmap import write_project
 
 EIGHT = [f"{k}.png" for k in range(8)]
@@ -53,23 +58,31 @@ def test_every_wrong_line_is_named_and_nothing_starts(
         "[scenes.one]",
         f"scene = '{scans / 'hall'}'",
         "max_side = -3",  # 6
-        "[scenes.two]",  # no scene
+        "from_up = 'x'",
+        "[scenes.two]",  # 8, no scene
         "[scenes.three]",  # a box without points
         f"scene = '{scans / 'hall'}'",
         "roi = ['nothing=30,30,30,31,31,31']",
         "[scenes.four]",  # no such scene
         f"scene = '{scans / 'cellar'}'",
         f"roi = ['{BOX}']",
-        '[scenes."result.ply"]',  # 14
+        '[scenes."result.ply"]',  # 15
         f"scene = '{scans / 'hall'}'",
+        "[scenes.five]",  # 17, no box
+        f"scene = '{scans / 'hall'}'",
+        "[scenes.six]",  # 19, boxes without a model
+        f"scene = '{shutil.copytree(scans / 'hall' / 'images', tmp_path / 'photos')}'",
+        f"roi = ['{BOX}']",
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
     run = tmp_path / "run"
     assert main(["batch", str(table), "--run-dir", str(run)]) == 2
     said = capsys.readouterr().err.splitlines()
     named = [line.partition("line ")[2].partition(":")[0] for line in said if "line " in line]
-    assert named == ["2", "3", "6", "7", "8", "11", "14"], said
-    assert said[-1].startswith(f"error: {table} has 7 mistakes; nothing was started.")
+    assert named == ["2", "3", "6", "7", "8", "9", "12", "15", "17", "19"], said
+    assert "Scene 'five' has no box. Add rois = " in "".join(said)
+    assert '(roi = ["auto"] in a table)' in "".join(said)
+    assert said[-1].startswith(f"error: {table} has 10 mistakes; nothing was started.")
     assert not list(run.glob("*"))
 
 
@@ -93,6 +106,29 @@ def test_what_is_asked_for_wrongly(tmp_path: Path, capsys: pytest.CaptureFixture
     table = tmp_path / "t.toml"
     assert "needs TABLE and --run-dir" in refused(capsys, "batch", table)
     assert "Cannot read" in refused(capsys, "batch", table, "--run-dir", tmp_path / "run")
+    line = refused(capsys, "batch", table, "--run-dir", tmp_path / "run", "--only", "hall")
+    assert "--only chooses boxes" in line and "Use --scene NAME" in line
+
+
+def test_results_are_not_written_to_memory(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "t.toml"
+    table.write_text(f"[scenes.a]\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']", encoding="utf-8")
+    line = refused(capsys, "batch", table, "--run-dir", "memory://museum/runs")
+    assert "is gone when the command ends" in line and "s3://BUCKET/RUNS" in line
+
+
+def test_one_of_the_scenes(scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "t.toml"
+    rows = [f"[scenes.{n}]\nscene = '{scans / n}'\nroi = ['{BOX}']" for n in ("hall", "attic")]
+    table.write_text("\n".join(["[defaults]", "steps_factor = 0.003", *rows]), encoding="utf-8")
+    options = ("batch", table, "--run-dir", tmp_path / "run", "--dry-run", "--scene")
+    assert main([*map(str, options), "attic"]) == 0
+    shown = capsys.readouterr().out
+    assert "1 object in 1 scene," in shown and "\nattic " in shown and "hall" not in shown
+    line = refused(capsys, *options, "attci")
+    assert "There is no scene 'attci'. The scenes are: hall, attic." in line
 
 
 def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -> None:
@@ -107,6 +143,49 @@ def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -
     assert a.args.preset == "paper" and a.args.roi == [BOX] and a.outputs == (".spz",)
     assert b.args.preset == "draft" and b.args.roi == [] and b.args.compare == []
     assert a.digest != b.digest
+
+
+def test_outputs_are_turned_as_convert_turns_them(scans: Path, tmp_path: Path) -> None:
+    table = tmp_path / "t.toml"
+    lines = [
+        *("[defaults]", f"roi = ['{BOX}']", "outputs = ['glb']", "from-up = '-y'"),
+        *("[scenes.a]", f"scene = '{scans / 'hall'}'", "from_up = 'z'", "sh_degree = 0"),
+        *("[scenes.b]", f"scene = '{scans / 'hall'}'"),
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    found, record = {}, BatchRecord(tmp_path)
+    for row in Table(table).rows:
+        plan = plan_row(row, tmp_path, record, Console(json_lines=False)).scene
+        found[row.name] = next(part.argv for part in plan.parts if part.argv[0] == "convert")
+        assert not {"from_up", "sh_degree"} & row.options.keys()  # no options of `run`
+    source, out = (str(tmp_path / name) for name in ("a/result.ply", "outputs/a.glb"))
+    assert sorted(found["a"][:-2]) == ["--from-up=z", "--sh-degree=0", "convert"]
+    assert found["a"][-2:] == (source, out)
+    assert found["b"][1] == "--from-up=-y"
+    (tmp_path / "outputs").mkdir()
+    for argv in found.values():
+        cloud().save_ply(Path(argv[-2]))
+        assert main(list(argv)) == 0
+    assert (tmp_path / "outputs/a.glb").stat().st_size < (tmp_path / "outputs/b.glb").stat().st_size
+
+
+def test_two_scenes_do_not_write_one_file(scans: Path, tmp_path: Path) -> None:
+    table = tmp_path / "t.toml"
+    row = f"\nscene = '{scans / 'hall'}'\nroi = ['{BOX}']\n"
+    lines = [
+        f"[scenes.a]{row}outputs = ['glb', '.GLB', 'compressed.ply']",
+        f"[scenes.'a.glb']{row}object_outputs = ['ply']",  # a folder of that name
+        f"[scenes.'A.compressed']{row}outputs = ['ply']",
+        f"[scenes.b]{row}outputs = ['ply', 'no such']",
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    found = Table(table)
+    assert found.rows[0].outputs == (".glb", ".compressed.ply")
+    assert [(wrong.line, wrong.text.partition(".")[0]) for wrong in found.wrong] == [
+        (16, "'outputs' has 'no such', which is no format"),
+        (5, "Scenes 'a' and 'a"),
+        (9, "Scenes 'a' and 'A"),
+    ]
 
 
 def test_a_misspelt_head_is_named_with_its_line(

@@ -118,3 +118,17 @@ def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> N
     assert parts["block-1-joint"].needs == parts["block-2-joint"].needs == coarse
     for part in parts.values():  # what `auto` is here is what it is on all machines
         assert part.argv[part.argv.index("--blocks") + 1] == "2"
+
+
+def test_each_part_of_a_batch_asks_for_its_own_memory(project: Project, tmp_path: Path) -> None:
+    table = tmp_path / "table.toml"
+    boxes = ", ".join(f"'{text}'" for text in TWO[1::2])
+    table.write_text(
+        f"[scenes.hall]\nscene = '{project.folder}'\nroi = [{boxes}]\nstrategy = 'independent'\n"
+        "count = 3\nsteps_factor = 0.003\n",
+        encoding="utf-8",
+    )
+    (row,), record = Table(table).rows, BatchRecord(tmp_path)
+    parts = plan_row(row, tmp_path, record, Console(json_lines=False)).scene.parts
+    memory = {part.name: part.memory for part in parts}
+    assert 0 < memory["object-thing"] < memory["scene"] <= memory["all"]

@@ -21,6 +21,7 @@ from roigs_engine.run.config import AUTO_BLOCKS, RunConfig
 from roigs_engine.run.definition import Run, define_run
 from roigs_engine.run.dry_run import describe_plan
 from roigs_engine.run.folder import train_run
+from roigs_engine.run.memory import cell_memory, stage_memory
 from roigs_engine.run.side_by_side import train_stage
 from roigs_engine.run.strategies import plan_run
 from tests.engine.run.test_object_masks import masked
@@ -158,6 +159,21 @@ def test_the_plan_lists_the_blocks(tmp_path: Path, scene: SfmScene) -> None:
         assert f"{len(cell.photos)} photos, {len(cell.points)} points" in line
         assert cell.rois[0].name in line and "GB" in line
     assert "block-2-joint" in text and "Joining the blocks takes" in text
+
+
+def test_each_stage_needs_its_own_memory(tmp_path: Path, scene: SfmScene) -> None:
+    run = define_run(tmp_path, scene, BOXES, tiny("joint", blocks=2))
+    plan, whole = plan_run(run, ("full-scene",)), run.memory()
+    needed = {
+        stage.name: stage_memory(stage, run.train_scene, run.config, whole) for stage in plan.stages
+    }
+    cells = cell_memory(run.train_scene, run.layout, run.config)
+    for number, cell in enumerate(cells[:2], start=1):
+        assert needed[f"block-{number}-scene"] <= cell.total < needed["full-scene"]
+    starts = {name for name in needed if name.endswith("-joint")}
+    assert starts and all(needed[name] >= whole.joining for name in starts)  # from all blocks
+    uncut = define_run(tmp_path, scene, BOXES, tiny("joint"))
+    assert uncut.memory().joining == uncut.memory().total
 
 
 def test_impossible_numbers_are_refused() -> None:

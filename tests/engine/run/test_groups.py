@@ -10,6 +10,7 @@ import pytest
 from roigs_engine.batch.parts import cuts
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats import run_files
+from roigs_engine.formats.clean_up import removable
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.definition import define_run
@@ -66,6 +67,18 @@ def test_another_grouping_is_another_run(scene: SfmScene, tmp_path: Path) -> Non
     opened(tmp_path, scene, BOXES, tiny("joint"))
     with pytest.raises(RunFolderError, match="groups was"):
         opened(tmp_path, scene, BOXES, tiny("joint", groups=TOGETHER))
+
+
+def test_stages_of_another_grouping_are_archived(scene: SfmScene, tmp_path: Path) -> None:
+    train(tmp_path, scene, BOXES, tiny("joint"))
+    made = plys(tmp_path)
+    train(tmp_path, scene, BOXES, tiny("joint", groups=TOGETHER), update=True)
+    assert not list(tmp_path.glob("group-*"))
+    archived = [path for path in removable(tmp_path) if path.name.startswith("group-")]
+    assert len(archived) == 2
+    train(tmp_path, scene, BOXES, tiny("joint"), update=True)  # and back: none is trained again
+    assert {name: data for name, data in plys(tmp_path).items() if name in made} == made
+    assert not list(tmp_path.glob("archive/group-*")) and not (tmp_path / "joint").exists()
 
 
 def test_a_box_with_another_name_keeps_its_group(scene: SfmScene, tmp_path: Path) -> None:

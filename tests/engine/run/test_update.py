@@ -11,6 +11,7 @@ import pytest
 
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, RunFolderError, Stopped
+from roigs_engine.formats.clean_up import removable
 from roigs_engine.formats.events import Event, Message, Preview
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
@@ -159,6 +160,22 @@ def test_a_second_box_keeps_the_scene_and_the_first_object(scene: SfmScene, tmp_
     assert not (tmp_path / "rois" / "second.ply").exists()
 
 
+def test_a_box_less_leaves_no_stage_that_clean_does_not_find(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    config = production("independent")
+    train(tmp_path, scene, [BOX, SECOND], config, ["full-scene"])
+    before = written(tmp_path, "object-second")
+    (tmp_path / "object-third").mkdir()  # of an engine that was killed at its first file
+    train(tmp_path, scene, [BOX], config, update=True)
+    assert not (tmp_path / "object-second").exists() and not (tmp_path / "object-third").exists()
+    assert (tmp_path / "full-scene").is_dir()  # a baseline may be asked for again
+    (archived,) = (tmp_path / "archive").glob("object-*")
+    assert archived in removable(tmp_path)
+    train(tmp_path, scene, [BOX, SECOND], config, update=True)
+    assert written(tmp_path, "object-second") == before
+
+
 def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path: Path) -> None:
     asked = 0
 
@@ -281,9 +298,8 @@ def test_the_other_strategys_run_and_a_stage_of_its_name_do_not_meet(
     before, made = written(tmp_path, "joint"), plys(tmp_path)
     train(tmp_path, scene, [BOX], independent, ["joint"], update=True)
     assert (tmp_path / "compare-joint" / "joint" / "model.ply").exists()
-    assert sorted(path.name for path in (tmp_path / "joint").iterdir()) == [
-        *("model.ply", "stage.json")
-    ]
+    (archived,) = (tmp_path / "archive").glob("joint-*")
+    assert sorted(path.name for path in archived.iterdir()) == ["model.ply", "stage.json"]
     train(tmp_path, scene, [MOVED], independent, ["joint"], update=True)
     train(tmp_path, scene, [BOX], joint, update=True)
     assert written(tmp_path, "joint") == before

@@ -11,7 +11,10 @@ import pytest
 
 from roigs_engine.context import QUIET
 from roigs_engine.errors import ConfigError
+from roigs_engine.formats.lock import locked
+from roigs_engine.formats.run_files import BATCH_LOCK
 from roigs_engine.storage.mirror import mirror
+from roigs_engine.storage.room import claim, keep, make_room
 from roigs_engine.storage.urls import is_url
 
 URL = "memory://museum/scans/{}"
@@ -62,6 +65,32 @@ def test_the_limit(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROIGS_CACHE_GB", "much")
     with pytest.raises(ConfigError, match="ROIGS_CACHE_GB is 'much'"):
         mirror(URL.format("attic"), QUIET)
+
+
+def test_run_folders_are_within_the_same_limit(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = time.time() - 7200
+    runs = {name: tmp_path / "home" / "runs" / "1234" / name for name in ("hall", "attic", "new")}
+    batches = {name: tmp_path / "home" / "batches" / name for name in ("over", "at work")}
+    for folder in (*runs.values(), *batches.values()):
+        folder.mkdir(parents=True)
+        (folder / "result.ply").write_bytes(bytes(20_000))
+        os.utime(folder, (old, old))
+    claim(QUIET, runs["new"])
+    with locked(batches["at work"], name=BATCH_LOCK):
+        os.utime(batches["at work"], (old, old))
+        mirror(URL.format("hall"), QUIET)
+        assert all(folder.exists() for folder in (*runs.values(), *batches.values()))
+        monkeypatch.setenv("ROIGS_CACHE_GB", "0.00009")  # three of these
+        keep(runs["attic"])  # another engine has begun to work there
+        make_room()
+        left = {folder.name for folder in (*runs.values(), *batches.values()) if folder.exists()}
+    assert left == {"attic", "new", "at work"}
+    assert not (tmp_path / "home" / "removed").exists()
+    os.utime(batches["at work"], (old, old))  # it has ended: nothing holds its folder
+    make_room()
+    assert not batches["at work"].exists() and runs["attic"].exists()
 
 
 def test_what_an_address_is() -> None:

@@ -1,0 +1,95 @@
+"""The disk that copies of a store take: those used longest ago go, never one that is in use."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, RunFolderError
+from ..formats.clean_up import disk_size
+from ..formats.lock import holder, locked
+from ..formats.run_files import BATCH_LOCK
+from .urls import home
+
+KINDS = ("scenes/*", "runs/*/*", "batches/*")
+"""Where copies are, each a folder: of scenes, of run folders, and of what a batch's page needs."""
+REMOVED, LOCK = "removed", "room.lock"
+LIMIT_VARIABLE = "ROIGS_CACHE_GB"
+LIMIT = 50.0  # GB
+WAIT = 0.5
+IN_USE = 3600.0  # seconds for which a copy stays: an engine may be at work on it
+
+
+def limit() -> float:
+    """Bytes that all copies may take; ConfigError if the user's number is none."""
+    text = os.environ.get(LIMIT_VARIABLE) or str(LIMIT)
+    try:
+        if (gigabytes := float(text)) >= 0:
+            return 1e9 * gigabytes
+    except ValueError:
+        pass
+    raise ConfigError(f"{LIMIT_VARIABLE} is '{text:.60}'.", "Use a number of gigabytes.")
+
+
+def claim(context: Context, *folders: Path) -> None:
+    """Make copies' folders, in use from now on; `keep` must follow within `IN_USE` seconds."""
+    with alone(home(), LOCK, context):  # not between the look at its time and its removal
+        for folder in folders:
+            folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)
+
+
+def keep(folder: Path) -> None:
+    """Note that a copy is still in use."""
+    with suppress(OSError):
+        os.utime(folder)
+
+
+def make_room(context: Context = QUIET) -> None:
+    """Remove the copies that were used longest ago, until all are within the limit.
+
+    What cannot be removed stays, for another time.
+    """
+    left = limit()
+    removed = home() / REMOVED
+    with suppress(OSError, RunFolderError), alone(home(), LOCK, context):
+        copies = {path: _last_used(path) for kind in KINDS for path in home().glob(kind)}
+        folders = [path for path in copies if path.is_dir()]
+        for folder in sorted(folders, key=copies.__getitem__, reverse=True):
+            left -= disk_size([folder])
+            if left < 0 and time.time() - copies[folder] > IN_USE:
+                removed.mkdir(exist_ok=True)
+                with suppress(OSError):  # on Windows, a file of it is open
+                    folder.rename(removed / uuid.uuid4().hex)
+    shutil.rmtree(removed, ignore_errors=True)
+
+
+def _last_used(folder: Path) -> float:
+    """When a copy was used; now, while a batch holds it."""
+    if holder(folder / BATCH_LOCK):
+        return time.time()
+    with suppress(OSError):
+        return folder.stat().st_mtime
+    return time.time()
+
+
+@contextmanager
+def alone(folder: Path, name: str, context: Context) -> Iterator[None]:
+    """Hold a lock of a folder here, once no other process does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    while True:
+        try:
+            with locked(folder, context.warn, option=None, name=name):
+                yield
+            return
+        except RunFolderError as error:
+            if not isinstance(error.__cause__, BlockingIOError):
+                raise
+        context.check_cancelled()
+        time.sleep(WAIT)
