@@ -232,15 +232,14 @@ class VisibleAdam:
             if tensor.shape != (len(rows), *self.parameters[name].shape[1:]):
                 raise EngineError(f"{name} is {tuple(tensor.shape)} for {len(rows)} rows.")
         self._adopt(parameters)
-        fresh = rows < 0
+        fresh = (rows < 0).nonzero()[:, 0]  # row numbers: a mask of whole rows takes much longer
         source = rows.clamp(min=0)
         for moments in (self.exp_avg, self.exp_avg_sq):
             for name, old in moments.items():
                 if len(old) == 0:
                     moments[name] = torch.zeros_like(parameters[name], requires_grad=False)
                 else:
-                    moments[name] = old.index_select(0, source)
-                    moments[name][fresh] = 0
+                    moments[name] = old.index_select(0, source).index_fill_(0, fresh, 0)
 
     @torch.no_grad()
     def part(self, rows: Tensor) -> VisibleAdam:
