@@ -95,9 +95,7 @@ class AdaptiveDensity:
             rows = self.prune_mask(edited, step).logical_not().nonzero()[:, 0]
             return rows[morton_order(edited.means[rows])]
 
-        return clone_and_split(
-            gaussians, mask, reference, self.config.split_fraction, rng, choose
-        )
+        return clone_and_split(gaussians, mask, reference, self.config.split_fraction, rng, choose)
 
     def prune_mask(self, gaussians: Gaussians, step: int) -> Tensor:
         """(N,) bool: too transparent or, after the first opacity reset, too large in the world."""

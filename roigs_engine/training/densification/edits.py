@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ...model.gaussians import Gaussians
 from ...model.rotations import rotation_matrices
+from ..row_copies import chosen_rows
 
 SPLIT_SHRINK = 1.6  # 3DGS: children of a split have their scales divided by this
 
@@ -75,8 +76,7 @@ def clone_and_split(
     if choose is not None:
         chosen = choose(edited)
         edited, rows, sources = edited.rows(chosen), rows[chosen], sources[chosen]
-    sh = gaussians.sh.detach().index_select(0, sources)
-    return Edit(gaussians=replace(edited, sh=sh), rows=rows)
+    return Edit(gaussians=replace(edited, sh=chosen_rows(gaussians.sh, sources)), rows=rows)
 
 
 def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
