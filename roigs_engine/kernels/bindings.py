@@ -94,6 +94,10 @@ SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "roigs_project_backward": (None, [_ADDRESS] * 4),  # view, Gaussians, Gradients, grad2d
     "roigs_project_backward_adam": (_COUNT, [_ADDRESS] * 4),  # view, Gaussians, Adam, grad2d
     "roigs_adam": (_COUNT, [_COUNT, _ADDRESS, _ADDRESS]),  # rows, Adam, visible
+    "roigs_copy_rows": (
+        None,
+        [_ADDRESS, _COUNT, _COUNT, _ADDRESS, _COUNT, _ADDRESS],
+    ),  # matrix, rows, width, chosen, count, out
     "roigs_photo_loss": (
         None,
         [

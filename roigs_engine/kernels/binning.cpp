@@ -42,13 +42,15 @@ void places_from_counts(int32_t* counts, int parts, int64_t buckets) {
 void collect_depths(View& view) {
     uint32_t* keys = view.depth_keys[0].data();
     int32_t* order = view.depth_order[0].data();
-    int64_t n = 0;
-    for (size_t c = 0; c < view.chunks.size(); ++c)
-        for (int i = 0; i < view.chunks[c].visible; ++i, ++n) {
+    parallel_for(int64_t(view.chunks.size()), [&](int64_t c) {
+        const Chunk& chunk = view.chunks[c];
+        for (int i = 0; i < chunk.visible; ++i) {
             const int32_t splat = int32_t(c * kChunk + i);
-            std::memcpy(&keys[n], &view.splats[splat].depth, sizeof(uint32_t));
-            order[n] = splat;
+            std::memcpy(&keys[chunk.first_visible + i], &view.splats[splat].depth,
+                        sizeof(uint32_t));
+            order[chunk.first_visible + i] = splat;
         }
+    });
 }
 
 // One pass of the radix sort: from buffers `from` to the other ones, by the digit at `shift`.

@@ -153,7 +153,7 @@ public:
         const int64_t first = begin / kGroup, last = chunks(end, kGroup);
         for (int64_t g = first - 2 * kDelay; g < last + 2 * kDelay; ++g) {
             for (int j = 0; j < kGroup; ++j) moments(g * kGroup + j);
-            similarity((g - kDelay) * kGroup, begin, end);
+            if (g >= first) similarity((g - kDelay) * kGroup, begin, end);
             if (g - 2 * kDelay >= first) gradient((g - 2 * kDelay) * kGroup, end);
         }
     }

@@ -204,6 +204,9 @@ int64_t roigs_project(roigs::View* view, const roigs::Gaussians* gaussians,
     }
     if (view->intersections > kMostIntersections) return kTooManyIntersections;
     if (!list_remaining(*view, visible)) return kOutOfMemory;
-    for (const Chunk& chunk : view->chunks) view->visible += chunk.visible;
+    for (Chunk& chunk : view->chunks) {
+        chunk.first_visible = view->visible;
+        view->visible += chunk.visible;
+    }
     return view->visible;
 }

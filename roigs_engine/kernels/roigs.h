@@ -69,3 +69,8 @@ ROIGS_API int64_t roigs_project_backward_adam(roigs::View* view, const roigs::Ga
 // afterwards, other rows stay untouched. A row whose gradient has a NaN or an infinity is not
 // updated; returns the number of such rows, over all parameters.
 ROIGS_API int64_t roigs_adam(int64_t rows, const roigs::Adam* adam, const uint8_t* visible);
+
+// out (count, width): the rows of `matrix` (rows, width) that `chosen` (count,) numbers; zeros for
+// a number that is none.
+ROIGS_API void roigs_copy_rows(const float* matrix, int64_t rows, int64_t width,
+                               const int64_t* chosen, int64_t count, float* out);

@@ -109,12 +109,13 @@ struct alignas(64) SlotGradient {
 // Chunk c owns the Gaussians, and the places in View::splats and View::tiles_of, from c * kChunk
 // on. It packs its visible Gaussians at the front, so what is touched grows with these alone.
 struct Chunk {
-    int32_t visible = 0;      // number of splats
-    bool listed = false;      // `tiles` holds them all
-    int64_t tile_count = 0;   // number of (Gaussian, tile) pairs
-    int64_t first_slot = 0;   // slot of the first pair
-    Scratch<uint32_t> tiles;  // tiles touched, splat by splat
-    Scratch<int32_t> runs;    // used while they are found, see tile_lists.h
+    int32_t visible = 0;        // number of splats
+    bool listed = false;        // `tiles` holds them all
+    int64_t first_visible = 0;  // splats in the chunks before it
+    int64_t tile_count = 0;     // number of (Gaussian, tile) pairs
+    int64_t first_slot = 0;     // slot of the first pair
+    Scratch<uint32_t> tiles;    // tiles touched, splat by splat
+    Scratch<int32_t> runs;      // used while they are found, see tile_lists.h
 };
 
 struct TileSpan {

@@ -26,6 +26,7 @@ from ..cuda.rooms import Room
 from ..errors import EngineError
 from ..kernels import bindings
 from .config import TrainConfig
+from .row_copies import chosen_rows
 
 
 class VisibleAdam:
@@ -232,15 +233,9 @@ class VisibleAdam:
             if tensor.shape != (len(rows), *self.parameters[name].shape[1:]):
                 raise EngineError(f"{name} is {tuple(tensor.shape)} for {len(rows)} rows.")
         self._adopt(parameters)
-        fresh = rows < 0
-        source = rows.clamp(min=0)
         for moments in (self.exp_avg, self.exp_avg_sq):
             for name, old in moments.items():
-                if len(old) == 0:
-                    moments[name] = torch.zeros_like(parameters[name], requires_grad=False)
-                else:
-                    moments[name] = old.index_select(0, source)
-                    moments[name][fresh] = 0
+                moments[name] = chosen_rows(old, rows)
 
     @torch.no_grad()
     def part(self, rows: Tensor) -> VisibleAdam:

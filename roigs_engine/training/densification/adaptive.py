@@ -90,9 +90,12 @@ class AdaptiveDensity:
     def _densified(self, gaussians: Gaussians, step: int) -> Edit:
         rng = torch.Generator().manual_seed(self.inputs.seed * 1_000_003 + step)
         mask, reference = self.densify_mask(gaussians, step), self.size_reference(gaussians)
-        edit = clone_and_split(gaussians, mask, reference, self.config.split_fraction, rng)
-        rows = self.prune_mask(edit.gaussians, step).logical_not().nonzero()[:, 0]
-        return edit.keep(rows[morton_order(edit.gaussians.means[rows])])
+
+        def choose(edited: Gaussians) -> Tensor:
+            rows = self.prune_mask(edited, step).logical_not().nonzero()[:, 0]
+            return rows[morton_order(edited.means[rows])]
+
+        return clone_and_split(gaussians, mask, reference, self.config.split_fraction, rng, choose)
 
     def prune_mask(self, gaussians: Gaussians, step: int) -> Tensor:
         """(N,) bool: too transparent or, after the first opacity reset, too large in the world."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from ...model.gaussians import Gaussians
 from ...model.rotations import rotation_matrices
+from ..row_copies import chosen_rows
 
 SPLIT_SHRINK = 1.6  # 3DGS: children of a split have their scales divided by this
 
@@ -41,7 +43,12 @@ def unchanged(gaussians: Gaussians) -> Edit:
 
 
 def clone_and_split(
-    gaussians: Gaussians, mask: Tensor, reference: Tensor, fraction: float, rng: torch.Generator
+    gaussians: Gaussians,
+    mask: Tensor,
+    reference: Tensor,
+    fraction: float,
+    rng: torch.Generator,
+    choose: Callable[[Gaussians], Tensor] | None = None,
 ) -> Edit:
     """Clone the small and split the large Gaussians of a mask.
 
@@ -53,15 +60,23 @@ def clone_and_split(
         reference: (N,) size reference, world units.
         fraction: Gaussians larger than `fraction` x `reference` are split.
         rng: draws the positions of split Gaussians.
+        choose: gets the edited Gaussians, with SH of degree 0 alone, and returns the numbers of
+            the rows to keep, in their order; None: all.
     """
     large = gaussians.log_scales.detach().exp().amax(dim=1) > fraction * reference
     kept = torch.nonzero(~(mask & large)).flatten()
     clones = torch.nonzero(mask & ~large).flatten()
     parents = torch.nonzero(mask & large).flatten().repeat(2)
-    children = _children(gaussians.rows(parents), rng)
-    edited = Gaussians.concatenate([gaussians.rows(torch.cat([kept, clones])), children])
-    new = kept.new_full((len(clones) + len(parents),), -1)
-    return Edit(gaussians=edited, rows=torch.cat([kept, new]))
+    copied = torch.cat([kept, clones])
+    sources = torch.cat([copied, parents])
+    rows = torch.cat([kept, kept.new_full((len(clones) + len(parents),), -1)])
+    # Harmonics are most of a Gaussian and no edit changes them: they are copied once, at the end.
+    plain = replace(gaussians, sh=gaussians.sh[:, :1])
+    edited = Gaussians.concatenate([plain.rows(copied), _children(plain.rows(parents), rng)])
+    if choose is not None:
+        chosen = choose(edited)
+        edited, rows, sources = edited.rows(chosen), rows[chosen], sources[chosen]
+    return Edit(gaussians=replace(edited, sh=chosen_rows(gaussians.sh, sources)), rows=rows)
 
 
 def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
