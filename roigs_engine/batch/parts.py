@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from ..model.scene import PosedImage
 from ..run.plan import Plan, Stage
 from .staged import Staging
 
@@ -85,8 +86,16 @@ class ScenePlan:
 
 
 def stage_work(stage: Stage) -> float:
-    """Steps times megapixels of the largest photo."""
-    return stage.config.steps * max(i.camera.width * i.camera.height for i in stage.images) / 1e6
+    """Steps times megapixels of the largest photo, in each size."""
+    small = stage.config.small_until
+    return (stage.config.steps - small) * megapixels(stage.images) + small * megapixels(
+        stage.small_images
+    )
+
+
+def megapixels(images: Sequence[PosedImage]) -> float:
+    """Of the largest photo; 0: there is none."""
+    return max((i.camera.width * i.camera.height for i in images), default=0) / 1e6
 
 
 def chains(plan: Plan) -> list[tuple[Stage, ...]]:

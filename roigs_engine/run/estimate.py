@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,11 +67,21 @@ class Estimator:
         """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end = counts[-1]
+        small = counts[: stage.config.small_until] if stage.small_images else []
+        seconds = self._line(stage, stage.images, start, end)
+        total = sum(seconds(count) for count in counts[len(small) :])
+        if small:
+            total += sum(map(self._line(stage, stage.small_images, start, end), small))
+        return StageEstimate(end=end, seconds=total, step_seconds=seconds(end))
+
+    def _line(
+        self, stage: Stage, images: Sequence[PosedImage], start: int, end: int
+    ) -> Callable[[int], float]:
+        """Number of Gaussians -> seconds of a step on such photos."""
         few, many = min(start, MOST_MEASURED), min(end, MOST_MEASURED)
-        low, high = self._step_seconds(stage, few, many)
+        low, high = self._step_seconds(stage, images, few, many)
         slope = (high - low) / (many - few) if many > few else high / max(few, 1)
-        seconds = sum(low + slope * (count - few) for count in counts)
-        return StageEstimate(end=end, seconds=seconds, step_seconds=low + slope * (end - few))
+        return lambda count: low + slope * (count - few)
 
     def _share_in_boxes(self, stage: Stage) -> float:
         """Share of the scene's points that lie in the stage's boxes."""
@@ -80,21 +90,23 @@ class Estimator:
             inside |= roi.contains(self._scene.points)
         return float(inside.mean()) if len(inside) else 0.0
 
-    def _step_seconds(self, stage: Stage, start: int, end: int) -> tuple[float, float]:
-        """Seconds of a step with `start` and with `end` Gaussians."""
-        largest = max(image.camera.width * image.camera.height for image in stage.images)
+    def _step_seconds(
+        self, stage: Stage, images: Sequence[PosedImage], start: int, end: int
+    ) -> tuple[float, float]:
+        """Seconds of a step on such photos with `start` and with `end` Gaussians."""
+        largest = max(image.camera.width * image.camera.height for image in images)
         settings = replace(stage.config, steps=0)
         key = (settings, largest, _rounded(start), _rounded(end))
         if key not in self._times:
-            first = self._measured(stage, start)
-            last = first if end == start else self._measured(stage, end)
+            first = self._measured(stage, images, start)
+            last = first if end == start else self._measured(stage, images, end)
             self._times[key] = first, max(first, last)
         return self._times[key]
 
-    def _measured(self, stage: Stage, count: int) -> float:
+    def _measured(self, stage: Stage, images: Sequence[PosedImage], count: int) -> float:
         """Seconds of a training step with `count` Gaussians, the median of a few."""
         self._context.check_cancelled()
-        images = stage.images[:: max(1, len(stage.images) // 8)]
+        images = images[:: max(1, len(images) // 8)]
         data = StageData(
             images=images,
             photos=_GreyPhotos(images),

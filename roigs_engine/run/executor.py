@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -24,7 +24,7 @@ from ..training.cutouts import Cutouts
 from ..training.floaters.view_shares import shown_by
 from ..training.labels import object_owners
 from ..training.masks import RoiMasks
-from ..training.stage_data import StageData
+from ..training.stage_data import SmallPhotos, StageData
 from ..training.z_order import morton_order
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
@@ -97,7 +97,7 @@ class Executor:
         self._named: set[str] = set()
         self._results: dict[str, StageResult] = {}
         self._models: dict[str, Gaussians] = {}
-        self._photos: dict[tuple[tuple[str, int], ...], PhotoCache] = {}
+        self._photos: dict[Hashable, PhotoCache] = {}
 
     def execute(self, plan: Plan) -> list[TrainedModel]:
         """Train the missing stages and write the outputs; returns the models, the result last.
@@ -201,29 +201,41 @@ class Executor:
     def _data(self, stage: Stage) -> StageData:
         """The stage's training data."""
         device = torch.device(self.context.device)
-        masks = None
-        if stage.config.full_every > 1:
-            masks = RoiMasks(
-                stage.images,
-                stage.rois,
-                stage.seeing,
-                device,
-                view_weighting=stage.config.view_weighting,
-                context=self.context,
-            )
+        sizes = [images for images in (stage.images, stage.small_images) if images]
+        photos, *halves = self._caches(sizes)
+        small = None
+        if halves:
+            masks = self._masks(stage, stage.small_images, device)
+            small = SmallPhotos(images=stage.small_images, photos=halves[0], masks=masks)
         return StageData(
             images=stage.images,
-            photos=self._cache(stage.images),
+            photos=photos,
+            small=small,
             photo_at=stage.order.photo_at(),
             extent=stage.extent,
             rois=stage.rois,
             budgets=self._budgets(stage),
-            masks=masks,
+            masks=self._masks(stage, stage.images, device),
             cutouts=self._cutouts(stage, device) if stage.cutouts else None,
             points=self.run.train_scene.points,
             seed=stage.seed,
             device=device,
             card_photos=self._memory.card.photos if self._memory.card else None,
+        )
+
+    def _masks(
+        self, stage: Stage, images: Sequence[PosedImage], device: torch.device
+    ) -> RoiMasks | None:
+        """The masks of the stage's photos, in one of their sizes."""
+        if stage.config.full_every == 1:
+            return None
+        return RoiMasks(
+            images,
+            stage.rois,
+            stage.seeing,
+            device,
+            view_weighting=stage.config.view_weighting,
+            context=self.context,
         )
 
     def _cutouts(self, stage: Stage, device: torch.device) -> Cutouts:
@@ -269,13 +281,23 @@ class Executor:
         on_device = model.to(torch.device(self.context.device))
         return object_owners(on_device, rois, images, self.context).to(model.means.device)
 
-    def _cache(self, images: Sequence[PosedImage]) -> PhotoCache:
-        """The cache of these photos; drops an earlier one, as only one stage runs at a time."""
-        key = tuple((image.name, image.camera.width) for image in images)
-        if key not in self._photos:
-            self.close()
-            self._photos = {key: PhotoCache(images, self._memory.cache)}
-        return self._photos[key]
+    def _caches(self, sizes: Sequence[Sequence[PosedImage]]) -> list[PhotoCache]:
+        """The caches of photos in each size, which share what the run may keep.
+
+        Drops those of other photos, as only one stage runs at a time.
+        """
+        pixels = [sum(image.decoded_bytes for image in images) for images in sizes]
+        shares = [self._memory.cache * each // sum(pixels) for each in pixels]
+        keys = [
+            (limit, *((image.name, image.camera.width) for image in images))
+            for limit, images in zip(shares, sizes, strict=True)
+        ]
+        for key in self._photos.keys() - keys:
+            self._photos.pop(key).close()
+        for key, limit, images in zip(keys, shares, sizes, strict=True):
+            if key not in self._photos:
+                self._photos[key] = PhotoCache(images, limit)
+        return [self._photos[key] for key in keys]
 
     def _write(self, output: Output) -> None:
         """Write the result as a whole and in parts, and the Scene-GS's Gaussians in each box.

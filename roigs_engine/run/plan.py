@@ -23,6 +23,7 @@ from ..training.photo_order import PhotoOrder
 CUTOUTS_VERSION = 2  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 CELLS, SEEN = "cells", "seen"
+SMALL = 0.5  # size of the photos of the first steps of a stage (`TrainConfig.small_until`)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,6 +105,13 @@ class Stage:
     matched: Source | None = None
     seeing: tuple[int, ...] = ()
     cutouts: bool = False
+
+    @cached_property
+    def small_images(self) -> tuple[PosedImage, ...]:
+        """The photos at half their size, for the first steps; empty: no step uses them."""
+        if not self.config.small_until:
+            return ()
+        return tuple(image.scaled(SMALL) for image in self.images)
 
     @cached_property
     def fingerprint(self) -> str:

@@ -71,6 +71,7 @@ def joint_recipe(
             lr_scales=0.01,
             densify_from=0,
             densify_until=roi_steps // 3,
+            small_until=roi_steps // 3,  # what densification adds is coarse at first
             densify_in_boxes=True,
             grad_threshold=8e-5,
             # Twice 3DGS's: what shows behind the objects must not stay as coarse as the Scene-GS.

@@ -79,6 +79,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         sh_start=ours.scene.sh_start,
         densify_from=ours.scene.densify_from,
         densify_until=_densify_steps(config),
+        small_until=0,
     )
     return TunedBaseline(coarse=None, scale=1.0, fine=fine)
 
@@ -98,6 +99,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         sh_start=config.roi.sh_degree,
         lr_means=config.roi.lr_means / 10,
         densify_until=0,
+        small_until=0,
         box_budget=0.0,
         min_views=0,
         average_steps=steps // 2,
@@ -172,6 +174,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         sh_degree=config.roi.sh_degree,
         sh_start=config.roi.sh_degree,
         densify_until=0,
+        small_until=0,
         box_budget=0.0,
         average_steps=config.refine_steps // 2,
     )

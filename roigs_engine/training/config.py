@@ -54,6 +54,8 @@ class TrainConfig:
             if their alpha x T stayed below 1/255 on all its training pixels; 0: never.
         min_views: at its end, the stage removes floaters (`floaters/`); of these, Gaussians in
             front of the boxes that fewer training photos show; 0: none.
+        small_until: steps before this one use photos of half the size: coarse to fine, ours. They
+            take half the time, and what they lack is learned after them.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
     """
@@ -88,6 +90,7 @@ class TrainConfig:
     reset_every: int = 3000
     contribution_every: int = 0
     min_views: int = 0
+    small_until: int = 0
     average_steps: int = 0
 
     def __post_init__(self) -> None:
@@ -114,16 +117,16 @@ class TrainConfig:
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The config with `steps` steps; the shares that densify and that are averaged stay the same.
+    """The config with `steps` steps, of which the same shares densify, are small and averaged.
 
     The first densification step and the intervals do not scale: Adam and the statistics need a
     fixed number of steps. `miniature` scales them too.
     """
-    until, averaged = (
-        round(share * steps / config.steps)
-        for share in (config.densify_until, config.average_steps)
-    )
-    return replace(config, steps=steps, densify_until=until, average_steps=averaged)
+    shares = ("densify_until", "small_until", "average_steps")
+    scaled: dict[str, Any] = {
+        name: round(getattr(config, name) * steps / config.steps) for name in shares
+    }
+    return replace(config, steps=steps, **scaled)
 
 
 def miniature(config: TrainConfig, steps: int) -> TrainConfig:

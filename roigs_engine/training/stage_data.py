@@ -20,6 +20,15 @@ from .photo_order import PhotoAt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class SmallPhotos:
+    """The photos of a stage at half their size; attributes as in `StageData`."""
+
+    images: Sequence[PosedImage]
+    photos: Photos
+    masks: RoiMasks | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StageData:
     """The data that a stage trains on.
 
@@ -31,6 +40,7 @@ class StageData:
         rois: boxes that limit densification, if the stage's config says so.
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
+        small: the photos at half their size, for the first steps (`config.small_until`).
         cutouts: the objects that some steps draw alone; None: there are none. The stage must not
             densify, and their rows are those of the `z_order` of its first model.
         points: (P, 3) of the scene, world units; used with `config.min_views`.
@@ -47,6 +57,7 @@ class StageData:
     rois: Sequence[OrientedBox] = ()
     budgets: Sequence[BoxBudget] | None = None
     masks: RoiMasks | None = None
+    small: SmallPhotos | None = None
     cutouts: Cutouts | None = None
     points: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     backgrounds: Tensor | None = None

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
-from ..cuda.photos import photos_on
 from ..cuda.sending import number, sent
 from ..errors import Stopped
 from ..formats.events import Progress
@@ -22,7 +21,6 @@ from ..rasterize import RenderOutput, rasterize
 from . import full_memory
 from .averaging import ModelMean
 from .callbacks import PeriodicCallback
-from .cameras import camera_tensors
 from .config import TrainConfig
 from .cutouts import Cutout
 from .densification import DensityControl, DensityInputs, Edit, density_control
@@ -34,6 +32,7 @@ from .losses import photo_loss
 from .masks import RoiMask, counted_weights, split_mask
 from .optimizer import VisibleAdam, learning_rates
 from .photo_order import is_whole
+from .photo_views import PhotoViews
 from .stage_data import StageData
 from .steps_ahead import StepsAhead
 from .threads import one_torch_thread
@@ -66,8 +65,9 @@ class Trainer:
         self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
         self.health = Health([image.name for image in data.images])
-        self._photos = photos_on(data.device, data.photos, data.card_photos)
-        self._viewmats, self._intrinsics = camera_tensors(data.images, data.device)
+        small = data.small if config.small_until else None
+        self._small = None if small is None else PhotoViews(small, data.device, data.card_photos)
+        self._whole = PhotoViews(data, data.device, data.card_photos)
         self._ahead = StepsAhead(data.device)
         self._figures = Figures(data.device)
         self._steps_before = 0  # of the optimizer, in front of this step
@@ -133,8 +133,9 @@ class Trainer:
             self._cutout_step(cutout)
             return
         index = data.photo_at(self.step)
-        self._photos.prefetch([data.photo_at(self.step + ahead) for ahead in (1, 2)])
-        target, counted = split_mask(self._photos[index])
+        for step in (self.step + 1, self.step + 2):
+            self._views(step).prefetch(data.photo_at(step))
+        target, counted = split_mask(self._views(self.step).photo(index))
         mask = self._mask(index)
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
@@ -162,7 +163,7 @@ class Trainer:
 
     def _cutout_step(self, cutout: Cutout) -> None:
         """Draw an object alone, compare, and take an optimizer step with its Gaussians."""
-        target, _ = split_mask(self._photos[cutout.photo])
+        target, _ = split_mask(self._whole.photo(cutout.photo))
         part = self._optimizer.part(cutout.rows)
         view = cutout.photo, cutout.box
         output = self._rendered(part, view, cutout.counted, background=cutout.background)
@@ -220,12 +221,16 @@ class Trainer:
         self._taken_back(wait=True)
         self.health.check(self.step, self._parameters.tensors(), self._optimizer.skipped_rows)
 
+    def _views(self, step: int) -> PhotoViews:
+        """The photos in the size that a step uses."""
+        small = self._small if step < self.config.small_until else None
+        return small or self._whole
+
     def _mask(self, index: int) -> RoiMask | None:
         """The mask of this step's photo; None: the step uses the whole photo."""
-        masks = self.data.masks
-        if masks is None or is_whole(self.step, self.config.full_every):
+        if is_whole(self.step, self.config.full_every):
             return None
-        return masks[index]
+        return self._views(self.step).mask(index)
 
     def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
         active = None if mask is None else mask.pixels
@@ -250,22 +255,18 @@ class Trainer:
             view: the photo, and what is drawn of it.
             active: the pixels that are needed; None: all.
         """
-        p, index = optimizer.parameters, view[0]
-        camera = self.data.images[index].camera
+        p, camera = optimizer.parameters, self._views(self.step).view(view[0])
         return rasterize(
             p["means"],
             p["quats"],
             p["log_scales"],
             p["logit_opacities"],
             p["sh"],
-            self._viewmats[index : index + 1],
-            self._intrinsics[index : index + 1],
-            camera.width,
-            camera.height,
+            *camera,
             sh_degree=self.config.degree(self.step),
             raw=True,
             mask=active,
-            backward_step=self._ahead.backward_step(optimizer, self.step, view),
+            backward_step=self._ahead.backward_step(optimizer, self.step, (*view, camera.width)),
             **options,
         )
 

@@ -24,7 +24,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from roigs_engine.cuda.photos import DevicePhotos, Photos
 from roigs_engine.cuda.rooms import Number, Rooms
 from roigs_engine.rasterize import rasterize
-from roigs_engine.training import steps_ahead, trainer
+from roigs_engine.training import photo_views, steps_ahead, trainer
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 
@@ -188,7 +188,7 @@ def use(patch: pytest.MonkeyPatch, card: PretendCard, *, rooms: bool = True, lat
     def photos_on(device: torch.device, photos: Photos, room: int | None) -> DevicePhotos:
         return DevicePhotos(photos, upload, 1 << 40)
 
-    patch.setattr(trainer, "photos_on", photos_on)
+    patch.setattr(photo_views, "photos_on", photos_on)
     made_rooms = (lambda device: Rooms(device, card.arriving(late))) if rooms else lambda _: None
     patch.setattr(steps_ahead, "rooms_on", made_rooms)
 

@@ -33,7 +33,7 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.run.strategies import plan_run
-from roigs_engine.training import photo_order, trainer
+from roigs_engine.training import photo_order, photo_views, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.densification.adaptive import AdaptiveDensity
@@ -130,7 +130,9 @@ def test_masked_steps_without_kernels_are_those_with_them(
     kernels = trained(scene, config)
     without_kernels(monkeypatch)
     monkeypatch.setattr(
-        trainer, "photos_on", lambda _, photos, room: DevicePhotos(photos, upload, limit=1 << 20)
+        photo_views,
+        "photos_on",
+        lambda _, photos, room: DevicePhotos(photos, upload, limit=1 << 20),
     )
     plain = trained(scene, config)
     assert sent and set(sent) == {(48, 64, 4)}

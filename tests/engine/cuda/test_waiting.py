@@ -24,7 +24,7 @@ from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.stage_data import SmallPhotos, StageData
 from roigs_engine.training.trainer import Trainer
 from roigs_engine.training.z_order import morton_order
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
@@ -91,6 +91,13 @@ class MaskedPhotos:
         pass
 
 
+def two_sizes(scene: SfmScene) -> dict[str, Any]:
+    halves = [image.scaled(0.5) for image in scene.images]
+    masks = RoiMasks(halves, [BOX], range(VIEWS), FAR)
+    small = SmallPhotos(images=halves, photos=PhotoCache(halves), masks=masks)
+    return {**boxes(scene), "small": small, "config": replace(CONFIG, small_until=100)}
+
+
 def masked_photos(scene: SfmScene) -> dict[str, Any]:
     return {**boxes(scene), "photos": MaskedPhotos(scene)}
 
@@ -99,7 +106,7 @@ def backgrounds(scene: SfmScene) -> dict[str, Any]:
     return {"backgrounds": torch.zeros(VIEWS, 3).to(FAR)}
 
 
-@pytest.mark.parametrize("inputs", [nothing_more, boxes, masked_photos, backgrounds])
+@pytest.mark.parametrize("inputs", [nothing_more, boxes, two_sizes, masked_photos, backgrounds])
 def test_no_step_waits(scene: SfmScene, card: PretendCard, inputs: Inputs) -> None:
     with card:
         trainer = trainer_of(scene, **inputs(scene))

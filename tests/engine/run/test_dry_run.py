@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.lock import locked
-from roigs_engine.model.scene import SfmScene
+from roigs_engine.model.scene import PosedImage, SfmScene
 from roigs_engine.run import forecast
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.dry_run import describe_plan
@@ -149,7 +150,7 @@ def test_a_large_model_is_extrapolated_not_made(
 ) -> None:
     sizes: list[int] = []
 
-    def measured(self: Estimator, stage: Stage, count: int) -> float:
+    def measured(self: Estimator, stage: Stage, images: object, count: int) -> float:
         sizes.append(count)
         return 1e-6 * count
 
@@ -166,3 +167,18 @@ def test_a_stage_without_its_model_is_not_done(scene: SfmScene, tmp_path: Path) 
     (tmp_path / "joint" / "model.ply").unlink()
     found = rows(describe_plan(run))
     assert found["scene"][-1] == "done" and found["joint"][-1] != "done"
+
+
+def test_steps_on_small_photos_are_estimated_on_small_photos(
+    scene: SfmScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measured(self: Estimator, stage: Stage, images: Sequence[PosedImage], count: int) -> float:
+        return float(images[0].camera.width)
+
+    monkeypatch.setattr(Estimator, "_measured", measured)
+    plan = plan_run(define_run(tmp_path, scene, [BOX], tiny("joint")))
+    joint = next(stage for stage in plan.stages if stage.name == "joint")
+    width, config = joint.images[0].camera.width, replace(joint.config, steps=10, small_until=4)
+    found = Estimator(scene).estimate(replace(joint, config=config), 1000)
+    assert found.seconds == pytest.approx(6 * width + 4 * round(width / 2))
+    assert found.step_seconds == width

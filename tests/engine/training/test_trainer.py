@@ -20,7 +20,8 @@ from roigs_engine.training import trainer as trainer_module
 from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.stage_data import SmallPhotos, StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -35,6 +36,7 @@ SHORT = TrainConfig(
     contribution_every=20,
 )
 RESTING = TrainConfig(steps=20, densify_until=0)
+SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, small_until=25)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
 
 
@@ -51,6 +53,16 @@ def stage_data(scene: SfmScene, **changes: object) -> StageData:
         extent=scene.extent(),
     )
     return replace(data, **changes)
+
+
+def two_sizes(scene: SfmScene) -> StageData:
+    """Photos with masks, and the same at half their size."""
+    halves = [image.scaled(0.5) for image in scene.images]
+    rows = range(len(halves))
+    small = SmallPhotos(
+        images=halves, photos=PhotoCache(halves), masks=RoiMasks(halves, [BOX], rows)
+    )
+    return stage_data(scene, small=small, masks=RoiMasks(scene.images, [BOX], rows))
 
 
 def first_model(scene: SfmScene) -> Gaussians:
@@ -116,20 +128,45 @@ def test_training_draws_without_a_limit_of_slope(
     assert seen == {None}
 
 
+def test_the_first_steps_draw_half_the_size(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = []
+
+    def noted(*args: Any, **options: Any) -> RenderOutput:
+        _, matrices, width, height = args[5:9]
+        assert float(matrices[0, 0, 2]) == pytest.approx(width / 2, abs=1)  # the centre, its size
+        mask = options["mask"]
+        assert mask is None or mask.shape == (height, width)
+        sizes.append((width, height))
+        return rasterize(*args, **options)
+
+    monkeypatch.setattr(trainer_module, "rasterize", noted)
+    Trainer(first_model(scene), two_sizes(scene), SMALL_FIRST).run()
+    camera = scene.images[0].camera
+    half = (camera.width // 2, camera.height // 2)
+    assert sizes == [half] * 25 + [(camera.width, camera.height)] * 35
+
+
 @pytest.mark.parametrize(
     ("config", "stop"),
-    [*((SHORT, stop) for stop in (1, 10, 29, 33, 59)), (AVERAGED, 35), (AVERAGED, 52)],
+    [
+        *((SHORT, stop) for stop in (1, 10, 29, 33, 59)),
+        *((AVERAGED, stop) for stop in (35, 52)),
+        *((SMALL_FIRST, stop) for stop in (24, 25, 26)),
+    ],
 )
 def test_resuming_equals_never_stopping(
     scene: SfmScene, tmp_path: Path, config: TrainConfig, stop: int
 ) -> None:
-    whole = Trainer(first_model(scene), stage_data(scene), config)
+    data = two_sizes(scene) if config.small_until else stage_data(scene)
+    whole = Trainer(first_model(scene), data, config)
     whole.run()
-    half = Trainer(first_model(scene), stage_data(scene), config)
+    half = Trainer(first_model(scene), data, config)
     assert not half.run(Context(should_stop=lambda: half.step >= stop))
     save_checkpoint(tmp_path / "checkpoint.bin", half.state_dict(), "same")
     state = load_checkpoint(tmp_path / "checkpoint.bin", "same")
-    rest = Trainer(Gaussians(**state["parameters"]), stage_data(scene), config)
+    rest = Trainer(Gaussians(**state["parameters"]), data, config)
     rest.load_state_dict(state)
     assert rest.step == stop
     assert rest.cpu_seconds == half.cpu_seconds > 0
