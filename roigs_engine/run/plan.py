@@ -133,6 +133,8 @@ class Stage:
         }
         objects = self._object_masks()
         record |= {"objects": objects} if objects else {}
+        if not self.config.small_until:  # such stages are what they were before there was one
+            del record["config"]["small_until"]
         return json_digest(record | ({"cutouts": CUTOUTS_VERSION} if self.cutouts else {}))
 
     def _object_masks(self) -> list[tuple[int, int, str]]:
