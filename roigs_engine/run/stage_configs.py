@@ -57,7 +57,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
     """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
 
     These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
-    threshold. With two stages, the steps that densify are as many in sum as in the baseline; the
+    threshold; and without small photos in the last stage, by which they lose. With two stages, the steps that densify are as many in sum as in the baseline; the
     last stage densifies for a third of its steps at the least, like the joint stage.
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
@@ -69,6 +69,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         box_budget=0.0,
         full_every=1,
         view_weighting=0.0,
+        small_until=0,  # it would cost these 0.1 dB: docs/lab_notebook.md, "Small photos first"
     )
     if coarse_to_fine:
         until = max(_densify_steps(config) - ours.scene.densify_until, ours.roi.steps // 3)
@@ -79,7 +80,6 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         sh_start=ours.scene.sh_start,
         densify_from=ours.scene.densify_from,
         densify_until=_densify_steps(config),
-        small_until=0,
     )
     return TunedBaseline(coarse=None, scale=1.0, fine=fine)
 
