@@ -57,8 +57,9 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
     """The tuned Full Scene and Full Object: 3DGS with all settings of ours that fit any scene.
 
     These are the joint recipe's, without what boxes bring: masks, weights, budgets, a lower
-    threshold; and without small photos in the last stage, by which they lose. With two stages, the steps that densify are as many in sum as in the baseline; the
-    last stage densifies for a third of its steps at the least, like the joint stage.
+    threshold; and without small photos in the last stage, by which they lose. With two stages, the
+    steps that densify are as many in sum as in the baseline; the last stage densifies for a third
+    of its steps at the least, like the joint stage.
     """
     ours = config if config.strategy == "joint" else in_strategy(config, "joint")
     fine = replace(
