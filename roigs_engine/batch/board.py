@@ -68,7 +68,7 @@ class Board:
             *([f"{failed} failed"] if failed else []),
         ]
         left = self.seconds_left()
-        if not math.isnan(left):
+        if left > 0:  # files of `outputs` count as no work
             words.append(f"about {duration(left)} left")
         return ", ".join(words)
 

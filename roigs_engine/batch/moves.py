@@ -128,7 +128,7 @@ def next_move(
         (left, s)
         for left, s in movable
         if len(s.avoid) < MOST_NODES
-        and s.part.name in usual.by_name
+        and usual.knows(s.part)
         and ends[s.part.key] > SLOW * seconds(s.part, s.left)
     ]
     if slow:
@@ -145,23 +145,31 @@ def next_move(
 
 
 class _Usual:
-    """Seconds that a unit of work usually takes: in parts of one name, which scenes have each, and
-    overall; None: too few parts were seen.
+    """Seconds that a unit of work usually takes: in parts that are alike, of one name and with a
+    GPU or without, and overall; None: too few parts were seen.
     """
 
     def __init__(self, states: Sequence[PartState], now: float) -> None:
-        rates: dict[str, list[float]] = {}
+        rates: dict[tuple[str, bool], list[float]] = {}
         for state in states:
             rate = _rate(state, now)
             if rate is not None:
-                rates.setdefault(state.part.name, []).append(rate)
+                rates.setdefault(_kind(state.part), []).append(rate)
         seen = [rate for each in rates.values() for rate in each]
         self.overall = median(seen) if len(seen) >= ENOUGH_SEEN else None
-        self.by_name = {n: median(each) for n, each in rates.items() if len(each) >= ENOUGH_SEEN}
+        self._alike = {k: median(each) for k, each in rates.items() if len(each) >= ENOUGH_SEEN}
+
+    def knows(self, part: Part) -> bool:
+        """Whether enough parts like this one were seen."""
+        return _kind(part) in self._alike
 
     def of(self, part: Part, work: float) -> float:
         """Seconds of some work in a part."""
-        return self.by_name.get(part.name, self.overall or 0.0) * work
+        return self._alike.get(_kind(part), self.overall or 0.0) * work
+
+
+def _kind(part: Part) -> tuple[str, bool]:
+    return part.name, part.gpu
 
 
 def _rate(state: PartState, now: float) -> float | None:

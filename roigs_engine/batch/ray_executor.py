@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from . import ray_tasks
 from .engine_process import LOST, Outcome
 from .local import Report, with_threads
 from .parts import Part
-from .ray_connection import CONNECT_SECONDS, Connection
+from .ray_connection import CONNECT_SECONDS, POLL, Connection
 
 LOOK_SECONDS = 120.0  # for a machine to answer; it imports the engine for that
 NODE_LABEL = "ray.io/node-id"  # that Ray gives each machine
@@ -77,14 +77,10 @@ class RayExecutor:
 
     def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> None:
         fit = self._fit(avoid)
-        largest = max(node.get("CPU", 1.0) for node in fit.values())
-        cores = max(1, int(min(self.cores / (len(self._running) + 1 + waiting), largest)))
-        room = max(node.get("memory", 0.0) for node in fit.values())
-        gpus = any(node.get("GPU") for node in fit.values())
+        wanted = demand(part, list(fit.values()), len(self._running) + 1 + waiting)
+        cores = int(wanted["num_cpus"])
         task = self._do.options(
-            num_cpus=cores,
-            num_gpus=1 if part.gpu and gpus else 0,
-            memory=int(min(part.memory, room)),
+            **wanted,
             scheduling_strategy="SPREAD",
             label_selector=_without((self._nodes.keys() - fit.keys()) | self._misfits),
         )
@@ -104,6 +100,8 @@ class RayExecutor:
         ended: list[Any] = []
         if self._running:
             ended, _ = self._ray.wait(list(self._running), timeout=seconds)
+        else:  # no machine has room
+            time.sleep(seconds)
         if time.monotonic() - self._looked > REFRESH:
             self._refresh()
         by_key = {part.key: part for part, _ in self._running.values()}
@@ -170,12 +168,18 @@ class RayExecutor:
             ConfigError: there is no machine that fits.
         """
         self._looked = time.monotonic()
-        alive = {n["NodeID"]: n for n in self._ray.nodes() if n["Alive"]}
+        # A head often gives no cores: parts cannot run there.
+        nodes = (n for n in self._ray.nodes() if n["Alive"])
+        alive = {n["NodeID"]: n for n in nodes if n["Resources"].get("CPU", 0.0) >= 1}
+        if not alive:
+            self._say("", "No machine of the Ray cluster gives a core; waiting for one that does.")
         self._take_looks(alive, patience)
         self._nodes = {node: alive[node]["Resources"] for node in self._nodes if node in alive}
         if self._nodes or self._running:
             self._fitted = time.monotonic()
-        elif alive.keys() <= self._misfits or time.monotonic() - self._fitted > LOOK_SECONDS:
+        elif (alive and alive.keys() <= self._misfits) or (
+            time.monotonic() - self._fitted > LOOK_SECONDS
+        ):
             raise ConfigError(
                 f"No machine of the Ray cluster {self._connection.address} can be used"
                 f" ({counted(len(alive), 'machine')} there).",
@@ -194,6 +198,8 @@ class RayExecutor:
         waiting = list(self._looks.values())
         if waiting and patience:
             self._ray.wait(waiting, timeout=patience)
+        elif patience:
+            time.sleep(POLL)
         ready: list[Any] = []
         if waiting:
             rest = min(patience, REFRESH)
@@ -206,10 +212,14 @@ class RayExecutor:
                 continue
             if not may_pass:
                 self._misfits.add(node)
-            if (node, problem) not in self._said:
-                self._said.add((node, problem))
-                where = alive[node]["NodeManagerAddress"]
-                self._context.warn(f"Machine {where} is not used: it {problem}.")
+            where = alive[node]["NodeManagerAddress"]
+            self._say(node, f"Machine {where} is not used: it {problem}.")
+
+    def _say(self, node: str, problem: str) -> None:
+        """Warn of a node's problem, once."""
+        if (node, problem) not in self._said:
+            self._said.add((node, problem))
+            self._context.warn(problem)
 
     def _problem(self, reference: Any) -> tuple[str, bool]:
         """Why a machine cannot be used, empty if it can; and whether that may pass."""
@@ -220,6 +230,23 @@ class RayExecutor:
                 return "has no roigs; install it there (pip install 'roigs[cluster]')", False
             return f"does not answer ({type(error).__name__})", True
         return ray_tasks.misfit(found, __version__, self._sign), False
+
+
+def demand(part: Part, nodes: Sequence[Mapping[str, float]], parts: int) -> dict[str, int]:
+    """What a part asks Ray for; at least one of the machines has all of it at a time.
+
+    Args:
+        part: to be done.
+        nodes: resources of the machines that it may go to.
+        parts: how many share the cores, this one included.
+    """
+    gpu = part.gpu and any(node.get("GPU") for node in nodes)
+    nodes = [node for node in nodes if node.get("GPU") or not gpu]
+    memory = int(min(part.memory, max(node.get("memory", 0.0) for node in nodes)))
+    has = [int(node["CPU"]) for node in nodes if node.get("memory", 0.0) >= memory]
+    # With the even share, parts would wait for the large machines, and small ones do nothing.
+    cores = next((c for c in range(max(has), 1, -1) if sum(n // c for n in has) >= parts), 1)
+    return {"num_cpus": cores, "num_gpus": int(gpu), "memory": memory}
 
 
 def _without(nodes: Collection[str]) -> dict[str, str]:

@@ -161,7 +161,8 @@ class Table:
             record[DEFAULTS] = {}
             self._say((DEFAULTS,), f"Write [{DEFAULTS}] as a table.")
         if not isinstance(record.get(SCENES), dict) or not record[SCENES]:
-            raise ConfigError("The table has no scene.", f"Add [{SCENES}.NAME] with its scene.")
+            found = " ".join(["The table has no scene.", *(wrong.text for wrong in self.wrong)])
+            raise ConfigError(found, f"Add [{SCENES}.NAME] with its scene.")
 
     def _values(self, record: Mapping[str, Any], place: tuple[str, ...]) -> dict[str, Any]:
         """The values of a part of the table by the options' names."""

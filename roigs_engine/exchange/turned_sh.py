@@ -9,6 +9,7 @@ from torch import Tensor
 from ..model.scene import Float64
 from ..rasterize.reference import sh_basis
 
+PLACES = 12  # decimals of the fit; the rest depends on the number of threads
 DIRECTIONS = 2048  # evenly over the sphere; 16 coefficients are fitted to them
 
 
@@ -29,7 +30,7 @@ def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
     before: Float64 = np.linalg.solve(linear, after.T).T.astype(np.float64)
     before /= np.linalg.norm(before, axis=1, keepdims=True)
     basis, wanted = (_basis(directions)[:, :bands] for directions in (after, before))
-    turn = np.linalg.lstsq(basis, wanted, rcond=None)[0]
+    turn = np.linalg.lstsq(basis, wanted, rcond=None)[0].round(PLACES) + 0.0  # no -0
     return torch.einsum("jk,nkc->njc", torch.from_numpy(turn.astype(np.float32)), sh)
 
 

@@ -60,6 +60,8 @@ def test_objects_step_psnr_and_time_left(scheduler: Scheduler) -> None:
     lines = board_of(scheduler).lines()
     assert lines[0] == "1 of 2 objects done, 1 running, about 5 seconds left"
     assert lines[1] == "  hall  joint  step 50 of 100  21.50 dB"
+    scheduler.scenes["hall"].parts["all"].state = DONE
+    assert board_of(scheduler).head() == "2 of 2 objects done, 0 running"
     assert [duration(s) for s in (1, 120, 7200, 1e6)] == [
         *("1 second", "2 minutes", "2.0 hours", "11.6 days")
     ]

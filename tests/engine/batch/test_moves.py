@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from roigs_engine.batch.engine_process import DONE
@@ -69,6 +71,15 @@ def test_a_slow_part_goes_on_at_an_idle_machine() -> None:
     assert found(*USUAL, ending, idle=True) is None
     slow.avoid = ("one", "two", "three")
     assert found(*USUAL, slow, idle=True) is None
+
+
+def test_a_scene_without_a_gpu_is_not_compared_with_those_on_one() -> None:
+    slow = running("cpu", 10, percent=30, since=100)
+    cards = [done(name) for name in "abc"]
+    assert found(*cards, slow, idle=True) == Move(state=slow, slow=True)
+    for state in cards:
+        state.part = replace(state.part, gpu=True)
+    assert found(*cards, slow, idle=True) is None
 
 
 def test_a_slow_part_leaves_in_time_for_the_others() -> None:

@@ -167,6 +167,45 @@ def test_machines_with_another_version_are_refused(
     assert said and all("does not see" in text for text in said)
 
 
+def test_heads_without_cores_do_no_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part that fails elsewhere would wait for one for ever."""
+    sign = tmp_path / "batch.lock"
+    sign.touch()
+    part = Part(scene="hall", name="all", argv=())
+    said: list[str] = []
+    context = Context(emit=lambda event: said.append(event.text))  # type: ignore[union-attr]
+    with a_cluster(num_cpus=0) as cluster:
+        executor = ray_executor.RayExecutor(cluster.address, sign, context)
+        try:
+            assert executor.has_room(part) and not said
+            assert not executor.can_move((cluster.second.node_id,))
+        finally:
+            executor.close()
+        cluster.remove_node(cluster.second)
+        monkeypatch.setattr(ray_executor, "LOOK_SECONDS", 1.0)
+        with pytest.raises(ConfigError, match="No machine"):
+            ray_executor.RayExecutor(cluster.address, sign, context)
+    assert said == ["No machine of the Ray cluster gives a core; waiting for one that does."]
+
+
+def test_what_a_part_asks_for_is_on_one_machine() -> None:
+    many = {"CPU": 32.0, "memory": 8e9}
+    large, card = {"CPU": 4.0, "memory": 64e9}, {"CPU": 8.0, "memory": 16e9, "GPU": 1.0}
+    nodes = [many, large, card]
+
+    def asked(memory: float, *, gpu: bool = False, parts: int = 1) -> tuple[int, int]:
+        part = Part(scene="hall", name="all", argv=(), memory=int(memory), gpu=gpu)
+        wanted = ray_executor.demand(part, nodes, parts)
+        assert wanted["memory"] <= memory
+        return wanted["num_cpus"], wanted["num_gpus"]
+
+    assert asked(4e9) == (32, 0)
+    assert asked(40e9) == asked(400e9) == (4, 0)
+    assert asked(4e9, gpu=True) == (8, 1)
+    nodes = [{"CPU": 16.0}, {"CPU": 8.0}]  # an even share, 12, leaves the small one idle
+    assert [asked(0, parts=n)[0] for n in (1, 2, 3, 4, 24, 99)] == [16, 8, 8, 5, 1, 1]
+
+
 def test_what_a_machine_needs() -> None:
     assert not ray_tasks.misfit({"version": "1", "sees": True}, "1", "/runs/batch.lock")
     assert "install the same" in ray_tasks.misfit({"version": "1", "sees": True}, "2", "/x/y")

@@ -92,6 +92,7 @@ def test_every_wrong_line_is_named_and_nothing_starts(
         ("[scenes", "is not TOML"),
         ("", "The table has no scene."),
         ("scenes = 3", "The table has no scene."),
+        ("[scene.hall]", "no scene. 'scene' is unknown; write [defaults] or [scenes.NAME]."),
     ],
 )
 def test_a_table_that_is_none(
