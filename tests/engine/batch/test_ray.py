@@ -61,11 +61,11 @@ def events(batch: subprocess.Popen[str]) -> Iterator[dict[str, Any]]:
 
 
 def kill_an_engine(run: Path) -> None:
-    """The next one that there is: one that has started may have ended."""
+    """The youngest that there is: one that has started may have ended, or be a killed driver's."""
     until = time.monotonic() + 20
     while time.monotonic() < until:
-        with suppress(IndexError, ProcessLookupError):
-            os.kill(engines(run)[0], signal.SIGKILL)
+        with suppress(ValueError, ProcessLookupError):
+            os.kill(max(engines(run)), signal.SIGKILL)
             return
         time.sleep(0.02)
     raise AssertionError("no engine came")
