@@ -46,8 +46,8 @@ class LocalExecutor:
         taken = sum(other.memory for other in self._running.values())
         return len(self._running) < self._jobs and taken + part.memory <= machine_memory()
 
-    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
-        """Start a part.
+    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int:
+        """Start a part; returns the number of cores that it gets.
 
         Args:
             part: to be done.
@@ -59,6 +59,7 @@ class LocalExecutor:
         threads = max(1, usable_cores() // at_a_time)
         work = threading.Thread(target=self._run, args=(part, threads), daemon=True)
         work.start()
+        return threads
 
     def wait(self, seconds: float) -> list[Report]:
         """What was reported, after at most some seconds."""

@@ -33,7 +33,8 @@ class PartState:
         part: the part.
         state: `waiting`, `running`, `done`, `failed`.
         lost: how often its process was lost.
-        avoid: nodes where it failed.
+        avoid: nodes where it failed, or that are slow.
+        cores: that it was given.
         progress: the last event with its progress.
         started: `time.monotonic()` of its first event, or of when it was given out.
         seen: whether it had an event; until then it may wait for a machine.
@@ -49,6 +50,7 @@ class PartState:
     state: str = WAITING
     lost: int = 0
     avoid: tuple[str, ...] = ()
+    cores: int = 1
     progress: Record = field(default_factory=dict)
     started: float = 0.0
     first: tuple[float, float] = (0.0, 0.0)
@@ -112,12 +114,11 @@ def next_move(
     usual = _Usual(states, now)
     if usual.overall is None:
         return None
-    seconds = usual.of
     ends = {s.part.key: found for s in states if (found := _seconds_left(s, now)) is not None}
     running = [s for s in states if s.state == RUNNING]
     # Until all is done, were the rest shared evenly.
-    rest = sum(seconds(s.part, s.left) for s in states if s.state == WAITING)
-    rest += sum(ends.get(s.part.key, seconds(s.part, s.left)) for s in running)
+    rest = sum(usual.left(s) for s in states if s.state == WAITING)
+    rest += sum(ends.get(s.part.key, usual.left(s)) for s in running)
     rest /= max(len(running), 1)
     movable = [
         (ends[s.part.key] + usual.overall * after[s.part.key], s)
@@ -127,17 +128,13 @@ def next_move(
     slow = [
         (left, s)
         for left, s in movable
-        if len(s.avoid) < MOST_NODES
-        and usual.knows(s.part)
-        and ends[s.part.key] > SLOW * seconds(s.part, s.left)
+        if len(s.avoid) < MOST_NODES and usual.knows(s) and ends[s.part.key] > SLOW * usual.left(s)
     ]
     if slow:
         left, last = max(slow, key=lambda pair: pair[0])
         if left > rest if ready else idle:
             return Move(state=last, slow=True)
-    longest = max(
-        (seconds(s.part, s.left) + usual.overall * after[s.part.key] for s in ready), default=0.0
-    )
+    longest = max((usual.left(s) + usual.overall * after[s.part.key] for s in ready), default=0.0)
     short = [(left, s) for left, s in movable if left < SHORT * longest and not s.made_way]
     if short and longest > rest + WORTH_MOVING and not any(s.moving for s in running):
         return Move(state=min(short, key=lambda pair: pair[0])[1], slow=False)
@@ -145,31 +142,31 @@ def next_move(
 
 
 class _Usual:
-    """Seconds that a unit of work usually takes: in parts that are alike, of one name and with a
-    GPU or without, and overall; None: too few parts were seen.
+    """Seconds that a unit of work usually takes: in parts that are alike, of one name, with as many
+    cores, with a GPU or without; and overall. None: too few parts were seen.
     """
 
     def __init__(self, states: Sequence[PartState], now: float) -> None:
-        rates: dict[tuple[str, bool], list[float]] = {}
+        rates: dict[tuple[str, int, bool], list[float]] = {}
         for state in states:
             rate = _rate(state, now)
             if rate is not None:
-                rates.setdefault(_kind(state.part), []).append(rate)
+                rates.setdefault(_kind(state), []).append(rate)
         seen = [rate for each in rates.values() for rate in each]
         self.overall = median(seen) if len(seen) >= ENOUGH_SEEN else None
         self._alike = {k: median(each) for k, each in rates.items() if len(each) >= ENOUGH_SEEN}
 
-    def knows(self, part: Part) -> bool:
+    def knows(self, state: PartState) -> bool:
         """Whether enough parts like this one were seen."""
-        return _kind(part) in self._alike
+        return _kind(state) in self._alike
 
-    def of(self, part: Part, work: float) -> float:
-        """Seconds of some work in a part."""
-        return self._alike.get(_kind(part), self.overall or 0.0) * work
+    def left(self, state: PartState) -> float:
+        """Seconds that what is left of a part usually takes."""
+        return self._alike.get(_kind(state), self.overall or 0.0) * state.left
 
 
-def _kind(part: Part) -> tuple[str, bool]:
-    return part.name, part.gpu
+def _kind(state: PartState) -> tuple[str, int, bool]:
+    return state.part.name, state.cores, state.part.gpu
 
 
 def _rate(state: PartState, now: float) -> float | None:

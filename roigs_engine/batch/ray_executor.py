@@ -71,11 +71,11 @@ class RayExecutor:
         """The machines without some; all, if there are no others."""
         return {n: has for n, has in self._nodes.items() if n not in avoid} or self._nodes
 
-    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
+    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int:
         """Give a part to Ray; see `LocalExecutor.start`."""
-        self._connection.ask(lambda: self._start(part, waiting, avoid))
+        return self._connection.ask(lambda: self._start(part, waiting, avoid))
 
-    def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> None:
+    def _start(self, part: Part, waiting: int, avoid: tuple[str, ...]) -> int:
         fit = self._fit(avoid)
         wanted = demand(part, list(fit.values()), len(self._running) + 1 + waiting)
         cores = int(wanted["num_cpus"])
@@ -87,6 +87,7 @@ class RayExecutor:
         argv = with_threads(part, cores)
         reference = task.remote(argv, part, self._mailbox, __version__, self._sign)
         self._running[reference] = (part, cores)
+        return cores
 
     def wait(self, seconds: float) -> list[Report]:
         """What was reported; see `LocalExecutor.wait`.

@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="do the scene of this name only; repeatable",
     )
-    parser.add_argument("--only", action=OnlyIsForBoxes, help=argparse.SUPPRESS)
+    parser.add_argument("--only", type=NAME, action=OnlyIsForBoxes, help=argparse.SUPPRESS)
     parser.add_argument(
         "--jobs",
         type=integer(1, MOST_JOBS),

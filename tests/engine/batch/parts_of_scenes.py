@@ -36,10 +36,11 @@ class Instant:
     def has_room(self, part: Part, avoid: tuple[str, ...] = ()) -> bool:
         return len(self._running) < self._room
 
-    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> None:
+    def start(self, part: Part, waiting: int, avoid: tuple[str, ...] = ()) -> int:
         self.order.append(part.label)
         self.avoided.append(avoid)
         self._running.append((part, avoid))
+        return 1
 
     def wait(self, seconds: float) -> list[Report]:
         if not self._running:

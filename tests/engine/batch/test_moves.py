@@ -69,7 +69,9 @@ def test_a_slow_part_goes_on_at_an_idle_machine() -> None:
     assert found(*USUAL, usual, idle=True) is None
     ending = running("ending", 10, percent=90, since=300)  # 33 s left
     assert found(*USUAL, ending, idle=True) is None
-    slow.avoid = ("one", "two", "three")
+    slow.cores = 4  # nothing is known of parts with so many
+    assert found(*USUAL, slow, idle=True) is None
+    slow.cores, slow.avoid = 1, ("one", "two", "three")
     assert found(*USUAL, slow, idle=True) is None
 
 
