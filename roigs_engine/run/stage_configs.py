@@ -70,7 +70,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         box_budget=0.0,
         full_every=1,
         view_weighting=0.0,
-        small_until=0,  # it would cost these 0.1 dB: docs/lab_notebook.md, "Small photos first"
+        small_until=0,  # they lose a little by it: docs/lab_notebook.md, "Small photos first"
     )
     if coarse_to_fine:
         until = max(_densify_steps(config) - ours.scene.densify_until, ours.roi.steps // 3)
