@@ -132,7 +132,7 @@ def next_move(
     ]
     if slow:
         left, last = max(slow, key=lambda pair: pair[0])
-        if left > rest if ready else idle:
+        if (left > rest) if ready else idle:
             return Move(state=last, slow=True)
     longest = max((usual.left(s) + usual.overall * after[s.part.key] for s in ready), default=0.0)
     short = [(left, s) for left, s in movable if left < SHORT * longest and not s.made_way]
