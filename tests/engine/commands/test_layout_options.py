@@ -98,15 +98,17 @@ def test_the_plan_shows_groups(
         assert says in capsys.readouterr().out
 
 
-def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> None:
-    table = tmp_path / "table.toml"
+def table_of(project: Project, folder: Path, *lines: str) -> Table:
+    """A table of one scene with two boxes, and more lines."""
+    path = folder / "table.toml"
     boxes = ", ".join(f"'{text}'" for text in TWO[1::2])
-    table.write_text(
-        f"[scenes.hall]\nscene = '{project.folder}'\nroi = [{boxes}]\nblocks = 2\n"
-        "group = ['thing,other']\nsteps_factor = 0.003\n",
-        encoding="utf-8",
-    )
-    found = Table(table)
+    scene = f"[scenes.hall]\nscene = '{project.folder}'\nroi = [{boxes}]\nsteps_factor = 0.003\n"
+    path.write_text(scene + "\n".join(lines), encoding="utf-8")
+    return Table(path)
+
+
+def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> None:
+    found = table_of(project, tmp_path, "blocks = 2", "group = ['thing,other']")
     assert not found.wrong
     record = BatchRecord(tmp_path)
     parts = {
@@ -121,14 +123,8 @@ def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> N
 
 
 def test_each_part_of_a_batch_asks_for_its_own_memory(project: Project, tmp_path: Path) -> None:
-    table = tmp_path / "table.toml"
-    boxes = ", ".join(f"'{text}'" for text in TWO[1::2])
-    table.write_text(
-        f"[scenes.hall]\nscene = '{project.folder}'\nroi = [{boxes}]\nstrategy = 'independent'\n"
-        "count = 3\nsteps_factor = 0.003\n",
-        encoding="utf-8",
-    )
-    (row,), record = Table(table).rows, BatchRecord(tmp_path)
+    table = table_of(project, tmp_path, "strategy = 'independent'", "count = 3")
+    (row,), record = table.rows, BatchRecord(tmp_path)
     parts = plan_row(row, tmp_path, record, Console(json_lines=False)).scene.parts
     memory = {part.name: part.memory for part in parts}
     assert 0 < memory["object-thing"] < memory["scene"] <= memory["all"]
