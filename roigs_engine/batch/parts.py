@@ -87,7 +87,7 @@ class ScenePlan:
 
 def stage_work(stage: Stage) -> float:
     """Steps times megapixels of the largest photo, in each size."""
-    small = stage.config.small_until
+    small = sum(map(stage.config.is_small, range(stage.config.steps)))
     return (stage.config.steps - small) * megapixels(stage.images) + small * megapixels(
         stage.small_images
     )

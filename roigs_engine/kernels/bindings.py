@@ -44,6 +44,7 @@ class Camera(ctypes.Structure):
         ("position", ctypes.c_float * 3),
         ("focal_and_centre", ctypes.c_float * 4),
         ("background", ctypes.c_float * 3),
+        ("blur", ctypes.c_float * 2),
         ("centre_bounds", ctypes.c_float * 4),
         ("size", ctypes.c_int32 * 2),
         ("tiles", ctypes.c_int32 * 4),

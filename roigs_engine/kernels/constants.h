@@ -5,7 +5,6 @@ namespace roigs {
 
 constexpr int kTile = 16;                        // side of a tile, px
 constexpr float kNear = 0.01f;                   // nearest camera depth, scene units
-constexpr float kBlur = 0.3f;                    // added to the 2D covariance's diagonal, px^2
 constexpr float kAlphaMax = 0.999f;              // opacity cap per pixel
 constexpr float kFrustumMargin = 0.3f;           // see linearisation point, geometry.h
 constexpr float kLog2AlphaMin = -7.9943534369f;  // log2(1 / 255), the smallest alpha drawn

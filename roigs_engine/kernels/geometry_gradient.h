@@ -11,11 +11,23 @@ struct Gradient2d {
     Floats xx, xy, yy;  // dL / d(Sigma'), a symmetric matrix
 };
 
+// Through drawn_opacity: with `weight` = dL / d(log opacity) and P the covariance with the blur of
+// the whole photo's pixels, dL / d(Sigma') has weight (P^-1 - Sigma'^-1) / 2 in addition.
+inline void add_opacity_gradient(const Camera& camera, const Geometry& g, Floats weight,
+                                 Gradient2d& d) {
+    if (camera.blur == camera.photo_blur) return;
+    const float less = camera.blur - camera.photo_blur;
+    const Floats photo = 0.5f * weight / g.photo_determinant, drawn = 0.5f * weight / g.determinant;
+    d.xx += photo * (g.yy - less) - drawn * g.yy;
+    d.xy += (drawn - photo) * g.xy;
+    d.yy += photo * (g.xx - less) - drawn * g.xx;
+}
+
 // With Sigma'^-1 = L L^T / h (h = kExponentScale) and (u, v) = L^T d,
 //     dL / d(centre) = sum s Sigma'^-1 d = L (sum s (u, v)) / h
 //     dL / d(Sigma') = 1/2 sum s (Sigma'^-1 d)(Sigma'^-1 d)^T
 //                    = L M L^T / (2 h^2) with M = sum s (u, v)(u, v)^T.
-inline Gradient2d unwhiten(const Geometry& g, const Floats (&m)[16]) {
+inline Gradient2d unwhiten(const Camera& camera, const Geometry& g, const Floats (&m)[16]) {
     const Whitening w = whitening(g);
     constexpr float kFirst = 1 / kExponentScale, kSecond = 0.5f * kFirst * kFirst;
     Gradient2d out;
@@ -28,6 +40,7 @@ inline Gradient2d unwhiten(const Geometry& g, const Floats (&m)[16]) {
     out.xx = kSecond * (w.l11 * a);
     out.xy = kSecond * (w.l11 * b);
     out.yy = kSecond * (w.l21 * b + w.l22 * c);
+    add_opacity_gradient(camera, g, m[kS], out);
     return out;
 }
 

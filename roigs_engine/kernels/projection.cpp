@@ -15,7 +15,7 @@ constexpr int64_t kListedUncounted = 1 << 27;
 // are left open.
 int pack_splats(const Geometry& g, Mask usable, const PixelBounds& bounds, const int32_t* ids,
                 Splat* out) {
-    const Floats log2_opacity = log2(g.opacity);
+    const Floats log2_opacity = log2(drawn_opacity(g));
     const Floats headroom = log2_opacity - (kLog2AlphaMin - kCullSlack);  // u^2 + v^2 stays below
     usable = both(usable, greater(log2_opacity, splat(kLog2AlphaMin)));
     // u^2 + v^2 = kExponentScale d^T Sigma'^-1 d, and d_x^2 <= Sigma'_xx d^T Sigma'^-1 d

@@ -84,13 +84,13 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
     Geometry g;
     project_centres(gaussians, view.camera, batch.id, g);
     project_shapes(gaussians, view.camera, batch.id, g);
-    const Gradient2d d = unwhiten(g, moments);
+    const Gradient2d d = unwhiten(view.camera, g, moments);
     Floats scale[3], quat[4], dT[2][3], mean[3];
     covariance_gradient(g, d, scale, quat, dT);
     centre_gradient(view.camera, g, d, dT, mean);
     colour_gradient(view, gaussians, batch, g, moments, out.sh, mean);
 
-    // kS = opacity dL / d(opacity)
+    // kS = opacity dL / d(opacity), the drawn one's as well as the stored one's
     Floats opacity[1] = {gaussians.raw ? moments[kS] * (1.0f - g.opacity)
                                        : moments[kS] / g.opacity};
     if (gaussians.raw)

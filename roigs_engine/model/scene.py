@@ -7,6 +7,7 @@ Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forwar
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -94,6 +95,8 @@ class PosedImage:
         objects: box -> which pixels show its object, of the boxes with such a mask here.
         distorted: whether the photo at `path` still has lens distortion, which `camera` does not
             describe (only in scenes loaded without pixels).
+        whole_size: width and height of the photo of which this one is the average; None: this
+            one is whole.
     """
 
     name: str
@@ -107,6 +110,7 @@ class PosedImage:
     mask: PhotoMask | None = None
     objects: Mapping[str, PhotoMask] = field(default_factory=dict)
     distorted: bool = False
+    whole_size: tuple[int, int] | None = None
 
     @property
     def centre(self) -> Float64:
@@ -120,13 +124,20 @@ class PosedImage:
         channels = 3 if self.mask is None else 4
         return channels * self.camera.width * self.camera.height
 
+    @property
+    def pixel_size(self) -> float:
+        """Side of a pixel, in pixels of the whole photo."""
+        width, height = self.whole_size or (self.camera.width, self.camera.height)
+        return math.sqrt(width * height / (self.camera.width * self.camera.height))
+
     def scaled(self, factor: float) -> PosedImage:
-        """The same photo with its size multiplied by `factor`; the photo itself for 1."""
+        """The same photo with its size multiplied by `factor`, below 1; the photo itself for 1."""
         if factor == 1:
             return self
         width, height = self.camera.width, self.camera.height
         size = max(1, round(width * factor)), max(1, round(height * factor))
-        return replace(self, camera=self.camera.resized(*size))
+        whole = self.whole_size or (width, height)
+        return replace(self, camera=self.camera.resized(*size), whole_size=whole)
 
     @property
     def forward(self) -> Float64:

@@ -49,6 +49,8 @@ def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
 def load_photo(image: PosedImage) -> Pixels:
     """(H, W, 3) uint8 sRGB of a posed photo at its camera's size.
 
+    A pixel of a photo with a `whole_size` is the average of the pixels that it covers there.
+
     A damaged file that the engine made is made again.
 
     Raises:
@@ -56,6 +58,22 @@ def load_photo(image: PosedImage) -> Pixels:
         RunFolderError: a file of the engine cannot be made again.
     """
     size = (image.camera.width, image.camera.height)
+    if image.whole_size is None:
+        return _load(image, size)
+    n = max(2, round(image.pixel_size))
+    return averaged(_load(image, (n * size[0], n * size[1])), n)
+
+
+def averaged(pixels: Pixels, n: int) -> Pixels:
+    """(H, W, 3) uint8: the means of squares of `n` x `n` pixels of (n H, n W, 3)."""
+    height, width, channels = pixels.shape
+    squares = pixels.reshape(height // n, n, width // n, n, channels)
+    means: Pixels = squares.mean(axis=(1, 3), dtype=np.float32).round().astype(np.uint8)
+    return means
+
+
+def _load(image: PosedImage, size: tuple[int, int]) -> Pixels:
+    """The photo in another size; raises as `load_photo`."""
     if image.remake is None:  # else the engine made the file
         check_unchanged(image.path, image.digest)
     try:

@@ -38,6 +38,7 @@ from .inputs import (
     RenderInputs,
     RenderOutput,
     background_colour,
+    blur_of,
     check_backward_step,
     check_inputs,
     checked_depth,
@@ -72,6 +73,7 @@ def rasterize(
     with_weight_sum: bool = False,  # also return the sum of its weights
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
     mask: tuple[int, int, int, int] | Tensor | None = None,
+    pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
     backward_step: BackwardStep | None = None,  # the optimizer step that `backward` takes
     backend: str = "auto",  # auto: for float32 the device's compiled backend, else the reference
 ) -> RenderOutput:
@@ -79,8 +81,7 @@ def rasterize(
 
     `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
     touches are active, forward and backward; other pixels get the background. With `backward_step`
-    (one camera, not gsplat), `backward` updates the visible Gaussians and returns no gradients; it
-    can be called once.
+    (one camera, not gsplat), `backward`, called once, updates the visible ones without gradients.
 
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
@@ -108,6 +109,7 @@ def rasterize(
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),
         tiles=tiles,
         tile_mask=None if tile_mask is None else sent(tile_mask, means.device),
+        blur=blur_of(pixel_size),
         backward_step=backward_step,
     )
     return _render(inputs, backend)

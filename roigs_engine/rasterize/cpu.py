@@ -152,6 +152,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
         camera.position[:] = [-sum(view[j][i] * view[j][3] for j in range(3)) for i in range(3)]
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
+        camera.blur[:] = inputs.blur
         camera.centre_bounds[:] = centre_bounds(inputs, c)
         camera.size[:] = [inputs.width, inputs.height]
         camera.tiles[:] = inputs.tiles

@@ -148,6 +148,7 @@ def _set_camera(view: View, c: int) -> None:
     parts = (pose[:3].flatten(), eye, focal_and_centre, inputs.background)
     values = torch.cat([part.to(torch.float32) for part in parts])
     assert len(values) == CAMERA_VALUES
+    shape.blur[:] = inputs.blur
     shape.centre_bounds[:] = centre_bounds(inputs, c)
     shape.size[:] = [inputs.width, inputs.height]
     shape.tiles[:] = inputs.tiles

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from ..cuda import library
 from ..errors import KernelError
-from .inputs import BLUR, NEAR, TILE, RenderInputs, RenderOutput, centre_bounds, inside
+from .inputs import NEAR, TILE, Blur, RenderInputs, RenderOutput, centre_bounds, inside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,7 +166,7 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
         Ks=inputs.Ks[camera].to(means)[None],
         width=inputs.width,
         height=inputs.height,
-        eps2d=BLUR,
+        eps2d=inputs.blur.drawn,
         near_plane=NEAR,
         opacities=opacities,
     )
@@ -192,9 +192,20 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
         means2d=means2d,
         depths=depths,
         conics=conics,
-        opacities=opacities[None],
+        opacities=_drawn_opacities(opacities, conics[0], inputs.blur)[None],
         colours=colours,
     )
+
+
+def _drawn_opacities(opacities: Tensor, conics: Tensor, blur: Blur) -> Tensor:
+    """(N,) opacities, less where pixels are averages: drawn_opacity in kernels/geometry.h."""
+    less = blur.drawn - blur.photo
+    if not less:
+        return opacities
+    xx, xy, yy = conics.unbind(-1)  # of the inverse of the covariance
+    # det(covariance - less I) / det(covariance)
+    share = 1 - less * (xx + yy) + less * less * (xx * yy - xy * xy)
+    return opacities * share.sqrt()
 
 
 def _zero_rows(mask: Tensor) -> Any:

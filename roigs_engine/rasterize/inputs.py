@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -26,7 +26,9 @@ MAX_SLOPE = 3.0
 """`max_slope` of every picture that is shown or measured. Training draws without a limit."""
 
 BLUR = 0.3
-"""Added to the 2D covariance's diagonal, px^2: each Gaussian covers at least about a pixel."""
+"""Added to the 2D covariance's diagonal, px^2: each Gaussian covers at least about a pixel.
+
+The pixels are those of the whole photo, see `blur_of`."""
 
 ALPHA_MIN = 1.0 / 255.0
 """Contributions below this are skipped: 8-bit output would not show them."""
@@ -43,6 +45,18 @@ SH_SIZES = (1, 4, 9, 16)
 
 Depth = bool | Literal["median"]
 """Whether to return a depth, and which: True is the mean."""
+
+
+class Blur(NamedTuple):
+    """Added to the diagonal of the 2D covariance, px^2 of the picture.
+
+    Attributes:
+        drawn: in all.
+        photo: of which a pixel of the whole photo has this much.
+    """
+
+    drawn: float
+    photo: float
 
 
 class BackwardStep(Protocol):
@@ -115,6 +129,7 @@ class RenderInputs:
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
     tile_mask: Tensor | None  # (rows, columns) bool, the active tiles in this rectangle; None: all
+    blur: Blur
     backward_step: BackwardStep | None  # None: the backward pass returns gradients
 
     @property
@@ -222,6 +237,18 @@ def checked_depth(with_depth: Depth) -> Depth:
     if isinstance(with_depth, str) and with_depth != "median":
         raise EngineError(f"rasterize: with_depth is {with_depth!r}, not a bool or 'median'.")
     return with_depth if with_depth == "median" else bool(with_depth)
+
+
+def blur_of(pixel_size: float) -> Blur:
+    """The blur of pixels that are averages of pixel_size^2 of the whole photo's.
+
+    The latter have BLUR; n x n of them, evenly spread over a square of side 1, have a variance of
+    (1 - 1/n^2) / 12 in it. EngineError if the size is not 1 or more.
+    """
+    if not 1 <= pixel_size < math.inf:
+        raise EngineError(f"rasterize: pixel_size {pixel_size} is not a number of 1 or more.")
+    photo = BLUR / pixel_size**2
+    return Blur(drawn=photo + (1 - 1 / pixel_size**2) / 12, photo=photo)
 
 
 def checked_max_slope(max_slope: float | None) -> float | None:

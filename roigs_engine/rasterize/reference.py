@@ -16,7 +16,6 @@ from ..model.rotations import rotation_matrices
 from .inputs import (
     ALPHA_MAX,
     ALPHA_MIN,
-    BLUR,
     FRUSTUM_MARGIN,
     NEAR,
     TILE,
@@ -114,14 +113,11 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
         rotation_matrices(quats / quats.norm(dim=-1, keepdim=True)) * scales[:, None, :]
     )  # (V, 3, 3); Sigma = M M^T, 3DGS eq. 6
     U = jacobian(t, K, inputs.width, inputs.height) @ rotation @ M  # (V, 2, 3)
-    covariance = torch.stack(
-        [
-            (U[:, 0] * U[:, 0]).sum(-1) + BLUR,
-            (U[:, 0] * U[:, 1]).sum(-1),
-            (U[:, 1] * U[:, 1]).sum(-1) + BLUR,
-        ],
-        dim=-1,
+    sharp = torch.stack(
+        [(U[:, 0] ** 2).sum(-1), (U[:, 0] * U[:, 1]).sum(-1), (U[:, 1] ** 2).sum(-1)], dim=-1
     )  # Sigma' = J W Sigma W^T J^T, 3DGS eq. 5
+    covariance, full = (sharp + sharp.new_tensor([b, 0.0, b]) for b in inputs.blur)
+    opacities = opacities * (determinant(full) / determinant(covariance)).sqrt()
     eye = -rotation.T @ translation
     direction = torch.nn.functional.normalize(means - eye, dim=-1, eps=0.0)
     used = (inputs.sh_degree + 1) ** 2
@@ -170,11 +166,17 @@ def sh_basis(direction: Tensor) -> Tensor:
     return torch.stack(terms, dim=-1)
 
 
+def determinant(covariance: Tensor) -> Tensor:
+    """(V,) determinants of covariances (V, 3)."""
+    xx, xy, yy = covariance.unbind(-1)
+    return xx * yy - xy * xy
+
+
 def exponent(covariance: Tensor, d: Tensor) -> Tensor:
     """1/2 d^T Sigma'^-1 d for covariances (V, 3) and offsets d (..., V, 2)."""
     xx, xy, yy = covariance.unbind(-1)
     dx, dy = d.unbind(-1)
-    return 0.5 * (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
+    return 0.5 * (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant(covariance)
 
 
 def reaches_a_tile(

@@ -67,11 +67,14 @@ class Estimator:
         """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
         end = counts[-1]
-        small = counts[: stage.config.small_until] if stage.small_images else []
-        seconds = self._line(stage, stage.images, start, end)
-        total = sum(seconds(count) for count in counts[len(small) :])
-        if small:
-            total += sum(map(self._line(stage, stage.small_images, start, end), small))
+        seconds = small = self._line(stage, stage.images, start, end)
+        if stage.small_images:
+            small = self._line(stage, stage.small_images, start, end)
+        config = stage.config
+        total = sum(
+            (small if config.is_small(step) else seconds)(count)
+            for step, count in enumerate(counts)
+        )
         return StageEstimate(end=end, seconds=total, step_seconds=seconds(end))
 
     def _line(

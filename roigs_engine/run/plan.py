@@ -23,7 +23,8 @@ from ..training.photo_order import PhotoOrder
 CUTOUTS_VERSION = 2  # increase it if stages with cutouts get other results
 POINTS, RESULT, CROP, MERGE = "points", "result", "crop", "merge"
 CELLS, SEEN = "cells", "seen"
-SMALL = 0.5  # size of the photos of the first steps of a stage (`TrainConfig.small_until`)
+AVERAGES_VERSION = 1  # of what small photos are and how they are drawn (`PosedImage.whole_size`)
+SMALL = 0.5  # size of the photos of the first steps of a stage (`TrainConfig.is_small`)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +110,7 @@ class Stage:
     @cached_property
     def small_images(self) -> tuple[PosedImage, ...]:
         """The photos at half their size, for the first steps; empty: no step uses them."""
-        if not self.config.small_until:
+        if not self.config.has_small:
             return ()
         return tuple(image.scaled(SMALL) for image in self.images)
 
@@ -133,8 +134,11 @@ class Stage:
         }
         objects = self._object_masks()
         record |= {"objects": objects} if objects else {}
-        if not self.config.small_until:  # such stages are what they were before there was one
-            del record["config"]["small_until"]
+        for name in ("small_until", "whole_small_until"):
+            if not record["config"][name]:  # such stages are what they were before there was one
+                del record["config"][name]
+        if any(i.whole_size for i in (*self.images, *self.small_images)):
+            record["averages"] = AVERAGES_VERSION
         return json_digest(record | ({"cutouts": CUTOUTS_VERSION} if self.cutouts else {}))
 
     def _object_masks(self) -> list[tuple[int, int, str]]:

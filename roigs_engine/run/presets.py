@@ -71,12 +71,13 @@ def joint_recipe(
             lr_scales=0.01,
             densify_from=0,
             densify_until=roi_steps // 3,
-            small_until=roi_steps // 3,  # what densification adds is coarse at first
+            small_until=roi_steps // 2,  # what densification adds is coarse at first
+            whole_small_until=roi_steps * 2 // 3,
             densify_in_boxes=True,
-            grad_threshold=8e-5,
-            # Twice 3DGS's: what shows behind the objects must not stay as coarse as the Scene-GS.
-            outside_grad_threshold=4e-4,
-            box_budget=26.0,
+            grad_threshold=6e-5,
+            # 4 x 3DGS's: what shows behind the objects must not stay as coarse as the Scene-GS.
+            outside_grad_threshold=8e-4,
+            box_budget=32.0,
             full_every=3,
             view_weighting=1.0,
             reset_every=0,

@@ -71,6 +71,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         full_every=1,
         view_weighting=0.0,
         small_until=0,  # they lose a little by it: docs/lab_notebook.md, "Small photos first"
+        whole_small_until=0,
     )
     if coarse_to_fine:
         until = max(_densify_steps(config) - ours.scene.densify_until, ours.roi.steps // 3)
@@ -101,6 +102,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         lr_means=config.roi.lr_means / 10,
         densify_until=0,
         small_until=0,
+        whole_small_until=0,
         box_budget=0.0,
         min_views=0,
         average_steps=steps // 2,
@@ -176,6 +178,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         sh_start=config.roi.sh_degree,
         densify_until=0,
         small_until=0,
+        whole_small_until=0,
         box_budget=0.0,
         average_steps=config.refine_steps // 2,
     )

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..errors import ConfigError
+from .photo_order import is_whole
 
 # What `miniature` scales beside the steps.
 INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contribution_every")
@@ -56,6 +57,8 @@ class TrainConfig:
             front of the boxes that fewer training photos show; 0: none.
         small_until: steps before this one use photos of half the size: coarse to fine, ours. They
             take half the time, and what they lack is learned after them.
+        whole_small_until: steps before this one that use a whole photo have it at half the size
+            too: what is beside the boxes needs no more.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
     """
@@ -91,6 +94,7 @@ class TrainConfig:
     contribution_every: int = 0
     min_views: int = 0
     small_until: int = 0
+    whole_small_until: int = 0
     average_steps: int = 0
 
     def __post_init__(self) -> None:
@@ -111,6 +115,16 @@ class TrainConfig:
         t = min(step / max(self.steps, 1), 1.0)
         return math.exp((1 - t) * math.log(self.lr_means) + t * math.log(self.lr_means_final))
 
+    @property
+    def has_small(self) -> bool:
+        """Whether some steps use photos of half the size."""
+        return max(self.small_until, self.whole_small_until) > 0
+
+    def is_small(self, step: int) -> bool:
+        """Whether a step uses a photo of half the size."""
+        whole = is_whole(step, self.full_every)
+        return step < (max(self.small_until, self.whole_small_until) if whole else self.small_until)
+
     def degree(self, step: int) -> int:
         """SH degree in use at a step."""
         return min(self.sh_degree, self.sh_start + step // max(self.sh_every, 1))
@@ -122,7 +136,7 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     The first densification step and the intervals do not scale: Adam and the statistics need a
     fixed number of steps. `miniature` scales them too.
     """
-    shares = ("densify_until", "small_until", "average_steps")
+    shares = ("densify_until", "small_until", "whole_small_until", "average_steps")
     scaled: dict[str, Any] = {
         name: round(getattr(config, name) * steps / config.steps) for name in shares
     }

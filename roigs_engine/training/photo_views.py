@@ -14,12 +14,16 @@ from .stage_data import SmallPhotos, StageData
 
 
 class View(NamedTuple):
-    """A camera as the rasterizer takes it: (1, 4, 4) and (1, 3, 3) matrices, pixels."""
+    """A camera as the rasterizer takes it: (1, 4, 4) and (1, 3, 3) matrices, pixels.
+
+    `pixel_size` is the side of a pixel in pixels of the whole photo.
+    """
 
     viewmats: Tensor
     Ks: Tensor
     width: int
     height: int
+    pixel_size: float
 
 
 class PhotoViews:
@@ -35,6 +39,7 @@ class PhotoViews:
         self._sizes = [(image.camera.width, image.camera.height) for image in of.images]
         self._photos = photos_on(device, of.photos, room)
         self._viewmats, self._intrinsics = camera_tensors(of.images, device)
+        self._pixel_sizes = [image.pixel_size for image in of.images]
         self._masks = of.masks
 
     def photo(self, index: int) -> Tensor:
@@ -52,4 +57,9 @@ class PhotoViews:
     def view(self, index: int) -> View:
         """Its camera."""
         one = slice(index, index + 1)
-        return View(self._viewmats[one], self._intrinsics[one], *self._sizes[index])
+        return View(
+            self._viewmats[one],
+            self._intrinsics[one],
+            *self._sizes[index],
+            self._pixel_sizes[index],
+        )

@@ -40,7 +40,7 @@ class StageData:
         rois: boxes that limit densification, if the stage's config says so.
         budgets: Gaussian budget of each box; None: no limit.
         masks: masks for the steps that do not use whole photos (`config.full_every`).
-        small: the photos at half their size, for the first steps (`config.small_until`).
+        small: the photos at half their size, for the first steps (`config.is_small`).
         cutouts: the objects that some steps draw alone; None: there are none. The stage must not
             densify, and their rows are those of the `z_order` of its first model.
         points: (P, 3) of the scene, world units; used with `config.min_views`.

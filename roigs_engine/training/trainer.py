@@ -65,7 +65,7 @@ class Trainer:
         self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
         self.health = Health([image.name for image in data.images])
-        small = data.small if config.small_until else None
+        small = data.small if config.has_small else None
         self._small = None if small is None else PhotoViews(small, data.device, data.card_photos)
         self._whole = PhotoViews(data, data.device, data.card_photos)
         self._ahead = StepsAhead(data.device)
@@ -223,8 +223,7 @@ class Trainer:
 
     def _views(self, step: int) -> PhotoViews:
         """The photos in the size that a step uses."""
-        small = self._small if step < self.config.small_until else None
-        return small or self._whole
+        return (self._small if self.config.is_small(step) else None) or self._whole
 
     def _mask(self, index: int) -> RoiMask | None:
         """The mask of this step's photo; None: the step uses the whole photo."""
@@ -262,7 +261,7 @@ class Trainer:
             p["log_scales"],
             p["logit_opacities"],
             p["sh"],
-            *camera,
+            **camera._asdict(),
             sh_degree=self.config.degree(self.step),
             raw=True,
             mask=active,

@@ -43,7 +43,7 @@ __device__ void row_gradient(const Frame& f, int64_t n, RowGradient& row) {
     Geometry g;
     project_centres(f.gaussians, camera, &id, g);
     project_shapes(f.gaussians, camera, &id, g);
-    const Gradient2d d = unwhiten(g, moments);
+    const Gradient2d d = unwhiten(camera, g, moments);
     float dT[2][3];
     covariance_gradient(g, d, row.scale, row.quat, dT);
     centre_gradient(camera, g, d, dT, row.mean);

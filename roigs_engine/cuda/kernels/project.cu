@@ -8,7 +8,7 @@ namespace roigs {
 
 // The splat's columns, colours left open; false: it cannot touch a pixel.
 __device__ bool make_splat(const Geometry& g, const PixelBounds& bounds, float (&c)[kColumns]) {
-    const float log2_opacity = log2(g.opacity);
+    const float log2_opacity = log2(drawn_opacity(g));
     const float headroom = log2_opacity - (kLog2AlphaMin - kCullSlack);
     if (!(log2_opacity > kLog2AlphaMin)) return false;
     const float reach2 = max(headroom, 0.0f) / kExponentScale;

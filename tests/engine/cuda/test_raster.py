@@ -57,6 +57,8 @@ CASES: dict[str, dict[str, Any]] = {
     "rectangle": {"mask": (20, 20, 40, 30), "background": BACKGROUND, **OUTPUTS},
     "mask": {"mask": ring(), "background": BACKGROUND, **OUTPUTS},
     "slope": {"max_slope": 0.6},
+    "pixel size": {"pixel_size": 2.0, **OUTPUTS},
+    "raw, pixel size": {"pixel_size": 2.0, "raw": True},
 }
 
 

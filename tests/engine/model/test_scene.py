@@ -47,7 +47,12 @@ def test_resized_camera_sees_the_same_rays() -> None:
 def test_a_scaled_photo_sees_the_same_rays() -> None:
     image = posed("a", [1.0, 2.0, 3.0])
     assert image.scaled(1.0) is image
-    assert image.scaled(0.5).camera == CAMERA.resized(50, 25)
+    assert (image.pixel_size, image.whole_size) == (1.0, None)
+    half = image.scaled(0.5)
+    assert half.camera == CAMERA.resized(50, 25)
+    assert (half.pixel_size, half.whole_size) == (2.0, (100, 50))
+    assert half.scaled(0.4).whole_size == (100, 50)
+    assert half.scaled(0.4).pixel_size == 5.0
 
 
 def test_centre_and_forward() -> None:

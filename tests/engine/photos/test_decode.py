@@ -43,6 +43,35 @@ def test_exact_pixels_at_full_size(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded, pixels)
 
 
+@pytest.mark.parametrize("whole", [(46, 30), (92, 60)])
+def test_a_scaled_photo_is_the_average_of_the_whole_one(
+    tmp_path: Path, whole: tuple[int, int]
+) -> None:
+    """So that it can be compared with a render that is one too (`rasterize`, `pixel_size`)."""
+    noise = np.random.default_rng(0).integers(0, 256, (60, 92, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / "a.png")
+    image = posed(tmp_path / "a.png", *whole)
+    means = load_photo(image).reshape(whole[1] // 2, 2, whole[0] // 2, 2, 3).mean((1, 3))
+    np.testing.assert_allclose(load_photo(image.scaled(0.5)), means, atol=0.51)
+
+
+@pytest.mark.parametrize("whole", [(639, 427), (320, 214), (641, 429)])
+@pytest.mark.parametrize("factor", [0.5, 0.3, 0.75])
+def test_averages_of_odd_sizes_keep_places(
+    tmp_path: Path, whole: tuple[int, int], factor: float
+) -> None:
+    """Squares of pixels that do not fit evenly would lie up to half a pixel beside their place."""
+    waves = 127.5 + 120 * np.sin(np.arange(640)[None, :, None] / 3.0 + np.zeros((428, 1, 3)))
+    Image.fromarray(waves.round().astype(np.uint8)).save(tmp_path / "a.png")
+    image = posed(tmp_path / "a.png", *whole).scaled(factor)
+    loaded = load_photo(image)[5, :, 0].astype(float) - 127.5
+    places = (np.arange(image.camera.width) + 0.5) * 640 / image.camera.width - 0.5
+    basis = np.stack([np.sin(places / 3.0), np.cos(places / 3.0)], axis=1)
+    (sine, cosine), *_ = np.linalg.lstsq(basis, loaded, rcond=None)
+    assert abs(np.arctan2(cosine, sine)) * 3.0 < 0.02  # px
+    assert np.abs(basis @ [sine, cosine] - loaded)[3:-3].max() < 3
+
+
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
 @pytest.mark.parametrize("size", [(640, 427), (321, 214), (200, 133), (77, 51), (20, 13)])
 def test_resampling_keeps_places(tmp_path: Path, suffix: str, size: tuple[int, int]) -> None:

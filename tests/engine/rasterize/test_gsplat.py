@@ -44,6 +44,7 @@ CASES: dict[str, dict[str, Any]] = {
     "rectangle": {"mask": (20, 20, 40, 30), "background": BACKGROUND},
     "mask": {"mask": ring(), "background": BACKGROUND, "with_depth": True},
     "depth": {"with_depth": True},
+    "pixel size": {"pixel_size": 2.0},
 }
 
 

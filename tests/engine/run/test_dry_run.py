@@ -178,7 +178,9 @@ def test_steps_on_small_photos_are_estimated_on_small_photos(
     monkeypatch.setattr(Estimator, "_measured", measured)
     plan = plan_run(define_run(tmp_path, scene, [BOX], tiny("joint")))
     joint = next(stage for stage in plan.stages if stage.name == "joint")
-    width, config = joint.images[0].camera.width, replace(joint.config, steps=10, small_until=4)
+    width = joint.images[0].camera.width
+    assert joint.config.full_every == 3  # steps 0, 3, 6 and 9 are whole
+    config = replace(joint.config, steps=10, small_until=4, whole_small_until=7)
     found = Estimator(scene).estimate(replace(joint, config=config), 1000)
-    assert found.seconds == pytest.approx(6 * width + 4 * round(width / 2))
+    assert found.seconds == pytest.approx(5 * width + 5 * round(width / 2))
     assert found.step_seconds == width

@@ -128,24 +128,31 @@ def test_training_draws_without_a_limit_of_slope(
     assert seen == {None}
 
 
+def test_whole_photos_can_be_small_for_longer() -> None:
+    config = replace(SMALL_FIRST, whole_small_until=40)
+    small = [step for step in range(config.steps) if config.is_small(step)]
+    assert small == [*range(25), 27, 30, 33, 36, 39]  # every third step uses a whole photo
+    assert config.has_small and replace(config, small_until=0).has_small and not SHORT.has_small
+
+
 def test_the_first_steps_draw_half_the_size(
     scene: SfmScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = []
 
     def noted(*args: Any, **options: Any) -> RenderOutput:
-        _, matrices, width, height = args[5:9]
-        assert float(matrices[0, 0, 2]) == pytest.approx(width / 2, abs=1)  # the centre, its size
+        width, height = options["width"], options["height"]
+        assert float(options["Ks"][0, 0, 2]) == pytest.approx(width / 2, abs=1)  # the centre
         mask = options["mask"]
         assert mask is None or mask.shape == (height, width)
-        sizes.append((width, height))
+        sizes.append((width, height, options["pixel_size"]))
         return rasterize(*args, **options)
 
     monkeypatch.setattr(trainer_module, "rasterize", noted)
     Trainer(first_model(scene), two_sizes(scene), SMALL_FIRST).run()
     camera = scene.images[0].camera
-    half = (camera.width // 2, camera.height // 2)
-    assert sizes == [half] * 25 + [(camera.width, camera.height)] * 35
+    half = (camera.width // 2, camera.height // 2, 2.0)
+    assert sizes == [half] * 25 + [(camera.width, camera.height, 1.0)] * 35
 
 
 @pytest.mark.parametrize(
