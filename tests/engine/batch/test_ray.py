@@ -159,9 +159,7 @@ def test_machines_with_another_version_are_refused(
     monkeypatch.setattr(ray_executor, "__version__", "99.0")
     with pytest.raises(ConfigError, match="No machine of the Ray cluster"):
         ray_executor.RayExecutor(cluster.address, sign, context)
-    # A busy machine may also lose a question: it is then not used either.
-    assert all("is not used: " in text for text in said)
-    assert any("it has roigs" in text for text in said)
+    assert said and all("is not used: it has roigs" in text for text in said)
     monkeypatch.undo()
     said.clear()
     with pytest.raises(ConfigError, match="No machine"):
