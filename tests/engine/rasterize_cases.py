@@ -36,6 +36,15 @@ def gaussians(
     return [means, quats, scales, opacities, 0.3 * normal(count, coefficients, 3)]
 
 
+def dots_to_needles() -> list[Tensor]:
+    """`gaussians` of extreme shapes."""
+    parameters = gaussians(300, coefficients=1)
+    parameters[2] = torch.tensor(
+        [[1e-9, 1e-9, 1e-9], [1e-5, 1e-5, 3.0], [0.2, 0.2, 1e-8], [30.0, 1e-3, 1e-3], [20, 20, 20]]
+    ).repeat(60, 1)
+    return parameters
+
+
 def cameras(width: int, height: int) -> tuple[Tensor, Tensor]:
     """Two cameras that differ in rotation and place; fx != fy, principal point off the centre."""
     views = torch.eye(4).repeat(2, 1, 1)

@@ -10,6 +10,7 @@ from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
     differentiate,
+    dots_to_needles,
     gaussians,
     gradient_errors,
     largest_difference,
@@ -65,11 +66,7 @@ def test_many_opaque_layers(isa: str) -> None:
 
 
 def test_shapes_from_dots_to_needles(isa: str) -> None:
-    parameters = gaussians(300, coefficients=1)
-    parameters[2] = torch.tensor(
-        [[1e-9, 1e-9, 1e-9], [1e-5, 1e-5, 3.0], [0.2, 0.2, 1e-8], [30.0, 1e-3, 1e-3], [20, 20, 20]]
-    ).repeat(60, 1)
-    scene = (parameters, *cameras(61, 43), 61, 43)
+    scene = (dots_to_needles(), *cameras(61, 43), 61, 43)
     ours, truth, errors = render_both(*scene)
     assert torch.equal(ours.visible, truth.visible)
     assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE

@@ -16,6 +16,7 @@ from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
+    dots_to_needles,
     gaussians,
     largest_difference,
     relative_error,
@@ -97,11 +98,7 @@ def test_everything_matches(isa: str, raw: bool, pixel_size: float) -> None:
 
 
 def test_shapes_from_dots_to_needles(isa: str) -> None:
-    parameters = gaussians(300, coefficients=1)
-    parameters[2] = torch.tensor(
-        [[1e-9, 1e-9, 1e-9], [1e-5, 1e-5, 3.0], [0.2, 0.2, 1e-8], [30.0, 1e-3, 1e-3], [20, 20, 20]]
-    ).repeat(60, 1)
-    ours, truth, _ = render_both(parameters, *cameras(61, 43), 61, 43, pixel_size=2.0)
+    ours, truth, _ = render_both(dots_to_needles(), *cameras(61, 43), 61, 43, pixel_size=2.0)
     assert torch.equal(ours.visible, truth.visible)
     assert largest_difference(ours.image, truth.image) < 1e-3
 
