@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
 from ..engine import own_files
 from ..scene import compared, splats
+from ..shared import EngineError, levels
 from ..windows import redraw
 from . import options_files, run_folders
 from .spec import LEVELS, JobSpec
 
 DONE = "The 3D view and renders now use levels of detail"
+NONE_KEPT = "No level looked good enough: the 3D view and renders use the whole result"
 
 
 def spec(scene: bpy.types.Scene) -> JobSpec:
@@ -21,16 +25,17 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
     """
     folder, find = run_folders.settle(scene), run_folders.finder(scene)
 
-    def show() -> None:
+    def show() -> str | None:
         now = find()
         if now is None:
-            return
+            return None
         shown = compared.shown_result(now)
         if shown is None:
             splats.show_results(now, folder)
         elif shown != folder:
             compared.switch(now, folder)
         redraw()
+        return None if _some_kept(folder) else NONE_KEPT
 
     return JobSpec(
         title=LEVELS,
@@ -40,3 +45,11 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
         on_done=show,
         done_text=DONE,
     )
+
+
+def _some_kept(folder: Path) -> bool:
+    """Whether a result has a level beside itself; a damaged list is told by the panel."""
+    try:
+        return any(len(ladder.levels) > 1 for ladder in levels.read_ladders(folder).values())
+    except EngineError:
+        return True

@@ -55,6 +55,18 @@ def test_levels_are_made_and_shown(blender: ModuleType, made) -> None:
     assert current.outcome() == "The 3D view and renders now use levels of detail"
 
 
+def test_a_result_without_a_level_worth_keeping_says_so(blender: ModuleType, made) -> None:
+    from roigs_addon.jobs import current
+    from roigs_addon.scene import ladders
+
+    scene, folder, _ = made
+    make_levels(folder, rate=FAR, farther=())
+    (folder / "levels.json").replace(folder.parent / "levels.json")
+    assert blender.ops.roigs.make_levels() == {"FINISHED"}
+    assert not ladders.there_are_some(scene)
+    assert current.outcome().startswith("No level looked good enough")
+
+
 def test_what_is_shown_already_stays(blender: ModuleType, made) -> None:
     scene, _, _ = made
     blender.ops.roigs.load_results()
