@@ -36,12 +36,12 @@ def gaussians(
     return [means, quats, scales, opacities, 0.3 * normal(count, coefficients, 3)]
 
 
-def dots_to_needles() -> list[Tensor]:
-    """`gaussians` of extreme shapes."""
-    parameters = gaussians(300, coefficients=1)
+def dots_to_needles(count: int) -> list[Tensor]:
+    """`gaussians` of five extreme shapes; a multiple of five of them."""
+    parameters = gaussians(count, coefficients=1)
     parameters[2] = torch.tensor(
         [[1e-9, 1e-9, 1e-9], [1e-5, 1e-5, 3.0], [0.2, 0.2, 1e-8], [30.0, 1e-3, 1e-3], [20, 20, 20]]
-    ).repeat(60, 1)
+    ).repeat(count // 5, 1)
     return parameters
 
 

@@ -16,6 +16,7 @@ from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
     differentiate,
+    dots_to_needles,
     gaussians,
     gradient_errors,
     largest_difference,
@@ -112,10 +113,7 @@ def test_many_opaque_layers() -> None:
 
 
 def test_shapes_from_dots_to_needles() -> None:
-    parameters = gaussians(100, coefficients=1)
-    parameters[2] = torch.tensor(
-        [[1e-9, 1e-9, 1e-9], [1e-5, 1e-5, 3.0], [0.2, 0.2, 1e-8], [30.0, 1e-3, 1e-3], [20, 20, 20]]
-    ).repeat(20, 1)
+    parameters = dots_to_needles(100)
     scene = (parameters, *cameras(61, 43), 61, 43)
     ours, truth, errors = both(parameters, (61, 43))
     assert torch.equal(ours.visible, truth.visible)

@@ -66,7 +66,7 @@ def test_many_opaque_layers(isa: str) -> None:
 
 
 def test_shapes_from_dots_to_needles(isa: str) -> None:
-    scene = (dots_to_needles(), *cameras(61, 43), 61, 43)
+    scene = (dots_to_needles(300), *cameras(61, 43), 61, 43)
     ours, truth, errors = render_both(*scene)
     assert torch.equal(ours.visible, truth.visible)
     assert largest_difference(ours.image, truth.image) < IMAGE_TOLERANCE

@@ -98,7 +98,7 @@ def test_everything_matches(isa: str, raw: bool, pixel_size: float) -> None:
 
 
 def test_shapes_from_dots_to_needles(isa: str) -> None:
-    ours, truth, _ = render_both(dots_to_needles(), *cameras(61, 43), 61, 43, pixel_size=2.0)
+    ours, truth, _ = render_both(dots_to_needles(300), *cameras(61, 43), 61, 43, pixel_size=2.0)
     assert torch.equal(ours.visible, truth.visible)
     assert largest_difference(ours.image, truth.image) < 1e-3
 
