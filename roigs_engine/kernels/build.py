@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SOURCE_FOLDER = Path(__file__).resolve().parent
+INTERFACE = ("roigs.h", "types.h")  # what callers outside of the kernels have to agree with
 
 
 class BuildError(RuntimeError):
@@ -92,10 +93,12 @@ def library_path(folder: Path, target: str, isa: str) -> Path:
 
 def source_key() -> str:
     """A hash of all that decides what the libraries contain: sources, and flags in this file."""
-    digest = hashlib.sha256()
-    for path in _sources("*.cpp", "*.h", "build.py"):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:16]
+    return _digest("*.cpp", "*.h", "build.py")
+
+
+def interface_key() -> str:
+    """A hash of the functions and structs that the libraries are called with."""
+    return _digest(*INTERFACE)
 
 
 def is_current(folder: Path, target: str) -> bool:
@@ -109,10 +112,21 @@ def is_current(folder: Path, target: str) -> bool:
 
 def read_key(folder: Path, target: str, isa: str) -> str:
     """The `source_key` that a library was built from; empty when unknown."""
+    return _read_keys(folder, target, isa)[0]
+
+
+def read_interface_key(folder: Path, target: str, isa: str) -> str:
+    """The `interface_key` that a library was built from; empty when unknown."""
+    return _read_keys(folder, target, isa)[1]
+
+
+def _read_keys(folder: Path, target: str, isa: str) -> tuple[str, str]:
     try:
-        return _key_file(library_path(folder, target, isa)).read_text(encoding="ascii")
+        text = _key_file(library_path(folder, target, isa)).read_text(encoding="ascii")
     except OSError:
-        return ""
+        return "", ""
+    source, _, interface = text.partition("\n")
+    return source, interface
 
 
 def build(
@@ -129,12 +143,13 @@ def build(
     paths = [library_path(folder, name, isa) for isa in PLATFORMS[name].isas]
     if is_current(folder, name):
         return paths
-    key = source_key()  # before compiling: an edit meanwhile makes the result count as old
+    # before compiling: an edit meanwhile makes the result count as old
+    keys = f"{source_key()}\n{interface_key()}"
     command, is_zig = _compiler_command(compiler, name)
     with tempfile.TemporaryDirectory(prefix="roigs-build-") as scratch:
         built = _compile_all(_sources("*.cpp"), Path(scratch), name, command, is_zig)
         for isa, temporary in built.items():
-            _install(temporary, library_path(folder, name, isa), key)
+            _install(temporary, library_path(folder, name, isa), keys)
     return paths
 
 
@@ -153,6 +168,13 @@ def build_other(
 
 def _sources(*patterns: str) -> list[Path]:
     return sorted(path for pattern in patterns for path in SOURCE_FOLDER.glob(pattern))
+
+
+def _digest(*patterns: str) -> str:
+    digest = hashlib.sha256()
+    for path in _sources(*patterns):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
 
 
 def _key_file(library: Path) -> Path:
@@ -253,9 +275,9 @@ def _zig_cache() -> Path:
     return folder
 
 
-def _install(built: Path, library: Path, key: str) -> None:
+def _install(built: Path, library: Path, keys: str) -> None:
     library.parent.mkdir(parents=True, exist_ok=True)
-    for content, path in ((built.read_bytes(), library), (key.encode(), _key_file(library))):
+    for content, path in ((built.read_bytes(), library), (keys.encode(), _key_file(library))):
         handle, temporary = tempfile.mkstemp(dir=library.parent, prefix=".new-")
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)

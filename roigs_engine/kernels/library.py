@@ -72,11 +72,15 @@ def _platform() -> str:
 
 @functools.cache
 def _folder_with_libraries() -> Path:
-    """The folder to load from; builds the libraries if there are none."""
+    """The folder to load from; builds the libraries if there are none.
+
+    Raises:
+        KernelError: the libraries are of another version, or they cannot be built.
+    """
     cache = _user_cache_folder()
     for folder in (PACKAGE_FOLDER, cache):
         if available(folder):
-            _warn_if_old(folder)
+            _check_age(folder)
             return folder
     folder = PACKAGE_FOLDER if _is_writable(PACKAGE_FOLDER) else cache
     try:
@@ -136,11 +140,22 @@ def _set_threads(library: ctypes.CDLL, count: int | None) -> None:
     library.roigs_set_threads(ctypes.c_int(usable_cores() if count is None else max(1, count)))
 
 
-def _warn_if_old(folder: Path) -> None:
-    """Warn a developer who has edited a kernel, and name the command that compiles it."""
-    target = _platform()
-    key = build.source_key()
-    if any(build.read_key(folder, target, name) != key for name in available(folder)):
+def _check_age(folder: Path) -> None:
+    """Tell a developer whose compiled kernels are older than their sources how to compile them.
+
+    A warning, as long as they are called in the same way.
+
+    Raises:
+        KernelError: they are not: a call would read or write the wrong memory.
+    """
+    target, present = _platform(), available(folder)
+    key, interface = build.source_key(), build.interface_key()
+    if any(build.read_interface_key(folder, target, name) != interface for name in present):
+        raise KernelError(
+            f"The compiled kernels in {folder} are of another version of the engine.",
+            f"Run `{_BUILD_COMMAND}`.",
+        )
+    if any(build.read_key(folder, target, name) != key for name in present):
         warnings.warn(
             f"the compiled kernels are older than their sources: run `{_BUILD_COMMAND}`",
             stacklevel=3,

@@ -260,3 +260,30 @@ def test_missing_library_and_compiler(tmp_path: Path, monkeypatch: pytest.Monkey
         library.load()
     assert "python" in raised.value.hint
     assert "-m roigs_engine.kernels.build" in raised.value.hint
+
+
+def test_libraries_of_other_sources(
+    tiny_sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "package"
+    for isa in build.PLATFORMS[NATIVE].isas:
+        path = build.library_path(folder, NATIVE, isa)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        path.with_name(path.name + ".key").write_text(
+            f"{build.source_key()}\n{build.interface_key()}"
+        )
+    monkeypatch.setattr(library, "PACKAGE_FOLDER", folder)
+    library._folder_with_libraries.cache_clear()
+    assert library._folder_with_libraries() == folder  # no warning: these are errors in tests
+
+    (tiny_sources / "answer.cpp").write_text("int answer() { return 43; }\n")
+    library._folder_with_libraries.cache_clear()
+    with pytest.warns(UserWarning, match=r"older than their sources.*kernels\.build"):
+        assert library._folder_with_libraries() == folder
+
+    (tiny_sources / build.INTERFACE[0]).write_text("int answer(int);\n")
+    library._folder_with_libraries.cache_clear()
+    with pytest.raises(KernelError, match="another version") as raised:
+        library._folder_with_libraries()
+    assert "-m roigs_engine.kernels.build" in raised.value.hint
