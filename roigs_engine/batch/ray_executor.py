@@ -40,6 +40,7 @@ class RayExecutor:
         self._ray = self._connection.ray
         self._running: dict[Any, tuple[Part, float]] = {}  # reference -> part, its cores
         self._misfits: set[str] = set()
+        self._silent: dict[str, float] = {}  # node -> since when it does not answer
         self._looks: dict[str, Any] = {}  # node -> reference of a look that is on its way
         self._said: set[tuple[str, str]] = set()  # problems of nodes
         self._fitted = time.monotonic()  # when a machine was last there that fits
@@ -52,6 +53,7 @@ class RayExecutor:
             while not self._nodes:
                 context.check_cancelled()
                 self._connection.ask(lambda: self._refresh(REFRESH))
+                time.sleep(0.0 if self._nodes else POLL)
             self._mailbox = self._connection.ask(self._new_mailbox)
         except BaseException:
             self.close()
@@ -190,7 +192,8 @@ class RayExecutor:
     def _take_looks(self, alive: Mapping[str, Any], patience: float) -> None:
         """Send looks to new machines, and judge those that came back.
 
-        A machine that does not answer is looked at again: its memory may be full for a while.
+        A machine that does not answer is looked at again: its memory may be full for a while. A
+        warning says so if it goes on.
         """
         self._looks = {node: found for node, found in self._looks.items() if node in alive}
         for node in alive.keys() - self._nodes.keys() - self._misfits - self._looks.keys():
@@ -210,9 +213,13 @@ class RayExecutor:
             problem, may_pass = self._problem(reference)
             if not problem:
                 self._nodes[node] = {}
+                self._silent.pop(node, None)
                 continue
             if not may_pass:
                 self._misfits.add(node)
+            elif time.monotonic() - self._silent.setdefault(node, time.monotonic()) < REFRESH:
+                # Ray refuses tasks for a machine that has just joined, until all have heard of it.
+                continue
             where = alive[node]["NodeManagerAddress"]
             self._say(node, f"Machine {where} is not used: it {problem}.")
 

@@ -167,6 +167,29 @@ def test_machines_with_another_version_are_refused(
     assert said and all("does not see" in text for text in said)
 
 
+def test_machines_that_do_not_answer_yet_are_waited_for(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign = tmp_path / "batch.lock"
+    sign.touch()
+    said: list[str] = []
+    context = Context(emit=lambda event: said.append(event.text))  # type: ignore[union-attr]
+    really, asked = ray_executor.RayExecutor._problem, 0
+
+    def problem(self: ray_executor.RayExecutor, reference: Any) -> tuple[str, bool]:
+        nonlocal asked
+        asked += 1
+        return really(self, reference) if asked > 5 else ("does not answer", True)
+
+    monkeypatch.setattr(ray_executor.RayExecutor, "_problem", problem)
+    ray_executor.RayExecutor(cluster.address, sign, context).close()
+    assert asked > 5 and not said
+    asked = 0
+    monkeypatch.setattr(ray_executor, "REFRESH", 0.0)
+    ray_executor.RayExecutor(cluster.address, sign, context).close()
+    assert said and all("is not used: it does not answer" in text for text in said)
+
+
 def test_heads_without_cores_do_no_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part that fails elsewhere would wait for one for ever."""
     sign = tmp_path / "batch.lock"
