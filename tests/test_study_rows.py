@@ -33,6 +33,15 @@ def test_the_factor_of_equal_time_has_two_digits() -> None:
     assert measure.equal_time_factor(1.0, 0.0) == MAX_FACTOR
 
 
+def test_equal_time_lengthens_the_box_stage_alone() -> None:
+    draft = preset("draft")
+    longer = measure.longer_box_stage(draft, 1.5)
+    assert longer.scene == draft.scene
+    assert (longer.roi.steps, longer.roi.densify_until) == (4500, 1000)
+    assert (longer.roi.small_until, longer.roi.average_steps) == (2250, 450)
+    assert measure.longer_box_stage(draft, 0.1).roi.densify_until == 100
+
+
 def test_many_photos_are_rows_of_the_main_ways_only() -> None:
     rows = {row.name: row for row in all_rows("paper")}
     many = [name for name in rows if name.endswith(("-70", "-100"))]

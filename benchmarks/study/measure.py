@@ -35,6 +35,7 @@ from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.run.plan import Plan
 from roigs_engine.run.scene_stages import scene_stage
 from roigs_engine.run.stage_folder import StageResult
+from roigs_engine.training.config import with_steps
 
 EQUAL_TIME_FOLDER = run_files.COMPARED + "equal-time"
 
@@ -120,8 +121,10 @@ class Bench:
             return own, plan + _baseline(row.kind, photos)
         run, coarse = replace(own, config=self._config(row)), None
         if row.kind == EQUAL_TIME:
-            longer = replace(run, config=run.config.scaled(self._equal_time_factor(own, run)))
-            made = strategies.strategy(PhotoSets(longer, self.context), folder=EQUAL_TIME_FOLDER)
+            longer = replace(run, config=longer_box_stage(run.config, self._time_factor(own, run)))
+            coarse = scene_stage(PhotoSets(run, self.context))
+            photos = PhotoSets(longer, self.context)
+            made = strategies.strategy(photos, folder=EQUAL_TIME_FOLDER, coarse=coarse)
             model = replace(made.models[-1], name="Joint, equal time")
             return longer, plan + Plan(models=(model,), selections=made.selections)
         if row.is_ablation:
@@ -130,8 +133,8 @@ class Bench:
         made = strategies.strategy(PhotoSets(run, self.context), coarse=coarse)
         return run, plan + replace(made, outputs=())
 
-    def _equal_time_factor(self, own: Run, joint: Run) -> float:
-        """Factor on our steps that takes the tuned Full Scene's CPU time, to two digits.
+    def _time_factor(self, own: Run, joint: Run) -> float:
+        """Factor on our box stage's steps that takes the tuned Full Scene's CPU time.
 
         Trains both, unless they are finished. Their seconds are on disk, so that the factor is the
         same whenever the row is resumed.
@@ -141,8 +144,9 @@ class Bench:
         open_folder(joint, self.context, update=True)
         executor = Executor(joint, self.context, update=True)
         made = executor.execute(tuned + replace(ours, outputs=()))
-        spent = [sum(stage.cpu_seconds for stage in m.all_stages) for m in (made[0], made[-1])]
-        return equal_time_factor(*spent)
+        theirs, boxes = (_seconds(made[row]) for row in (0, -1))
+        scene = boxes.pop(run_files.SCENE_STAGE)
+        return equal_time_factor(sum(theirs.values()) - scene, sum(boxes.values()))
 
     def _config(self, row: Row) -> RunConfig:
         config = row.config(self.preset, self.factor, self.seed)
@@ -228,6 +232,21 @@ def equal_time_factor(theirs: float, ours: float) -> float:
     """`theirs` / `ours`, both in seconds, to two digits."""
     factor = theirs / max(ours, 1e-9)
     return min(max(float(f"{factor:.2g}"), 0.01), MAX_FACTOR)
+
+
+def longer_box_stage(config: RunConfig, factor: float) -> RunConfig:
+    """The config with the box stage's steps multiplied, not those that densify.
+
+    So it learns for longer, with as many Gaussians.
+    """
+    roi = with_steps(config.roi, max(1, round(factor * config.roi.steps)))
+    until = min(roi.densify_until, config.roi.densify_until)
+    return replace(config, roi=replace(roi, densify_until=until))
+
+
+def _seconds(model: TrainedModel) -> dict[str, float]:
+    """CPU seconds of every stage behind a model."""
+    return {stage.name: stage.cpu_seconds for stage in model.all_stages}
 
 
 def _baseline(kind: str, photos: PhotoSets) -> Plan:

@@ -113,7 +113,7 @@ class Study:
             for record in self.results.records
             if record["row"] == EQUAL_TIME
         ]
-        what = "Joint, equal time: our settings with more steps, to take the CPU time of"
+        what = "Joint, equal time: our settings, with a longer box stage to take the CPU time of"
         return [f"{what} {TUNED}. Steps times: {', '.join(factors) or NONE}."]
 
     def _table_one(self) -> list[str]:
