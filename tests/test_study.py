@@ -347,7 +347,7 @@ def test_gains_are_over_the_tuned_baseline_where_there_is_one(
     assert set(matched.record["stages"]) == {"full-scene", "scene", "tuned-matched"}
     page = (out / "study.md").read_text(encoding="utf-8")
     assert "Gains are over Full Scene, tuned" in page and "| over Full Scene |" in page
-    assert "Steps times: ball 2 (seed 0)" in page
+    assert "Steps times: ball 1.5 (seed 0)" in page
     near = {seed: stat("joint", "Joint", "near_psnr")[seed] for seed in (0, 1)}
     before = stat("full-scene-tuned", "Full Scene, tuned", "near_psnr")
     assert stat("joint", "Joint", "near_gain") == pytest.approx({0: near[0] - before[0]})
