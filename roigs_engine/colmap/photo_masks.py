@@ -98,7 +98,7 @@ class MaskPlan:
             lens = self.undistortion.source
             grey = np.where(resized(mask, (lens.width, lens.height), least), 255, 0)
             bitmap = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
-            mask = undistorted_pixels(bitmap, lens)[..., 0] >= least
+            mask = undistorted_pixels(bitmap, lens, sharp=False)[..., 0] >= least
         return resized(mask, self.target, least)
 
     def kept(self, path: Path, *, write: bool) -> Mask:

@@ -68,9 +68,8 @@ class PhotoPixels:
 
         if self.lens is not None:
             grey = np.where(resized(mask, self.size), np.uint8(255), np.uint8(0))
-            mask = (
-                undistorted_pixels(np.repeat(grey[..., None], 3, axis=2), self.lens)[..., 0] > 127
-            )
+            rgb = np.repeat(grey[..., None], 3, axis=2)
+            mask = undistorted_pixels(rgb, self.lens, sharp=False)[..., 0] > 127
         return resized(mask, (self.camera.width, self.camera.height))
 
     def in_file(self, mask: Mask) -> Mask:

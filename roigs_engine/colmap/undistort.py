@@ -39,8 +39,9 @@ PINHOLE_AT_ZERO = {
 OVERSAMPLING = 2.0
 HINT_RESAMPLE = "Resample its photos to pinhole cameras first."
 FULL_FROM = 0.75  # share of the full size from which on it is the full size
+BORDER = 4  # pixels: the photo's edge goes on beyond it, as far as interpolation looks
 _again = threading.Lock()
-CACHE_VERSION = 2  # part of each cached photo's name: increase it if the pixels change
+CACHE_VERSION = 3  # part of each cached photo's name: increase it if the pixels change
 # Measured bytes (docs/reliability.md) of a pixel of the photo's copy at `source`'s size: while it
 # is resampled, beside those of decoding, and while it is undistorted.
 PER_RESAMPLED, PER_SOURCE_PIXEL = 12, 13
@@ -184,18 +185,64 @@ def _write(plan: UndistortionPlan, path: Path) -> None:
         result.save(file, format="PNG", compress_level=1)
 
 
-def undistorted_pixels(pixels: NDArray[np.uint8], camera: ModelCamera) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) of the camera's size as the camera's pinhole sees it."""
-    colmap = _pycolmap()
-    bitmap, _ = colmap.undistort_image(
-        _options(), colmap.Bitmap.from_array(pixels), _colmap_camera(camera)
-    )
-    return np.asarray(bitmap.to_array())
+def undistorted_pixels(
+    pixels: NDArray[np.uint8], camera: ModelCamera, *, sharp: bool = True
+) -> NDArray[np.uint8]:
+    """A picture (H, W, 3) of the camera's size as the camera's pinhole sees it.
+
+    Args:
+        pixels, camera: the picture, and the lens it was taken with.
+        sharp: cubic interpolation; otherwise linear, which has no overshoot (for masks). Linear
+            interpolation blurs: half a pixel from a pixel's centre it is the mean of 2 x 2.
+    """
+    from PIL import Image
+
+    pinhole = undistorted_camera(camera)
+    padded = Image.fromarray(np.pad(pixels, ((BORDER,) * 2, (BORDER,) * 2, (0, 0)), mode="edge"))
+    kernel = Image.Resampling.BICUBIC if sharp else Image.Resampling.BILINEAR
+    size = (pinhole.width, pinhole.height)
+    return np.asarray(padded.transform(size, Image.Transform.MESH, _mesh(camera), kernel))
+
+
+Quad = tuple[tuple[int, int, int, int], tuple[float, ...]]
+"""left, top, right, bottom in the pinhole's picture; the same corners in the padded photo: x, y of
+the upper left, lower left, lower right and upper right one."""
+
+
+@lru_cache(maxsize=16)
+def _mesh(camera: ModelCamera) -> list[Quad]:
+    """The pinhole's picture, cut into squares, and where their corners are in the photo.
+
+    Between corners, places are interpolated linearly. The error grows with the square of a side, so
+    these grow with the root of the photo's: it is then about a hundredth of a pixel, or less.
+    """
+    pinhole = undistorted_camera(camera)
+    side = max(4, round((max(camera.width, camera.height) / 4) ** 0.5))
+    columns, rows = (_edges(length, side) for length in (pinhole.width, pinhole.height))
+    x, y = np.meshgrid(columns, rows)
+    rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))
+    found = _colmap_camera(camera).img_from_cam(np.stack(rays, axis=-1).reshape(-1, 3))
+    places = np.asarray(found).reshape(*x.shape, 2) + BORDER
+    corners = (places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:])
+    quads = np.concatenate(corners, axis=2)
+    return [
+        ((columns[i], rows[j], columns[i + 1], rows[j + 1]), tuple(quads[j, i].tolist()))
+        for j in range(len(rows) - 1)
+        for i in range(len(columns) - 1)
+    ]
+
+
+def _edges(length: int, side: int) -> list[int]:
+    """0, side, 2 side, ..., length."""
+    return [*range(0, length, side), length]
 
 
 @lru_cache(maxsize=1024)
 def undistorted_camera(camera: ModelCamera) -> Camera:
     """The pinhole whose view lies inside the distorted photo (no black borders).
+
+    Its principal point is whole pixels away from the lens's, so that where there is hardly any
+    distortion, pixels stay what they are. Up to half a pixel of its border may lie outside.
 
     Raises:
         SceneError: the camera has no such pinhole.
@@ -211,6 +258,8 @@ def undistorted_camera(camera: ModelCamera) -> Camera:
     if pinhole.width < 1 or pinhole.height < 1 or not np.isfinite([fx, fy, cx, cy]).all():
         text = f"A {camera.model} camera with {camera.params} leaves no image area."
         raise SceneError(text, HINT_RESAMPLE)
+    centre = without_distortion(camera)
+    cx, cy = centre.cx + round(cx - centre.cx), centre.cy + round(cy - centre.cy)
     return Camera(width=pinhole.width, height=pinhole.height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
