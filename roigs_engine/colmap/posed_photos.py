@@ -28,7 +28,7 @@ from .photo_masks import (
     plan_masks,
     plan_object_masks,
 )
-from .records import NO_IDS, Model, ModelCamera, ModelImage
+from .records import NO_IDS, Model, ModelCamera, ModelImage, same_shape
 from .undistort import (
     UndistortionPlan,
     as_pinhole,
@@ -67,12 +67,6 @@ def pose_of(image: ModelImage) -> Float64 | None:
     pose[:3, :3] = np.reshape(rotation_entries(w, x, y, z), (3, 3))
     pose[:3, 3] = image.translation
     return pose
-
-
-def _same_shape(camera: ModelCamera, size: tuple[int, int]) -> bool:
-    """Whether a photo of that size has the camera's aspect ratio, rounded by at most a pixel."""
-    slack = 1 / camera.width + 1 / camera.height
-    return abs(size[0] / camera.width - size[1] / camera.height) <= slack + 1e-9
 
 
 class PhotoLoader:
@@ -128,7 +122,7 @@ class PhotoLoader:
             check_complete(path)
         except SceneError:
             return UNREADABLE
-        if not _same_shape(camera, size):
+        if not same_shape((camera.width, camera.height), size):
             return WRONG_SIZE
         pinhole, distorted = as_pinhole(camera), False
         try:

@@ -121,3 +121,9 @@ def checked_image(
         translation=np.array(pose[4:7], dtype=np.float64),
         point_ids=point_ids,
     )
+
+
+def same_shape(camera: tuple[int, int], photo: tuple[int, int]) -> bool:
+    """Whether a photo (width, height) has the camera's aspect ratio, rounded by at most a pixel."""
+    slack = 1 / camera[0] + 1 / camera[1]
+    return abs(photo[0] / camera[0] - photo[1] / camera[1]) <= slack + 1e-9

@@ -1,4 +1,4 @@
-"""Refines the cameras of a COLMAP model by its tracks alone: photos are not used.
+"""Refines the cameras of a COLMAP model by its tracks.
 
 COLMAP's usual camera, SIMPLE_RADIAL, has one focal length and one distortion parameter: too few
 for many lenses. Its poses then lean to make up for the rest, by half a pixel and more, and no model
@@ -6,15 +6,18 @@ can be sharp in all photos. So the cameras get OPENCV's eight parameters, and a 
 (Triggs et al. 2000) with a loss that ignores wrong matches (Cauchy's) finds cameras, poses and
 points again. Of every third point, one observation is left out. The result is kept only if it fits
 these better than the old cameras, adjusted without them with COLMAP's own loss.
+
+Then the photos are looked at: each point is found in them to a few hundredths of a pixel, also
+where no keypoint was, and the cameras are fitted to that (`matched_cameras`).
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,27 +26,15 @@ import numpy as np
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..model.scene import Float64
+from ..photos.files import find_photos
+from .adjustment import LONG_TRACK, adjust, median_error, to_leave_out
+from .lenses import with_fuller_cameras
 from .library import pycolmap_module
+from .matched_cameras import MatchedFit, fit_to_matches, photo_paths
 from .model_files import HINT_DAMAGED, read_model
 
-FULLER = "OPENCV"
-# Models that OPENCV includes -> the places of fx, fy, cx, cy, k1, k2 among their parameters.
-INCLUDED: dict[str, tuple[int | None, ...]] = {
-    "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None),
-    "PINHOLE": (0, 1, 2, 3, None, None),
-    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, None),
-    "RADIAL": (0, 0, 1, 2, 3, 4),
-}
-FEWEST_PHOTOS = 5  # of a camera that gets more parameters
-FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer could send it anywhere
-LEFT_OUT_EVERY = 3  # points
-LONG_TRACK = 4  # observations; of a shorter one, none can be left out
 FEWEST_LEFT_OUT = 50  # observations to compare by
 LOSS_SCALE = 1.0  # px of the full-size photos; what is farther off counts ever less
-ITERATIONS = 20  # it settles in ten
-
-Observation = tuple[int, int, int]
-"""Ids of the photo, of its keypoint, and of the point."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,21 +46,34 @@ class Refinement:
             px of the full-size photos.
         left_out: their number.
         cameras: number of cameras that got more parameters.
-        better: whether the left-out observations fit better; only then anything was written.
+        matched: what looking at the photos did; None: it was not done, or there was too little.
     """
 
     before: float
     after: float
     left_out: int
     cameras: int
+    matched: MatchedFit | None = None
+
+    @property
+    def fits_tracks_better(self) -> bool:
+        """Whether the left-out observations fit the new cameras better."""
+        return self.after < self.before
 
     @property
     def better(self) -> bool:
-        """See the class."""
-        return self.after < self.before
+        """Whether cameras changed; only then anything was written."""
+        return self.fits_tracks_better or (self.matched is not None and self.matched.better)
 
 
-def refine_cameras(model: Path, out: Path, context: Context = QUIET) -> Refinement:
+def refine_cameras(
+    model: Path,
+    out: Path,
+    context: Context = QUIET,
+    *,
+    images: Path | None = None,
+    look: bool = True,
+) -> Refinement:
     """Refine the model in the folder `model`, and write the result to the folder `out`.
 
     The world stays where it is: a similarity carries the refined points onto the old ones, so boxes
@@ -79,9 +83,13 @@ def refine_cameras(model: Path, out: Path, context: Context = QUIET) -> Refineme
         model: a folder with COLMAP's files.
         out: the new folder; nothing is written unless the result is better.
         context: receives progress; checked for cancellation between the adjustments.
+        images: the photos' folder; None: the project's.
+        look: whether to look at the photos, too; without any, only the tracks are used.
 
     Raises:
-        SceneError: the model is damaged or has too few tracks, or `out` is not empty.
+        SceneError: the model is damaged or has too few tracks, or `out` is not empty, or `images`
+            is no folder.
+        PhotoError: a photo cannot be decoded.
         EngineError: pycolmap is not installed.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -89,39 +97,56 @@ def refine_cameras(model: Path, out: Path, context: Context = QUIET) -> Refineme
     colmap = pycolmap_module("Refining cameras")
     # pycolmap may not return from a damaged model, and cuts names at spaces in text files
     names = {image.image_id: image.name for image in read_model(model, context).images}
+    folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):
-        return _refined(colmap, model, names, out, context)
+        scene = _read(colmap, model)
+        placed = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
+        scene, done = _by_tracks(colmap, model, context)
+        if folder is not None:
+            paths = photo_paths(scene, folder, names)
+            if sum(path is not None for path in paths) < 2:
+                context.info(f"The photos are not in {folder.folder}: only tracks are used.")
+            else:
+                scene, matched = fit_to_matches(colmap, scene, paths, context)
+                done = replace(done, matched=matched)
+        if done.better:
+            _carry_back(colmap, scene, placed)
+            for key, image in scene.images.items():
+                image.name = names[key]
+            _write(scene, out)
+    return done
 
 
-def _refined(
-    colmap: Any, model: Path, names: dict[int, str], out: Path, context: Context
-) -> Refinement:
+def _by_tracks(colmap: Any, model: Path, context: Context) -> tuple[Any, Refinement]:
+    """The scene with the cameras that fit the tracks best, the new ones or the old."""
     scene, started = _read(colmap, model), time.monotonic()
-    left_out = _left_out(scene)
+    left_out = to_leave_out(scene)
     if len(left_out) < FEWEST_LEFT_OUT:
         raise SceneError(
             f"{model} has too few points that {LONG_TRACK} or more photos observe.",
             "Export the model with its observations, or take more photos.",
         )
     # The model as it is has seen the left-out observations: adjust it without them to compare.
-    before = _adjusted(colmap, scene, left_out, "TRIVIAL")
+    for image, keypoint, _ in left_out:
+        scene.delete_observation(image, keypoint)
+    adjust(colmap, scene, "TRIVIAL", LOSS_SCALE)
+    before = median_error(scene, left_out)
     context.progress("refine cameras", 1, 2, started)
     context.check_cancelled()
     scene = _read(colmap, model)
-    placed = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
-    cameras = _with_fuller_cameras(colmap, scene)
-    after = _adjusted(colmap, scene, left_out, "CAUCHY")
+    cameras = with_fuller_cameras(colmap, scene)
+    for image, keypoint, _ in left_out:
+        scene.delete_observation(image, keypoint)
+    adjust(colmap, scene, "CAUCHY", LOSS_SCALE)
+    after = median_error(scene, left_out)
     context.progress("refine cameras", 2, 2, started)
     context.check_cancelled()
     done = Refinement(before=before, after=after, left_out=len(left_out), cameras=cameras)
-    if done.better:
-        for image, keypoint, point in left_out:
-            scene.add_observation(point, colmap.TrackElement(image, keypoint))
-        _carry_back(colmap, scene, placed)
-        for key, image in scene.images.items():
-            image.name = names[key]
-        _write(scene, out)
-    return done
+    if not done.fits_tracks_better:
+        return _read(colmap, model), done
+    for image, keypoint, point in left_out:
+        scene.add_observation(point, colmap.TrackElement(image, keypoint))
+    return scene, done
 
 
 @contextmanager
@@ -154,71 +179,6 @@ def _write(scene: Any, out: Path) -> None:
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"Cannot write {out} ({reason}).", "Give another --out.") from error
-
-
-def _left_out(scene: Any) -> list[Observation]:
-    """One observation of every third point with a long track."""
-    found = []
-    points = [point for point in sorted(scene.point3D_ids()) if _length(scene, point) >= LONG_TRACK]
-    for number, point in enumerate(points[::LEFT_OUT_EVERY]):
-        elements = scene.points3D[point].track.elements
-        element = elements[number % len(elements)]
-        found.append((element.image_id, element.point2D_idx, point))
-    return found
-
-
-def _length(scene: Any, point: int) -> int:
-    return len(scene.points3D[point].track.elements)
-
-
-def _with_fuller_cameras(colmap: Any, scene: Any) -> int:
-    """Give the cameras that OPENCV includes its parameters, and return their number.
-
-    A camera of few photos keeps its own: more could fit anything.
-    """
-    photos: dict[int, int] = {}
-    for image in scene.images.values():
-        photos[image.camera_id] = photos.get(image.camera_id, 0) + 1
-    changed = 0
-    for key, camera in scene.cameras.items():
-        places = INCLUDED.get(camera.model.name)
-        if places is None or photos.get(key, 0) < FEWEST_PHOTOS:
-            continue
-        old = camera.params
-        values = [0.0 if place is None else float(old[place]) for place in places]
-        camera.model = getattr(colmap.CameraModelId, FULLER)
-        camera.params = [*values, 0.0, 0.0]
-        changed += 1
-    return changed
-
-
-def _adjusted(colmap: Any, scene: Any, left_out: Sequence[Observation], loss: str) -> float:
-    """Adjust the scene without the left-out observations; their median error then, px."""
-    for image, keypoint, _ in left_out:
-        scene.delete_observation(image, keypoint)
-    options = colmap.BundleAdjustmentOptions()
-    solver = getattr(options, "ceres", options)  # where pycolmap has these, since 4 and before
-    options.print_summary = False
-    solver.loss_function_type = getattr(colmap.LossFunctionType, loss)
-    solver.loss_function_scale = LOSS_SCALE
-    solver.solver_options.max_num_iterations = ITERATIONS
-    config = colmap.BundleAdjustmentConfig()
-    for image in scene.reg_image_ids():
-        if scene.images[image].num_points3D >= FEWEST_OBSERVATIONS:
-            config.add_image(image)
-    colmap.create_default_bundle_adjuster(options, config, scene).solve()
-    return float(np.median(_errors(scene, left_out)))
-
-
-def _errors(scene: Any, observations: Sequence[Observation]) -> Float64:
-    """(M,) distances of keypoints from where their points appear, px; infinite: nowhere."""
-    errors = np.full(len(observations), np.inf)
-    for row, (image, keypoint, point) in enumerate(observations):
-        photo = scene.images[image]
-        seen = photo.project_point(scene.points3D[point].xyz)
-        if seen is not None:
-            errors[row] = np.linalg.norm(photo.points2D[keypoint].xy - seen)
-    return errors
 
 
 def _carry_back(colmap: Any, scene: Any, placed: dict[int, Float64]) -> None:

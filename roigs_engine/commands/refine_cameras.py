@@ -1,10 +1,11 @@
-"""`refine-cameras`: cameras that fit the model's tracks better; photos are not read."""
+"""`refine-cameras`: cameras that fit the photos better."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from ..colmap.matched_cameras import MatchedFit
 from ..colmap.project import find_model
 from ..colmap.refine import Refinement, refine_cameras
 from ..formats.refined_model import refined_folder
@@ -26,6 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder with a COLMAP model (sparse/0, or the model itself)",
     )
     parser.add_argument(
+        "--images", type=PATH, metavar="DIR", help="folder of the photos (default: the project's)"
+    )
+    parser.add_argument(
+        "--tracks-only",
+        action="store_true",
+        help="use the model's keypoints alone, and do not look at the photos: faster, less exact",
+    )
+    parser.add_argument(
         "--out",
         type=PATH,
         metavar="DIR",
@@ -37,7 +46,9 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Refine the cameras, and say how much better they fit."""
     model = find_model(args.scene, console.context)
     out: Path = args.out or refined_folder(model)
-    done = refine_cameras(model, out, console.context)
+    done = refine_cameras(
+        model, out, console.context, images=args.images, look=not args.tracks_only
+    )
     console.print(described(done))
     if not done.better:
         return {}
@@ -48,10 +59,26 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
 
 def described(done: Refinement) -> str:
-    """What the refinement did, in one sentence or two."""
+    """What the refinement did, in a few sentences."""
+    return " ".join([_by_tracks(done), *_by_matches(done.matched)])
+
+
+def _by_tracks(done: Refinement) -> str:
     count = counted(done.left_out, "observation")
     errors = f"{done.before:.2f} -> {done.after:.2f} px, median of {count} left out"
-    if not done.better:
-        return f"The cameras cannot be made to fit better ({errors}). Nothing is written."
+    if not done.fits_tracks_better:
+        nothing = "" if done.better else " Nothing is written."
+        return f"The cameras cannot be made to fit the tracks better ({errors}).{nothing}"
     fuller = f" {counted(done.cameras, 'camera')} got OPENCV's parameters." if done.cameras else ""
     return f"The cameras fit better: {errors}.{fuller}"
+
+
+def _by_matches(fit: MatchedFit | None) -> list[str]:
+    if fit is None:
+        return []
+    matched = f"{counted(fit.matches, 'place')} matched in {counted(fit.photos, 'photo')}"
+    if not fit.better:
+        return [f"With {matched}, they fit as well as they can ({fit.after:.3f} px)."]
+    errors = f"{fit.before:.3f} -> {fit.after:.3f} px, median of {fit.left_out:,} left out"
+    changed = " and ".join([", ".join(fit.changed[:-1]), fit.changed[-1]]).removeprefix(" and ")
+    return [f"With {matched}: {errors} ({changed} changed)."]

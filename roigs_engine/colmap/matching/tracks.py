@@ -1,0 +1,276 @@
+"""Finds where photos show the points of a model, to a few hundredths of a pixel.
+
+A detector finds a keypoint in each photo on its own, a third of a pixel off and more. Here one
+photo of each point is its reference: what it shows around its keypoint is looked for in the others,
+also in photos where the detector found nothing there. A close-up then has many times as many
+observations, and they agree.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from ...context import Context
+from ...model.scene import Float64, Int64
+from .alignment import GRID, align, templates
+from .pyramid import Pyramid
+from .views import Views
+
+POINTS_A_PHOTO = 500  # of a model that has more
+NEW_A_PHOTO = 1000  # points looked for in a photo that does not observe them yet
+MOST_WRONG = 3.0  # px: observations farther from where their point appears are wrong matches
+REACH, NEW_REACH = 3.0, 1.5  # px from the keypoint; from where the point appears
+NEW_LIKENESS = 0.9
+WIDEST, NARROW = 0.72, 0.9  # cosines of the angles between photos: too wide; as good as none
+COARSEST, FINEST = 8.0, 0.5  # size of a photo's pixels at the point, in the reference's
+RIM = 8.0  # px: a patch is not whole beyond
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Matches:
+    """M observations of P points.
+
+    Attributes:
+        points: (P, 3) about where they are, world units.
+        view, point: (M,) rows of `Views` and of `points`.
+        places: (M, 2) px of the photos.
+        reference: (M,) whether the others of its point were matched with this one.
+    """
+
+    points: Float64
+    view: Int64
+    point: Int64
+    places: Float64
+    reference: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Wanted:
+    """M places to match.
+
+    Attributes:
+        view, point: see `Matches`.
+        start: (M, 2) where to begin, px.
+        new: (M,) whether no keypoint is known there.
+    """
+
+    view: Int64
+    point: Int64
+    start: Float64
+    new: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _References:
+    """The reference of each point, a row of observations; -1: it has none.
+
+    Attributes:
+        row: (P,) of the observations.
+        view: (P,) its photo.
+        place: (P, 2) its keypoint, px.
+        normal: (P, 3) unit vectors towards the photos.
+    """
+
+    row: Int64
+    view: Int64
+    place: Float64
+    normal: Float64
+
+
+def match_tracks(
+    scene: Any, photos: Sequence[Path | None], context: Context, seed: int = 0
+) -> Matches:
+    """Match the tracks of a pycolmap reconstruction.
+
+    Args:
+        scene: with points, tracks and cameras that are right to a pixel or so.
+        photos: the file of each of `Views(scene).ids`; None: missing.
+        context: receives progress; checked for cancellation between photos.
+        seed: for the choice of points.
+
+    Raises:
+        PhotoError: a photo cannot be decoded.
+        Stopped: on request.
+    """
+    views = Views(scene)
+    usable = np.array([path is not None for path in photos])
+    seen = _observations(scene, views, usable, np.random.default_rng(seed))
+    references = _references(views, seen)
+    wanted = _wanted(views, seen, references, usable, np.random.default_rng(seed + 1))
+    # The matrices are small: threads would only wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        places, good = _matched(views, photos, seen.points, references, wanted, context)
+    found = np.flatnonzero(good)
+    points = np.unique(wanted.point[found])
+    return Matches(
+        points=seen.points,
+        view=np.concatenate([references.view[points], wanted.view[found]]),
+        point=np.concatenate([points, wanted.point[found]]),
+        places=np.concatenate([references.place[points], places[found]]),
+        reference=np.arange(len(points) + len(found)) < len(points),
+    )
+
+
+def _observations(
+    scene: Any, views: Views, usable: NDArray[np.bool_], rng: np.random.Generator
+) -> Matches:
+    """The tracks of the points to match, without wrong matches; `reference` is False."""
+    keys = sorted(scene.point3D_ids())
+    point_of = {key: row for row, key in enumerate(keys)}
+    positions = np.array([scene.points3D[key].xyz for key in keys]).reshape(-1, 3)
+    chosen = np.zeros(len(keys), dtype=bool)
+    view, point, place = [], [], []
+    for row, key in enumerate(views.ids):
+        if not usable[row]:
+            continue
+        image = scene.images[key]
+        observed = [k for k, keypoint in enumerate(image.points2D) if keypoint.has_point3D()]
+        rows = np.array([point_of[image.points2D[k].point3D_id] for k in observed], dtype=int)
+        places = np.array([image.points2D[k].xy for k in observed]).reshape(-1, 2)
+        error = np.linalg.norm(views.project(row, positions[rows]) - places, axis=1)
+        right = error < MOST_WRONG
+        view.append(np.full(int(right.sum()), row))
+        point.append(rows[right])
+        place.append(places[right])
+        some = rng.permutation(rows[right])[:POINTS_A_PHOTO]
+        chosen[some] = True
+    if not view:
+        view, point, place = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros((0, 2))]
+    rows = np.concatenate(point)
+    kept = chosen[rows]
+    return Matches(
+        points=positions,
+        view=np.concatenate(view)[kept],
+        point=rows[kept],
+        places=np.concatenate(place)[kept],
+        reference=np.zeros(int(kept.sum()), dtype=bool),
+    )
+
+
+def _references(views: Views, seen: Matches) -> _References:
+    """For each point, the photo from which most of the others can be matched."""
+    count = len(seen.points)
+    row, view = np.full(count, -1), np.full(count, -1)
+    place, normal = np.full((count, 2), np.nan), np.zeros((count, 3))
+    order = np.argsort(seen.point, kind="stable")
+    ends = np.cumsum(np.bincount(seen.point, minlength=count))
+    for point, end in enumerate(ends):
+        track = order[(ends[point - 1] if point else 0) : end]
+        if len(track) < 2:
+            continue
+        seen_by = seen.view[track]
+        towards = views.centres[seen_by] - seen.points[point]
+        distance = np.linalg.norm(towards, axis=1)
+        towards /= distance[:, None]
+        pixel = distance / views.focals[seen_by]
+        cosines = towards @ towards.T
+        # A reference serves photos that look from nearby, and are not much finer than it.
+        near = np.clip((cosines - WIDEST) / (NARROW - WIDEST), 0, 1)
+        best = int((near * np.minimum(1, pixel[None, :] / pixel[:, None])).sum(axis=1).argmax())
+        row[point], view[point] = track[best], seen_by[best]
+        place[point] = seen.places[track[best]]
+        mean = (towards * cosines[best].clip(0)[:, None]).sum(axis=0)
+        normal[point] = mean / np.linalg.norm(mean)
+    return _References(row=row, view=view, place=place, normal=normal)
+
+
+def _wanted(
+    views: Views,
+    seen: Matches,
+    references: _References,
+    usable: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> _Wanted:
+    """The other observations of each track, and photos that may show the point as well."""
+    others = np.flatnonzero(references.row[seen.point] >= 0)
+    others = others[references.row[seen.point[others]] != others]
+    view, point, start = [seen.view[others]], [seen.point[others]], [seen.places[others]]
+    points = np.flatnonzero(references.row >= 0)
+    towards = views.centres[references.view[points]] - seen.points[points]
+    distance = np.linalg.norm(towards, axis=1)
+    pixel = distance / views.focals[references.view[points]]
+    for row in np.flatnonzero(usable):
+        own = views.centres[row] - seen.points[points]
+        own_distance = np.linalg.norm(own, axis=1)
+        cosine = (own * towards).sum(axis=1) / (own_distance * distance)
+        size = own_distance / views.focals[row] / pixel
+        known = np.zeros(len(seen.points), dtype=bool)
+        known[seen.point[seen.view == row]] = True
+        may = (cosine > WIDEST) & (size > FINEST) & (size < COARSEST) & ~known[points]
+        candidates = points[may]
+        place = views.project(row, seen.points[candidates])
+        lens = views.lenses[row]
+        inside = (place > RIM).all(axis=1)
+        inside &= (place < np.array([lens.width, lens.height]) - RIM).all(axis=1)
+        some = rng.permutation(np.flatnonzero(inside))[:NEW_A_PHOTO]
+        view.append(np.full(len(some), row))
+        point.append(candidates[some])
+        start.append(place[some])
+    new = np.arange(sum(map(len, view))) >= len(others)
+    return _Wanted(
+        view=np.concatenate(view), point=np.concatenate(point), start=np.concatenate(start), new=new
+    )
+
+
+def _matched(
+    views: Views,
+    photos: Sequence[Path | None],
+    points: Float64,
+    references: _References,
+    wanted: _Wanted,
+    context: Context,
+) -> tuple[Float64, NDArray[np.bool_]]:
+    """(M, 2) places of what is wanted, and (M,) whether they can be trusted."""
+    count, started = len(wanted.view), time.monotonic()
+    view_of = references.view[wanted.point]
+    steps = _steps(views, points, references, wanted)
+    patches = np.zeros((count, GRID.shape[1]), dtype=np.float16)  # all of a scene: half the memory
+    usable = np.zeros(count, dtype=bool)
+    places, good = np.array(wanted.start), np.zeros(count, dtype=bool)
+    for turn, kinds in enumerate((view_of, wanted.view)):
+        for view, path in enumerate(photos):
+            context.check_cancelled()
+            rows = np.flatnonzero((kinds == view) & (usable | (turn == 0)))
+            if path is None or not len(rows):
+                continue
+            lens = views.lenses[view]
+            photo = Pyramid(path, (lens.width, lens.height))
+            jacobians = views.jacobians(view, points[wanted.point[rows]], steps[rows])
+            sound = np.isfinite(jacobians).all(axis=(1, 2))
+            rows, jacobians = rows[sound], jacobians[sound]
+            if turn == 0:
+                template = templates(photo, references.place[wanted.point[rows]], jacobians)
+                patches[rows], usable[rows] = template.values, template.usable
+            else:
+                reach = np.where(wanted.new[rows], NEW_REACH, REACH)
+                found, fits, likeness = align(
+                    photo, wanted.start[rows], jacobians, patches[rows].astype(np.float32), reach
+                )
+                places[rows] = found
+                good[rows] = fits & (~wanted.new[rows] | (likeness > NEW_LIKENESS))
+            context.progress("match", turn * len(photos) + view + 1, 2 * len(photos), started)
+    return places, good
+
+
+def _steps(views: Views, points: Float64, references: _References, wanted: _Wanted) -> Float64:
+    """(M, 3, 2) steps between samples of a patch, in its plane: a pixel of the coarser photo."""
+    normal = references.normal[wanted.point]
+    aside = np.where(np.abs(normal[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normal, aside)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    size = np.zeros(len(normal))
+    for which in (wanted.view, references.view[wanted.point]):
+        for view in np.unique(which):
+            rows = which == view
+            own = views.footprints(int(view), points[wanted.point[rows]])
+            size[rows] = np.maximum(size[rows], own)
+    steps: Float64 = np.stack([first, np.cross(normal, first)], axis=2) * size[:, None, None]
+    return steps

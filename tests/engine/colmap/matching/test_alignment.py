@@ -1,0 +1,91 @@
+"""Patches of a photo are found in another that is shifted, bent, brighter or coarser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from roigs_engine.colmap.matching.alignment import align, templates
+from roigs_engine.colmap.matching.pyramid import Pyramid
+
+SIDE = 200
+PLACES = np.array([[60.5, 70.5], [120.3, 90.8], [99.9, 130.1]])
+STRAIGHT = np.tile(np.eye(2), (3, 1, 1))
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A smooth pattern without repetition; grey values at places in px."""
+    rng = np.random.default_rng(2)
+    value = np.full(x.shape, 127.0)
+    for _ in range(40):
+        fx, fy = rng.normal(scale=0.35, size=2)
+        value += 11 * np.sin(fx * x + fy * y + rng.uniform(0, 6))
+    return value
+
+
+def photo(path: Path, matrix: np.ndarray, move: np.ndarray, gain: float = 1.0) -> Pyramid:
+    """A photo whose place p shows what the first one has at matrix @ (p - move)."""
+    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    at = np.einsum("ij,jhw->ihw", matrix, np.stack([x - move[0], y - move[1]]))
+    grey = np.clip(gain * (texture(*at) - 127) + 127, 0, 255).round().astype(np.uint8)
+    Image.fromarray(np.repeat(grey[..., None], 3, axis=2)).save(path)
+    return Pyramid(path, (SIDE, SIDE))
+
+
+@pytest.mark.parametrize(
+    "matrix, move, gain",
+    [
+        (np.eye(2), [0.37, -0.81], 1.0),
+        (np.eye(2), [1.6, 1.1], 0.6),
+        ([[1.08, 0.05], [-0.04, 0.95]], [3.0, -2.0], 1.0),
+    ],
+)
+def test_places_are_found_to_a_few_hundredths(
+    tmp_path: Path, matrix: np.ndarray, move: np.ndarray, gain: float
+) -> None:
+    matrix, move = np.array(matrix), np.array(move)
+    one = photo(tmp_path / "a.png", np.eye(2), np.zeros(2))
+    other = photo(tmp_path / "b.png", matrix, move, gain)
+    truth = PLACES @ np.linalg.inv(matrix).T + move
+    template = templates(one, PLACES, STRAIGHT)
+    assert template.usable.all()
+    start = truth + np.array([[0.9, -0.7], [-1.0, 0.4], [0.5, 0.8]])
+    found, good, likeness = align(other, start, STRAIGHT, template.values, np.full(3, 3.0))
+    assert good.all() and likeness.min() > 0.98
+    assert np.abs(found - truth).max() < 0.04
+
+
+def test_a_coarser_photo_is_compared_at_its_own_size(tmp_path: Path) -> None:
+    """The reference shows the object four times as large."""
+    one = photo(tmp_path / "a.png", np.eye(2) / 2, np.zeros(2))
+    other = photo(tmp_path / "b.png", np.eye(2) * 2, np.zeros(2))
+    template = templates(one, PLACES[:1] * 1.5, 4 * STRAIGHT[:1])
+    truth = PLACES[:1] * 1.5 / 4
+    found, good, _ = align(other, truth + 0.6, STRAIGHT[:1], template.values, np.full(1, 3.0))
+    assert good.all() and np.abs(found - truth).max() < 0.08
+
+
+def test_what_cannot_be_found_is_not_trusted(tmp_path: Path) -> None:
+    one = photo(tmp_path / "a.png", np.eye(2), np.zeros(2))
+    template = templates(one, PLACES, STRAIGHT)
+    noise = np.random.default_rng(4).integers(0, 255, (SIDE, SIDE, 3)).astype(np.uint8)
+    Image.fromarray(gaussian_filter(noise, (2, 2, 0))).save(tmp_path / "noise.png")
+    other = Pyramid(tmp_path / "noise.png", (SIDE, SIDE))
+    assert not align(other, PLACES, STRAIGHT, template.values, np.full(3, 3.0))[1].any()
+    beyond = PLACES + 15.0  # the same photo, but farther away than it may be
+    assert not align(one, beyond, STRAIGHT, template.values, np.full(3, 3.0))[1].any()
+
+
+def test_a_reference_needs_contrast_and_must_be_whole(tmp_path: Path) -> None:
+    flat = np.full((SIDE, SIDE, 3), 90, dtype=np.uint8)
+    Image.fromarray(flat).save(tmp_path / "flat.png")
+    assert not templates(
+        Pyramid(tmp_path / "flat.png", (SIDE, SIDE)), PLACES, STRAIGHT
+    ).usable.any()
+    one = photo(tmp_path / "a.png", np.eye(2), np.zeros(2))
+    rim = np.array([[3.0, 50.0], [50.0, 198.0], [100.0, 100.0]])
+    assert templates(one, rim, STRAIGHT).usable.tolist() == [False, False, True]
