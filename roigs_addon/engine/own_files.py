@@ -10,6 +10,7 @@ from pathlib import Path
 from ..shared import run_files
 
 CHECK, UNDISTORT, CAMERAS = "photos", "undistort", "refine cameras"
+POINTS = "match points"
 MASKING = "masks"
 LOOK, FEATURES, COMPARE = "look at photos", "features", "compare photos"
 MATCHING, MAPPING = "matching", "mapping"
@@ -44,6 +45,7 @@ def stage_in_words(stage: str) -> str:
         CHECK: "checking photos",
         UNDISTORT: "undistorting photos",
         CAMERAS: "cameras",
+        POINTS: "matching points",
         LOOK: "looking at photos",
         FEATURES: "finding features",
         COMPARE: "comparing photos",

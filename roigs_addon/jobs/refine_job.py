@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from .. import blender
 from ..engine.python import FOR_READING, FOR_REFINING
 from ..errors import AddonError
 from ..properties import scene_props
@@ -36,6 +37,10 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
             raise AddonError(f"{out} is older than the model. Delete it, then refine again.")
         return _importing(scene, out, FOUND.format(folder=out))
     find = run_folders.finder(scene)
+    arguments = ["refine-cameras", str(colmap), "--out", str(out)]
+    images = scene_props(scene).images
+    if images:
+        arguments += ["--images", str(blender.absolute(images))]
 
     def then(outputs: Mapping[str, str]) -> JobSpec | None:
         if "model" not in outputs:
@@ -47,7 +52,7 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
     return JobSpec(
         title=REFINING,
-        arguments=["refine-cameras", str(colmap), "--out", str(out)],
+        arguments=arguments,
         log=import_job.made_export_folder(out) / import_job.LOG,
         then=then,
         done_text=FIT_ALREADY,

@@ -81,7 +81,6 @@ def fit_to_matches(
         to judge by.
 
     Raises:
-        PhotoError: a photo cannot be decoded.
         Stopped: on request.
     """
     matches = match_tracks(scene, photos, context)

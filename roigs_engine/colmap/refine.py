@@ -89,7 +89,6 @@ def refine_cameras(
     Raises:
         SceneError: the model is damaged or has too few tracks, or `out` is not empty, or `images`
             is no folder.
-        PhotoError: a photo cannot be decoded.
         EngineError: pycolmap is not installed.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

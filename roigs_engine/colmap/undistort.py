@@ -201,7 +201,9 @@ def undistorted_pixels(
     padded = Image.fromarray(np.pad(pixels, ((BORDER,) * 2, (BORDER,) * 2, (0, 0)), mode="edge"))
     kernel = Image.Resampling.BICUBIC if sharp else Image.Resampling.BILINEAR
     size = (pinhole.width, pinhole.height)
-    return np.asarray(padded.transform(size, Image.Transform.MESH, _mesh(camera), kernel))
+    flat = padded.transform(size, Image.Transform.MESH, _mesh(camera), kernel)
+    del padded  # for its memory
+    return np.asarray(flat)
 
 
 Quad = tuple[tuple[int, int, int, int], tuple[float, ...]]

@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from ...context import Context
 from ...model.scene import Float64, Int64
+from ...photos.headers import PhotoError
 from .alignment import GRID, align, templates
 from .pyramid import Pyramid
 from .views import Views
@@ -97,7 +98,6 @@ def match_tracks(
         seed: for the choice of points.
 
     Raises:
-        PhotoError: a photo cannot be decoded.
         Stopped: on request.
     """
     views = Views(scene)
@@ -235,14 +235,20 @@ def _matched(
     patches = np.zeros((count, GRID.shape[1]), dtype=np.float16)  # all of a scene: half the memory
     usable = np.zeros(count, dtype=bool)
     places, good = np.array(wanted.start), np.zeros(count, dtype=bool)
+    damaged: set[int] = set()
     for turn, kinds in enumerate((view_of, wanted.view)):
         for view, path in enumerate(photos):
             context.check_cancelled()
             rows = np.flatnonzero((kinds == view) & (usable | (turn == 0)))
-            if path is None or not len(rows):
+            if path is None or view in damaged or not len(rows):
                 continue
             lens = views.lenses[view]
-            photo = Pyramid(path, (lens.width, lens.height))
+            try:
+                photo = Pyramid(path, (lens.width, lens.height))
+            except PhotoError as error:
+                context.warn(f"{error.message} It is left out of matching.")
+                damaged.add(view)
+                continue
             jacobians = views.jacobians(view, points[wanted.point[rows]], steps[rows])
             sound = np.isfinite(jacobians).all(axis=(1, 2))
             rows, jacobians = rows[sound], jacobians[sound]
@@ -256,7 +262,8 @@ def _matched(
                 )
                 places[rows] = found
                 good[rows] = fits & (~wanted.new[rows] | (likeness > NEW_LIKENESS))
-            context.progress("match", turn * len(photos) + view + 1, 2 * len(photos), started)
+            done = turn * len(photos) + view + 1
+            context.progress("match points", done, 2 * len(photos), started)
     return places, good
 
 

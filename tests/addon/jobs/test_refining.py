@@ -199,6 +199,8 @@ def test_what_it_asks_of_the_engine(blender: ModuleType, scene, tmp_path: Path) 
         *("--out", str(project / "sparse" / "refined")),
     ]
     assert refine_job.packages(scene) == FOR_REFINING
+    scene.roigs.images = str(tmp_path / "photos")
+    assert refine_job.spec(scene).arguments == [*asked, "--images", str(tmp_path / "photos")]
 
 
 def test_it_shows_its_progress_and_can_be_stopped(

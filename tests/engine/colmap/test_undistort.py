@@ -13,7 +13,7 @@ from PIL import Image
 from roigs_engine.colmap import undistort
 from roigs_engine.colmap.library import pycolmap_module
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.colmap.records import CAMERA_MODELS
+from roigs_engine.colmap.records import CAMERA_MODELS, ModelCamera
 from roigs_engine.context import Context
 from roigs_engine.errors import EngineError, RunFolderError, SceneError
 from roigs_engine.formats.events import Event, StageStarted
@@ -233,3 +233,40 @@ def test_without_pycolmap_pinholes_still_load(
             load_colmap(tmp_path / "bent")
     finally:
         pycolmap_module.cache_clear()
+
+
+def noise(width: int = 240, height: int = 180) -> np.ndarray:
+    """(H, W, 3) uint8, with as much detail as pixels can have."""
+    values = np.random.default_rng(1).integers(0, 255, (height, width, 3))
+    return values.astype(np.uint8)
+
+
+def test_pixels_stay_as_they_are_where_nothing_is_distorted() -> None:
+    """Even if the picture loses an odd number of columns: half a pixel aside would blur it."""
+    for params in ([FX, FY, CX, CY, 1e-7, 0, 0, 0], [FX, FY, CX + 0.3, CY, 0, 0, 1e-5, 0]):
+        lens = ModelCamera(model="OPENCV", width=240, height=180, params=tuple(params))
+        pinhole = undistort.undistorted_camera(lens)
+        left, top = round(lens.params[2] - pinhole.cx), round(lens.params[3] - pinhole.cy)
+        kept = noise()[top : top + pinhole.height, left : left + pinhole.width]
+        made = undistort.undistorted_pixels(noise(), lens)
+        assert np.abs(made.astype(int) - kept)[2:-2, 2:-2].mean() < 2
+
+
+def test_detail_survives() -> None:
+    """Of a distorted photo: linear interpolation keeps half of the contrast of fine patterns."""
+    lens = ModelCamera(model="OPENCV", width=240, height=180, params=tuple(DISTORTED["OPENCV"]))
+    rng = np.random.default_rng(1)
+    waves = 127 + 100 * np.sin(np.arange(240) * 2 * np.pi / 4 + rng.uniform(0, 6))
+    photo = np.repeat(np.tile(waves, (180, 1))[..., None], 3, axis=2).astype(np.uint8)
+    sharp = undistort.undistorted_pixels(photo, lens).std()
+    linear = undistort.undistorted_pixels(photo, lens, sharp=False).std()
+    assert sharp > 0.9 * photo.std() > linear
+
+
+def test_masks_have_no_overshoot() -> None:
+    lens = ModelCamera(model="OPENCV", width=240, height=180, params=tuple(DISTORTED["OPENCV"]))
+    step = np.zeros((180, 240, 3), dtype=np.uint8)
+    step[:, 120:] = 200
+    made = undistort.undistorted_pixels(step, lens, sharp=False)
+    assert made.max() == 200
+    assert undistort.undistorted_pixels(step, lens).max() > 200

@@ -37,7 +37,7 @@ def photo(path: Path, matrix: np.ndarray, move: np.ndarray, gain: float = 1.0) -
 
 
 @pytest.mark.parametrize(
-    "matrix, move, gain",
+    ("matrix", "move", "gain"),
     [
         (np.eye(2), [0.37, -0.81], 1.0),
         (np.eye(2), [1.6, 1.1], 0.6),

@@ -1,0 +1,226 @@
+"""Cameras are fitted to what photos show: keypoints miss their points by half a pixel.
+
+The photos show a roof, two textured planes, so everything about them is known.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+
+from roigs_engine.cli import main
+from roigs_engine.colmap.lenses import with_own_cameras
+from roigs_engine.colmap.project import load_colmap
+from roigs_engine.colmap.refine import refine_cameras
+from roigs_engine.context import Context
+from roigs_engine.errors import Stopped
+from roigs_engine.formats.events import Event, Message
+from tests.engine.synthetic_colmap import Project, camera, write_project
+
+SLOPE = 0.5  # the roof: z = SLOPE |x|
+NAMES = [f"walk/{k:02}.png" for k in range(10)]
+LENS = [300.0, 290.0, 160.0, 120.0, 0.06, -0.03, 0.0, 0.0]
+NOISE = 0.5  # px, of the keypoints
+
+
+def points() -> np.ndarray:
+    """(P, 3) on the roof."""
+    x, y = np.random.default_rng(3).uniform(-1, 1, (2, 300)) * [[1.2], [0.9]]
+    return np.stack([x, y, SLOPE * np.abs(x)], axis=1)
+
+
+def shown(project: Project, photo: int, lens: pycolmap.Camera) -> np.ndarray:
+    """(H, W) what a camera sees of the roof."""
+    y, x = np.mgrid[: lens.height, : lens.width] + 0.5
+    rays = np.asarray(lens.cam_from_img(np.stack([x, y], axis=-1).reshape(-1, 2)))
+    pose = project.poses[photo]
+    rays = np.column_stack([rays[:, :2], np.ones(len(rays))]) @ pose[:3, :3]
+    centre = -pose[:3, :3].T @ pose[:3, 3]
+    grey = np.full(len(rays), 127.0)
+    nearest = np.full(len(rays), np.inf)
+    for side in (-1, 1):
+        away = (SLOPE * side * centre[0] - centre[2]) / (rays[:, 2] - SLOPE * side * rays[:, 0])
+        hit = centre + away[:, None] * rays
+        seen = (away > 0) & (hit[:, 0] * side >= 0) & (away < nearest)
+        grey[seen], nearest[seen] = texture(hit[seen, 0], hit[seen, 1]), away[seen]
+    return grey.reshape(lens.height, lens.width)
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(8)
+    value = np.full(x.shape, 127.0)
+    for _ in range(40):
+        fx, fy = rng.normal(scale=26, size=2)  # per unit: a pixel is a seventieth
+        value += 11 * np.sin(fx * x + fy * y + rng.uniform(0, 6))
+    return value
+
+
+def captured(folder: Path, *, zoom: float = 0.0) -> Project:
+    """A project with these photos, and a model that was fitted to keypoints with noise.
+
+    Args:
+        folder: of the project.
+        zoom: how much the photos' focal lengths differ, as a share.
+    """
+    lens = camera("OPENCV", 320, 240, LENS)
+    made = write_project(folder, names=NAMES, cameras=[lens], points=points(), arc=1.6)
+    rng = np.random.default_rng(5)
+    model = folder / "sparse" / "0"
+    scene = pycolmap.Reconstruction(str(model))
+    for image in sorted(scene.images.values(), key=lambda image: image.name):
+        factor = 1 + zoom * rng.uniform(-1, 1)
+        own = camera("OPENCV", 320, 240, [LENS[0] * factor, LENS[1] * factor, *LENS[2:]])
+        row = NAMES.index(image.name)
+        grey = shown(made, row, own).clip(0, 255).round().astype(np.uint8)
+        Image.fromarray(np.repeat(grey[..., None], 3, axis=2)).save(folder / "images" / image.name)
+        pose = image.cam_from_world()
+        for keypoint in image.points2D:
+            place = own.img_from_cam(pose * scene.points3D[keypoint.point3D_id].xyz)
+            keypoint.xy = place + rng.normal(scale=NOISE, size=2)
+    config = pycolmap.BundleAdjustmentConfig()
+    for key in scene.reg_image_ids():
+        config.add_image(key)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    pycolmap.create_default_bundle_adjuster(options, config, scene).solve()
+    keys = sorted(scene.point3D_ids())
+    scene.transform(
+        pycolmap.estimate_sim3d(np.array([scene.points3D[key].xyz for key in keys]), points())
+    )
+    scene.write(str(model))
+    return made
+
+
+def inconsistency(model: Path, made: Project) -> float:
+    """How far cameras miss common places that truly see one, px: mean over photos."""
+    scene = pycolmap.Reconstruction(str(model))
+    misses: dict[str, list[np.ndarray]] = {name: [] for name in NAMES}
+    truth = [made.project(row) for row in range(len(NAMES))]
+    for point in range(0, len(points()), 5):
+        rows, places = [], []
+        for image in scene.images.values():
+            place = truth[NAMES.index(image.name)][point]
+            if np.isfinite(place).all():
+                rows.append(image)
+                places.append(place)
+        equations = []
+        for image, place in zip(rows, places, strict=True):
+            matrix = np.asarray(image.cam_from_world().matrix())
+            ray = np.asarray(image.camera.cam_from_img(place[None]))[0]
+            equations += [ray[k] * matrix[2] - matrix[k] for k in range(2)]
+        position = np.linalg.svd(np.array(equations))[2][-1]
+        for image, place in zip(rows, places, strict=True):
+            misses[image.name].append(image.project_point(position[:3] / position[3]) - place)
+    return float(np.mean([np.linalg.norm(np.mean(own, axis=0)) for own in misses.values()]))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Project]:
+    folder = tmp_path_factory.mktemp("roof")
+    return folder, captured(folder)
+
+
+def test_cameras_agree_several_times_as_well(scene: tuple[Path, Project], tmp_path: Path) -> None:
+    folder, made = scene
+    old = folder / "sparse" / "0"
+    by_tracks = refine_cameras(old, tmp_path / "tracks", look=False)
+    assert by_tracks.matched is None
+    done = refine_cameras(old, tmp_path / "new")
+    assert done.better and done.matched is not None and "poses" in done.matched.changed
+    assert done.matched.photos == len(NAMES)
+    assert done.matched.after < 0.1 and done.matched.after < done.matched.before / 1.5
+    tracks = tmp_path / "tracks" if by_tracks.better else old
+    assert inconsistency(tmp_path / "new", made) < inconsistency(tracks, made) / 2
+    before, after = (
+        load_colmap(model, pixels=False, images=folder / "images")
+        for model in (
+            old,
+            tmp_path / "new",
+        )
+    )
+    assert [image.name for image in after.images] == NAMES
+    for one, other in zip(before.images, after.images, strict=True):
+        assert np.array_equal(one.point_indices, other.point_indices)
+    moved = (np.linalg.norm(s.points - points(), axis=1) for s in (before, after))
+    assert np.median(next(moved)) > np.median(next(moved))
+
+
+def test_photos_get_focal_lengths_of_their_own_only_if_that_fits_better(
+    scene: tuple[Path, Project], tmp_path: Path
+) -> None:
+    done = refine_cameras(scene[0] / "sparse" / "0", tmp_path / "same")
+    assert done.matched is not None and "focal lengths" not in done.matched.changed
+    captured(tmp_path / "zoomed", zoom=0.01)
+    done = refine_cameras(tmp_path / "zoomed" / "sparse" / "0", tmp_path / "new")
+    assert done.matched is not None and "focal lengths" in done.matched.changed
+    model = pycolmap.Reconstruction(str(tmp_path / "new"))
+    assert len({image.camera_id for image in model.images.values()}) == len(NAMES)
+    assert {image.name for image in model.images.values()} == set(NAMES)
+
+
+def test_without_photos_only_tracks_are_used(scene: tuple[Path, Project], tmp_path: Path) -> None:
+    said: list[Event] = []
+    shutil.copytree(scene[0] / "sparse" / "0", tmp_path / "model")
+    done = refine_cameras(tmp_path / "model", tmp_path / "new", Context(emit=said.append))
+    assert done.matched is None
+    texts = [event.text for event in said if isinstance(event, Message)]
+    assert any("only tracks are used" in text for text in texts)
+
+
+def test_a_photo_that_is_damaged_or_missing_is_left_out(
+    scene: tuple[Path, Project], tmp_path: Path
+) -> None:
+    shutil.copytree(scene[0], tmp_path / "project")
+    images = tmp_path / "project" / "images" / "walk"
+    whole = (images / "03.png").read_bytes()
+    (images / "03.png").write_bytes(whole[: len(whole) // 2])
+    (images / "06.png").unlink()
+    said: list[Event] = []
+    context = Context(emit=said.append)
+    done = refine_cameras(tmp_path / "project/sparse/0", tmp_path / "new", context)
+    assert sum("03.png" in getattr(event, "text", "") for event in said) == 1
+    assert done.matched is not None and done.matched.photos == len(NAMES) - 2
+    model = pycolmap.Reconstruction(str(tmp_path / "new"))
+    assert {image.name for image in model.images.values()} == set(NAMES)
+
+
+def test_it_can_be_stopped(scene: tuple[Path, Project], tmp_path: Path) -> None:
+    seen: list[Event] = []
+
+    def stop() -> bool:
+        return any(getattr(event, "stage", "") == "match points" for event in seen)
+
+    with pytest.raises(Stopped):
+        refine_cameras(
+            scene[0] / "sparse" / "0",
+            tmp_path / "new",
+            Context(emit=seen.append, should_stop=stop),
+        )
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_command_says_what_it_did(
+    scene: tuple[Path, Project], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = str(scene[0] / "sparse" / "0")
+    assert main(["refine-cameras", model, "--out", str(tmp_path / "new")]) == 0
+    out = capsys.readouterr().out
+    assert "places matched in 10 photos" in out and "changed" in out
+    assert main(["refine-cameras", model, "--tracks-only", "--out", str(tmp_path / "b")]) == 0
+    assert "matched" not in capsys.readouterr().out
+    assert main(["refine-cameras", model, "--images", str(tmp_path / "no")]) == 2
+
+
+def test_own_cameras_keep_points_and_tracks(scene: tuple[Path, Project]) -> None:
+    before = pycolmap.Reconstruction(str(scene[0] / "sparse" / "0"))
+    after = with_own_cameras(pycolmap, before, {1, 4})
+    assert after.images[1].camera_id != after.images[4].camera_id
+    assert after.images[2].camera_id == before.images[2].camera_id
+    assert np.allclose(after.images[1].camera.params, before.images[1].camera.params)
+    assert sorted(after.point3D_ids()) == sorted(before.point3D_ids())
+    assert after.compute_num_observations() == before.compute_num_observations()
