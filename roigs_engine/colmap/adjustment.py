@@ -42,7 +42,7 @@ def adjust(
     solver.loss_function_type = getattr(colmap.LossFunctionType, loss)
     solver.loss_function_scale = scale
     solver.solver_options.max_num_iterations = ITERATIONS
-    options.refine_focal_length = not points_only
+    options.refine_focal_length = options.refine_sensor_from_rig = not points_only
     options.refine_extra_params = distortion and not points_only
     config = colmap.BundleAdjustmentConfig()
     for key in scene.reg_image_ids():

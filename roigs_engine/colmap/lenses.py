@@ -8,6 +8,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 FULLER, FULLEST = "OPENCV", "FULL_OPENCV"
 # Models that OPENCV includes -> the places of fx, fy, cx, cy, k1, k2 among their parameters.
 INCLUDED: dict[str, tuple[int | None, ...]] = {
@@ -17,6 +19,7 @@ INCLUDED: dict[str, tuple[int | None, ...]] = {
     "RADIAL": (0, 0, 1, 2, 3, 4),
 }
 FEWEST_PHOTOS = 5  # of a camera that gets more parameters
+REACH, SAMPLES = 2.0, 2000  # how far beyond the corners a lens is looked at, and how closely
 
 
 def with_fuller_cameras(colmap: Any, scene: Any) -> int:
@@ -52,9 +55,12 @@ def with_fullest_cameras(colmap: Any, scene: Any) -> int:
 def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
     """A copy of the scene in which each of some photos (by id) has a camera of its own.
 
-    Focusing changes the focal length, in some lenses by a per cent. Names of photos with spaces in
-    them may be cut (pycolmap reads text so).
+    Focusing changes the focal length, in some lenses by a per cent. Photos lose their names (text
+    files could not hold all), and rigs are dissolved.
     """
+    scene = colmap.Reconstruction(scene)
+    for key, image in scene.images.items():
+        image.name = str(key)
     with tempfile.TemporaryDirectory(prefix="roigs-cameras-") as name:
         folder = Path(name)
         scene.write_text(name)
@@ -73,6 +79,32 @@ def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
         for rest in ("rigs.txt", "frames.txt"):  # made anew: each photo by itself
             (folder / rest).unlink(missing_ok=True)
         return colmap.Reconstruction(name)
+
+
+def has_rigs(scene: Any) -> bool:
+    """Whether cameras are fixed to each other."""
+    return any(rig.num_sensors() > 1 for rig in scene.rigs.values())
+
+
+def is_sound(camera: Any) -> bool:
+    """Whether a FULL_OPENCV lens maps rays to its picture one to one, up to the corners.
+
+    Its distortion is a fraction: where the lower part comes to zero, places jump.
+    """
+    if camera.model.name != FULLEST:
+        return True
+    fx, fy, cx, cy, k1, k2, _, _, k3, k4, k5, k6 = camera.params
+    corner = np.hypot(
+        max(cx, camera.width - cx) / min(fx, fy), max(cy, camera.height - cy) / min(fx, fy)
+    )
+    r = np.linspace(0, REACH * corner, SAMPLES)
+    upper, lower = (np.polyval([c, b, a, 1.0], r**2) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = r * upper / lower
+    beyond = np.flatnonzero(~(lower > 0) | (seen > corner))
+    if not len(beyond) or not lower[beyond[0]] > 0:
+        return False
+    return bool((np.diff(seen[: beyond[0] + 1]) > 0).all())
 
 
 def _lines(path: Path) -> list[str]:

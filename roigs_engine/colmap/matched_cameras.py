@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..context import Context
+from ..formats.text import counted, first_of
 from ..photos.files import PhotoFolder
-from ..photos.headers import photo_size
+from ..photos.headers import PhotoError, photo_size
 from .adjustment import Observation, adjust, median_error, to_leave_out
-from .lenses import with_fullest_cameras, with_own_cameras
+from .lenses import has_rigs, is_sound, with_fullest_cameras, with_own_cameras
 from .matching.tracks import Matches, match_tracks
 from .matching.views import Views
 from .records import same_shape
@@ -22,6 +24,7 @@ LOSS_SCALE, KEYPOINT_SCALE = 0.3, 1.0  # px: most matches are better than 0.1, k
 FEW = 50  # matches: a photo with fewer keeps its keypoints beside them
 MANY = 100  # matches: a photo with more may have a focal length of its own
 FEWEST_LEFT_OUT = 50  # matches to compare by
+POSES, DISTORTION, FOCAL_LENGTHS = CHANGES = ("poses", "distortion", "focal lengths")
 CLEARLY = 0.97  # of the error before: more parameters must bring that much
 
 
@@ -34,6 +37,8 @@ class MatchedFit:
         left_out: their number.
         matches, photos: how many places were matched, and in how many photos.
         changed: what was allowed to change, and made the left-out matches fit better.
+
+    Errors are NaN if there are too few matches to judge by.
     """
 
     before: float
@@ -41,28 +46,45 @@ class MatchedFit:
     left_out: int
     matches: int
     photos: int
-    changed: tuple[str, ...]
+    changed: tuple[str, ...] = ()
 
     @property
     def better(self) -> bool:
         """Whether the new cameras fit better; only then they were taken."""
         return bool(self.changed)
 
+    @property
+    def enough(self) -> bool:
+        """Whether there were enough matches to judge by."""
+        return self.left_out >= FEWEST_LEFT_OUT
 
-def photo_paths(scene: Any, folder: PhotoFolder, names: dict[int, str]) -> list[Path | None]:
-    """The file of each of `Views(scene).ids`; None: it is missing, or not of the camera's shape."""
+
+def photo_paths(
+    scene: Any, folder: PhotoFolder, names: dict[int, str], context: Context
+) -> list[Path | None]:
+    """The file of each of `Views(scene).ids`; None: it cannot be used, which a warning says."""
     found: list[Path | None] = []
-    for key, lens in zip(Views(scene).ids, Views(scene).lenses, strict=True):
+    views = Views(scene)
+    for key, lens in zip(views.ids, views.lenses, strict=True):
         path = folder.find(names[key])
-        size = None if path is None else photo_size(path)
+        try:
+            size = None if path is None else photo_size(path)
+        except PhotoError:
+            size = None
         fits = size is not None and same_shape((lens.width, lens.height), size)
         found.append(path if fits else None)
+    unused = [names[key] for key, path in zip(views.ids, found, strict=True) if path is None]
+    if unused:
+        context.warn(
+            f"{counted(len(unused), 'photo')} not looked at: missing, damaged, or of another shape"
+            f" than the camera ({first_of(unused)})."
+        )
     return found
 
 
 def fit_to_matches(
     colmap: Any, scene: Any, photos: Sequence[Path | None], context: Context
-) -> tuple[Any, MatchedFit | None]:
+) -> tuple[Any, MatchedFit]:
     """Match the tracks of a scene, and fit its cameras and poses to them.
 
     More and more may change: cameras and poses, then more parameters of distortion, then a focal
@@ -77,8 +99,7 @@ def fit_to_matches(
 
     Returns:
         The scene with its tracks and the cameras that fit best, its points where they then fit
-        (names of photos may be cut at spaces); and what was done. None: there are too few matches
-        to judge by.
+        (its photos may lose their names); and what was done.
 
     Raises:
         Stopped: on request.
@@ -87,48 +108,46 @@ def fit_to_matches(
     tracked = colmap.Reconstruction(scene)
     anchors = _track(colmap, tracked, scene, matches)
     left_out = to_leave_out(tracked, anchors)
-    if len(left_out) < FEWEST_LEFT_OUT:
-        return scene, None
+    fit = MatchedFit(
+        before=math.nan,
+        after=math.nan,
+        left_out=len(left_out),
+        matches=len(matches.view),
+        photos=len(np.unique(matches.view)),
+    )
+    if not fit.enough:
+        return scene, fit
     for image, keypoint, _ in left_out:
         tracked.delete_observation(image, keypoint)
     trial = colmap.Reconstruction(tracked)
     adjust(colmap, trial, "CAUCHY", LOSS_SCALE, points_only=True)
     before = best = median_error(trial, left_out)
-    found, changes = None, ("poses", "distortion", "focal lengths")
-    trial, taken = tracked, []
-    for change in changes:
+    found, taken = tracked, []
+    for change in CHANGES:
         context.check_cancelled()
-        trial = colmap.Reconstruction(trial if found is None else found)
-        if change == "distortion" and not with_fullest_cameras(colmap, trial):
+        if change == FOCAL_LENGTHS and has_rigs(scene):
             continue
-        if change == "focal lengths":
-            trial = with_own_cameras(colmap, trial, _often_matched(views_of(matches, scene)))
-        adjust(colmap, trial, "CAUCHY", LOSS_SCALE, distortion=change != "focal lengths")
+        trial = colmap.Reconstruction(found)
+        if change == DISTORTION and not with_fullest_cameras(colmap, trial):
+            continue
+        if change == FOCAL_LENGTHS:
+            trial = with_own_cameras(colmap, trial, _often_matched(scene, matches))
+        adjust(colmap, trial, "CAUCHY", LOSS_SCALE, distortion=change != FOCAL_LENGTHS)
         error = median_error(trial, left_out)
-        if error < CLEARLY * best or (change == "poses" and error < best):
+        if not all(map(is_sound, trial.cameras.values())):
+            continue
+        if error < best * (1 if change == POSES else CLEARLY):
             best, found = error, trial
             taken.append(change)
-    fit = MatchedFit(
-        before=before,
-        after=best,
-        left_out=len(left_out),
-        matches=len(matches.view),
-        photos=len(np.unique(matches.view)),
-        changed=tuple(taken),
-    )
-    return (scene if found is None else _moved(colmap, scene, found)), fit
+    fit = replace(fit, before=before, after=best, changed=tuple(taken))
+    return (_moved(colmap, scene, found) if taken else scene), fit
 
 
-def _often_matched(counts: dict[int, int]) -> set[int]:
-    """The photos that get a focal length of their own."""
-    return {key for key, count in counts.items() if count >= MANY}
-
-
-def views_of(matches: Matches, scene: Any) -> dict[int, int]:
-    """Id of each photo -> the number of its matches."""
-    views = Views(scene)
-    counts = np.bincount(matches.view, minlength=len(views.ids))
-    return dict(zip(views.ids, counts.tolist(), strict=True))
+def _often_matched(scene: Any, matches: Matches) -> set[int]:
+    """Ids of the photos that may have a focal length of their own."""
+    ids = Views(scene).ids
+    counts = np.bincount(matches.view, minlength=len(ids))
+    return {key for key, count in zip(ids, counts, strict=True) if count >= MANY}
 
 
 def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
@@ -138,8 +157,16 @@ def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
     for key, image in fitted.images.items():
         camera = moved.cameras[moved.images[key].camera_id]
         camera.model, camera.params = image.camera.model, image.camera.params
-        frame = moved.frames[moved.images[key].frame_id]
-        frame.set_cam_from_world(moved.images[key].camera_id, image.cam_from_world())
+        if image.has_pose and not has_rigs(scene):
+            frame = moved.frames[moved.images[key].frame_id]
+            frame.set_cam_from_world(moved.images[key].camera_id, image.cam_from_world())
+    if has_rigs(scene):  # then nothing has dissolved them
+        for key, rig in moved.rigs.items():
+            for sensor in rig.non_ref_sensors:
+                rig.set_sensor_from_rig(sensor, fitted.rigs[key].sensor_from_rig(sensor))
+        for key, frame in moved.frames.items():
+            if fitted.frames[key].has_pose:
+                frame.rig_from_world = fitted.frames[key].rig_from_world
     adjust(colmap, moved, "CAUCHY", KEYPOINT_SCALE, points_only=True)
     return moved
 

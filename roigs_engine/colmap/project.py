@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
 from ..formats.projects import model_folders, model_suffix, project_folder
-from ..formats.refined_model import is_complete, refined_folder
+from ..formats.refined_model import is_complete, is_refined_name, refined_folder
 from ..formats.rois import FAR
-from ..formats.text import counted
+from ..formats.text import counted, first_of
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.strays import without_strays
 from ..photos.files import PhotoFolder, find_photos
@@ -26,7 +26,6 @@ from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
 
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
-NAMED = 4  # skipped photos that a message names
 
 
 def load_colmap(
@@ -110,7 +109,7 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
     """Say that refined cameras may be better, or where they are, if the lens model is simple."""
     used = {camera.model for camera in model.cameras.values()}
     simple = [name for name in SIMPLE_LENSES if name in used]
-    if not simple:
+    if not simple or is_refined_name(folder):
         return
     refined = refined_folder(folder)
     if is_complete(refined):
@@ -128,10 +127,8 @@ def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
     if scene.stray_points:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():
-        shown = names if len(names) <= NAMED else names[: NAMED - 1]
-        first = ", ".join(shown) + ("" if shown == names else ", …")
         emit = context.info if reason == UNPOSED else context.warn
-        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first}.")
+        emit(f"Skipped {counted(len(names), 'photo')}, {reason}: {first_of(names)}.")
     return scene
 
 

@@ -102,9 +102,9 @@ def refine_cameras(
         placed = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
         scene, done = _by_tracks(colmap, model, context)
         if folder is not None:
-            paths = photo_paths(scene, folder, names)
+            paths = photo_paths(scene, folder, names, context)
             if sum(path is not None for path in paths) < 2:
-                context.info(f"The photos are not in {folder.folder}: only tracks are used.")
+                context.info(f"No two photos of {folder.folder} can be used: only tracks are.")
             else:
                 scene, matched = fit_to_matches(colmap, scene, paths, context)
                 done = replace(done, matched=matched)
@@ -173,11 +173,25 @@ def _write(scene: Any, out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as folder:
             scene.write(folder)
+            _check_written(scene, Path(folder), out)
             for path in Path(folder).iterdir():
                 path.replace(out / path.name)
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"Cannot write {out} ({reason}).", "Give another --out.") from error
+
+
+def _check_written(scene: Any, folder: Path, out: Path) -> None:
+    """Raise SceneError unless the files are whole: pycolmap does not say when a disk is full."""
+    try:
+        written = read_model(folder)
+    except SceneError:
+        written = None
+    counts = (scene.num_reg_images(), scene.num_points3D())
+    if written is None or (len(written.images), len(written.point_ids)) != counts:
+        raise SceneError(
+            f"Cannot write {out}: its files came out too short.", "Free some space on the disk."
+        )
 
 
 def _carry_back(colmap: Any, scene: Any, placed: dict[int, Float64]) -> None:

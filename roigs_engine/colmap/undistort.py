@@ -216,10 +216,11 @@ def _mesh(camera: ModelCamera) -> list[Quad]:
     """The pinhole's picture, cut into squares, and where their corners are in the photo.
 
     Between corners, places are interpolated linearly. The error grows with the square of a side, so
-    these grow with the root of the photo's: it is then about a hundredth of a pixel, or less.
+    these grow with the root of the photo's: it is then about a hundredth of a pixel, and more only
+    where a lens bends much more than usual.
     """
     pinhole = undistorted_camera(camera)
-    side = max(4, round((max(camera.width, camera.height) / 4) ** 0.5))
+    side = max(3, round((max(camera.width, camera.height) / 16) ** 0.5))
     columns, rows = (_edges(length, side) for length in (pinhole.width, pinhole.height))
     x, y = np.meshgrid(columns, rows)
     rays = ((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy, np.ones(x.shape))

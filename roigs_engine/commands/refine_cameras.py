@@ -76,6 +76,8 @@ def _by_tracks(done: Refinement) -> str:
 def _by_matches(fit: MatchedFit | None) -> list[str]:
     if fit is None:
         return []
+    if not fit.enough:
+        return [f"Only {counted(fit.matches, 'place')} matched in the photos: they were not used."]
     matched = f"{counted(fit.matches, 'place')} matched in {counted(fit.photos, 'photo')}"
     if not fit.better:
         return [f"With {matched}, they fit as well as they can ({fit.after:.3f} px)."]

@@ -7,10 +7,12 @@ import hashlib
 import json
 import re
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 # What moves a terminal's cursor, ends a line or turns the order of letters.
 CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+NAMED = 4  # names that a sentence lists
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 UTF32_MARKS = (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)  # the first begins with one of UTF-16
 
@@ -86,6 +88,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def printable(text: str) -> str:
     """The text on one line, with escapes (`\\x1b`) in the place of control characters."""
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def first_of(names: Sequence[str]) -> str:
+    """'a, b, c, d' of four names; 'a, b, c, …' of more."""
+    shown = names if len(names) <= NAMED else names[: NAMED - 1]
+    return ", ".join(shown) + ("" if len(shown) == len(names) else ", …")
 
 
 def counted(count: int, noun: str) -> str:

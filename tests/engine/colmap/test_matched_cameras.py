@@ -14,11 +14,13 @@ import pytest
 from PIL import Image
 
 from roigs_engine.cli import main
-from roigs_engine.colmap.lenses import with_own_cameras
+from roigs_engine.colmap import matched_cameras
+from roigs_engine.colmap.lenses import has_rigs, is_sound, with_own_cameras
+from roigs_engine.colmap.matched_cameras import fit_to_matches
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.colmap.refine import refine_cameras
-from roigs_engine.context import Context
-from roigs_engine.errors import Stopped
+from roigs_engine.colmap.refine import _write, refine_cameras
+from roigs_engine.context import QUIET, Context
+from roigs_engine.errors import SceneError, Stopped
 from roigs_engine.formats.events import Event, Message
 from tests.engine.synthetic_colmap import Project, camera, write_project
 
@@ -169,7 +171,7 @@ def test_without_photos_only_tracks_are_used(scene: tuple[Path, Project], tmp_pa
     done = refine_cameras(tmp_path / "model", tmp_path / "new", Context(emit=said.append))
     assert done.matched is None
     texts = [event.text for event in said if isinstance(event, Message)]
-    assert any("only tracks are used" in text for text in texts)
+    assert any("only tracks are" in text for text in texts)
 
 
 def test_a_photo_that_is_damaged_or_missing_is_left_out(
@@ -214,6 +216,117 @@ def test_the_command_says_what_it_did(
     assert main(["refine-cameras", model, "--tracks-only", "--out", str(tmp_path / "b")]) == 0
     assert "matched" not in capsys.readouterr().out
     assert main(["refine-cameras", model, "--images", str(tmp_path / "no")]) == 2
+
+
+def test_photos_that_show_nothing_are_not_used(
+    scene: tuple[Path, Project], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(scene[0], tmp_path / "project")
+    for photo in (tmp_path / "project" / "images" / "walk").iterdir():
+        Image.new("RGB", (320, 240), (90, 90, 90)).save(photo)
+    (tmp_path / "project" / "images" / "walk" / "04.png").write_bytes(b"")
+    main(["refine-cameras", str(tmp_path / "project"), "--out", str(tmp_path / "new")])
+    said = capsys.readouterr()
+    assert "Only 0 places matched in the photos: they were not used." in said.out
+    assert "1 photo not looked at" in said.err and "walk/04.png" in said.err
+
+
+def test_names_that_text_cannot_hold(scene: tuple[Path, Project], tmp_path: Path) -> None:
+    shutil.copytree(scene[0], tmp_path / "project")
+    images, model = tmp_path / "project" / "images", tmp_path / "project" / "sparse" / "0"
+    (images / NAMES[3]).rename(images / "a\nb #1.png")
+    before = pycolmap.Reconstruction(str(model))
+    next(i for i in before.images.values() if i.name == NAMES[3]).name = "a\nb #1.png"
+    before.write(str(model))
+    done = refine_cameras(model, tmp_path / "new")
+    assert done.matched is not None and done.matched.photos == len(NAMES)
+    after = pycolmap.Reconstruction(str(tmp_path / "new"))
+    assert "a\nb #1.png" in {image.name for image in after.images.values()}
+
+
+def test_a_lens_must_be_one_to_one_in_its_picture() -> None:
+    mild = [1100.0, 1092.0, 640.0, 360.0, -3.34, 15.67, 0.0, 0.0, 74.3, -3.5, 16.19, 71.75]
+    pole = [300.0, 300.0, 160.0, 120.0, 0.695, -4.98, 0.0, 0.0, -15.39, 0.682, -5.13, -14.84]
+    fold = [300.0, 300.0, 160.0, 120.0, -1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert is_sound(camera("FULL_OPENCV", 1280, 720, mild))
+    assert not is_sound(camera("FULL_OPENCV", 640, 428, pole))
+    assert not is_sound(camera("FULL_OPENCV", 320, 240, fold))
+    assert is_sound(camera("OPENCV", 320, 240, LENS))
+
+
+def test_a_full_disk_is_an_error(scene: tuple[Path, Project], tmp_path: Path) -> None:
+    """pycolmap writes what fits, and says nothing."""
+
+    class Full:
+        def __init__(self) -> None:
+            self.scene = pycolmap.Reconstruction(str(scene[0] / "sparse" / "0"))
+            self.num_reg_images = self.scene.num_reg_images
+            self.num_points3D = self.scene.num_points3D
+
+        def write(self, folder: str) -> None:
+            self.scene.write(folder)
+            (Path(folder) / "points3D.bin").write_bytes(b"")
+
+    with pytest.raises(SceneError, match="too short"):
+        _write(Full(), tmp_path / "new")
+    assert not list((tmp_path / "new").iterdir())
+
+
+def on_a_rig(flat: pycolmap.Reconstruction, made: Project) -> pycolmap.Reconstruction:
+    """The scene with its photos taken in pairs, by two cameras that are fixed to each other.
+
+    On a ring, a camera and the next are always the same way apart. Here that is a little wrong.
+    """
+    first, second = (made.poses[row] for row in range(2))
+    apart = (second @ np.linalg.inv(first))[:3]
+    apart[:, 3] += 0.01
+    kind = pycolmap.SensorType.CAMERA
+    one, two = (pycolmap.sensor_t(type=kind, id=key) for key in (1, 2))
+    scene, rig = pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1)
+    for key in (1, 2):
+        lens = camera("OPENCV", 320, 240, LENS)
+        lens.camera_id = key
+        scene.add_camera(lens)
+    rig.add_ref_sensor(one)
+    rig.add_sensor(two, pycolmap.Rigid3d(apart))
+    scene.add_rig(rig)
+    for row in range(0, len(NAMES), 2):
+        frame = pycolmap.Frame(frame_id=row // 2 + 1, rig_id=1)
+        for sensor, key in ((one, row + 1), (two, row + 2)):
+            frame.add_data_id(pycolmap.data_t(sensor_id=sensor, id=key))
+        frame.rig_from_world = pycolmap.Rigid3d(made.poses[row][:3])
+        scene.add_frame(frame)
+    for key, image in sorted(flat.images.items()):
+        keypoints = pycolmap.Point2DList([pycolmap.Point2D(k.xy) for k in image.points2D])
+        sensor = 1 + (key - 1) % 2
+        copy = pycolmap.Image(name=image.name, image_id=key, camera_id=sensor, points2D=keypoints)
+        copy.frame_id = (key - 1) // 2 + 1
+        scene.add_image(copy)
+    for key in scene.frames:
+        scene.register_frame(key)
+    for key, point in flat.points3D.items():  # the true places, like the poses
+        scene.add_point3D(points()[key - 1], pycolmap.Track(list(point.track.elements)))
+    return scene
+
+
+def test_cameras_on_a_rig_stay_on_it(
+    scene: tuple[Path, Project], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = on_a_rig(pycolmap.Reconstruction(str(scene[0] / "sparse" / "0")), scene[1])
+    photos = [scene[0] / "images" / image.name for _, image in sorted(rig.images.items())]
+    taken, moved = [], matched_cameras._moved
+
+    def spy(colmap: object, before: object, found: pycolmap.Reconstruction) -> object:
+        taken.append(found)
+        return moved(colmap, before, found)
+
+    monkeypatch.setattr(matched_cameras, "_moved", spy)
+    fitted, fit = fit_to_matches(pycolmap, rig, photos, QUIET)
+    assert fit.changed and "focal lengths" not in fit.changed and fit.after < fit.before
+    assert has_rigs(fitted) and len(fitted.frames) == len(NAMES) // 2
+    for key, image in fitted.images.items():
+        expected = taken[0].images[key].cam_from_world().matrix()
+        assert np.allclose(image.cam_from_world().matrix(), expected, atol=1e-12)
 
 
 def test_own_cameras_keep_points_and_tracks(scene: tuple[Path, Project]) -> None:
