@@ -56,6 +56,7 @@ def draw(runs: Sequence[Path], out: Path) -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(7, 4.2))
+    drawn: set[str] = set()
     for marker, run in zip(MARKERS, runs, strict=False):
         rows = points(run)
         order = [name for name in SHOWN if name in rows]
@@ -63,8 +64,10 @@ def draw(runs: Sequence[Path], out: Path) -> None:
         for name in order:
             axes.scatter(*rows[name], color=SHOWN[name][0], marker=marker, s=60, zorder=2)
         axes.annotate(run.name, rows[order[-1]], xytext=(8, 4), textcoords="offset points")
-    for colour, label in SHOWN.values():
-        axes.scatter([], [], color=colour, label=label)
+        drawn.update(order)
+    for name, (colour, label) in SHOWN.items():
+        if name in drawn:
+            axes.scatter([], [], color=colour, label=label)
     axes.set_xlabel("CPU seconds of training")
     axes.set_ylabel("ROI PSNR, dB")
     axes.margins(0.12)
