@@ -100,7 +100,7 @@ def refine_cameras(
     with _explained(model):
         scene = _read(colmap, model)
         placed = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
-        scene, done = _by_tracks(colmap, model, context)
+        scene, done = _by_tracks(colmap, scene, model, context)
         if folder is not None:
             paths = photo_paths(scene, folder, names, context)
             if sum(path is not None for path in paths) < 2:
@@ -116,36 +116,34 @@ def refine_cameras(
     return done
 
 
-def _by_tracks(colmap: Any, model: Path, context: Context) -> tuple[Any, Refinement]:
+def _by_tracks(colmap: Any, scene: Any, model: Path, context: Context) -> tuple[Any, Refinement]:
     """The scene with the cameras that fit the tracks best, the new ones or the old."""
-    scene, started = _read(colmap, model), time.monotonic()
-    left_out = to_leave_out(scene)
+    started, left_out = time.monotonic(), to_leave_out(scene)
     if len(left_out) < FEWEST_LEFT_OUT:
         raise SceneError(
             f"{model} has too few points that {LONG_TRACK} or more photos observe.",
             "Export the model with its observations, or take more photos.",
         )
     # The model as it is has seen the left-out observations: adjust it without them to compare.
+    old, new = colmap.Reconstruction(scene), colmap.Reconstruction(scene)
     for image, keypoint, _ in left_out:
-        scene.delete_observation(image, keypoint)
-    adjust(colmap, scene, "TRIVIAL", LOSS_SCALE)
-    before = median_error(scene, left_out)
+        old.delete_observation(image, keypoint)
+        new.delete_observation(image, keypoint)
+    adjust(colmap, old, "TRIVIAL", LOSS_SCALE)
+    before = median_error(old, left_out)
     context.progress("refine cameras", 1, 2, started)
     context.check_cancelled()
-    scene = _read(colmap, model)
-    cameras = with_fuller_cameras(colmap, scene)
-    for image, keypoint, _ in left_out:
-        scene.delete_observation(image, keypoint)
-    adjust(colmap, scene, "CAUCHY", LOSS_SCALE)
-    after = median_error(scene, left_out)
+    cameras = with_fuller_cameras(colmap, new)
+    adjust(colmap, new, "CAUCHY", LOSS_SCALE)
+    after = median_error(new, left_out)
     context.progress("refine cameras", 2, 2, started)
     context.check_cancelled()
     done = Refinement(before=before, after=after, left_out=len(left_out), cameras=cameras)
     if not done.fits_tracks_better:
-        return _read(colmap, model), done
+        return scene, done
     for image, keypoint, point in left_out:
-        scene.add_observation(point, colmap.TrackElement(image, keypoint))
-    return scene, done
+        new.add_observation(point, colmap.TrackElement(image, keypoint))
+    return new, done
 
 
 @contextmanager
