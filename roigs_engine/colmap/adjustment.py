@@ -14,6 +14,7 @@ Observation = tuple[int, int, int]
 
 FEWEST_OBSERVATIONS = 10  # of a photo whose camera may move: fewer could send it anywhere
 LEFT_OUT_EVERY = 3  # points
+FEWEST_LEFT_OUT = 50  # observations to compare by
 LONG_TRACK = 4  # observations; of a shorter one, none can be left out
 ITERATIONS = 20  # it settles in ten
 

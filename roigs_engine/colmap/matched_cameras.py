@@ -14,7 +14,7 @@ from ..context import Context
 from ..formats.text import counted, first_of
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, photo_size
-from .adjustment import Observation, adjust, median_error, to_leave_out
+from .adjustment import FEWEST_LEFT_OUT, Observation, adjust, median_error, to_leave_out
 from .lenses import has_rigs, is_sound, with_fullest_cameras, with_own_cameras
 from .matching.tracks import Matches, match_tracks
 from .matching.views import Views
@@ -23,7 +23,6 @@ from .records import same_shape
 LOSS_SCALE, KEYPOINT_SCALE = 0.3, 1.0  # px: most matches are better than 0.1, keypoints than 0.5
 FEW = 50  # matches: a photo with fewer keeps its keypoints beside them
 MANY = 100  # matches: a photo with more may have a focal length of its own
-FEWEST_LEFT_OUT = 50  # matches to compare by
 POSES, DISTORTION, FOCAL_LENGTHS = CHANGES = ("poses", "distortion", "focal lengths")
 CLEARLY = 0.97  # of the error before: more parameters must bring that much
 
@@ -154,13 +153,14 @@ def _moved(colmap: Any, scene: Any, fitted: Any) -> Any:
     """The scene with another's cameras and poses, and its points where they then fit."""
     own = {key for key, image in fitted.images.items() if image.camera_id not in scene.cameras}
     moved = with_own_cameras(colmap, scene, own) if own else colmap.Reconstruction(scene)
+    rigs = has_rigs(scene)
     for key, image in fitted.images.items():
         camera = moved.cameras[moved.images[key].camera_id]
         camera.model, camera.params = image.camera.model, image.camera.params
-        if image.has_pose and not has_rigs(scene):
+        if image.has_pose and not rigs:
             frame = moved.frames[moved.images[key].frame_id]
             frame.set_cam_from_world(moved.images[key].camera_id, image.cam_from_world())
-    if has_rigs(scene):  # then nothing has dissolved them
+    if rigs:  # then nothing has dissolved them
         for key, rig in moved.rigs.items():
             for sensor in rig.non_ref_sensors:
                 rig.set_sensor_from_rig(sensor, fitted.rigs[key].sensor_from_rig(sensor))

@@ -27,13 +27,12 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..model.scene import Float64
 from ..photos.files import find_photos
-from .adjustment import LONG_TRACK, adjust, median_error, to_leave_out
+from .adjustment import FEWEST_LEFT_OUT, LONG_TRACK, adjust, median_error, to_leave_out
 from .lenses import with_fuller_cameras
 from .library import pycolmap_module
 from .matched_cameras import MatchedFit, fit_to_matches, photo_paths
 from .model_files import HINT_DAMAGED, read_model
 
-FEWEST_LEFT_OUT = 50  # observations to compare by
 LOSS_SCALE = 1.0  # px of the full-size photos; what is farther off counts ever less
 
 

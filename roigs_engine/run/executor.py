@@ -25,6 +25,7 @@ from ..training.floaters.view_shares import shown_by
 from ..training.labels import object_owners
 from ..training.masks import RoiMasks
 from ..training.stage_data import SmallPhotos, StageData
+from ..training.view_dependence import with_measured_rate
 from ..training.z_order import morton_order
 from .definition import Run
 from .plan import CELLS, CROP, MERGE, POINTS, Output, Plan, PlannedModel, Source, Stage
@@ -133,9 +134,9 @@ class Executor:
     def _train(self, stage: Stage, folder: StageFolder) -> StageResult:
         for needed in stage.inputs:  # before the stage's own photos take memory
             self.result(needed)
-        return folder.train(
-            lambda: self.gaussians(stage.start), self._data(stage), stage.config, self.context
-        )
+        data = self._data(stage)
+        config = with_measured_rate(stage.config, data, self.context)
+        return folder.train(lambda: self.gaussians(stage.start), data, config, self.context)
 
     def gaussians(self, source: Source) -> Gaussians:
         """The Gaussians of a source; trains its input stages if necessary."""

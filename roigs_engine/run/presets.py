@@ -68,6 +68,7 @@ def joint_recipe(
             # 3DGS's learning rates suit six times as many steps; SH is learned last.
             lr_shN=1.5e-3,
             lr_shN_spacing=25.0,
+            lr_shN_measured=True,
             lr_scales=0.01,
             densify_from=0,
             densify_until=roi_steps // 3,

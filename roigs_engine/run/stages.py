@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from itertools import starmap
 
 from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
 from ..training.budget import box_budgets
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
-from ..training.view_spacing import detail_spacing, learning_rates_for_spacing, view_spacing
+from ..training.view_spacing import view_spacing, with_spaced_rate
 from .definition import Run
 from .photo_sets import PhotoSets
 from .plan import POINTS, Source, Stage
@@ -42,9 +41,8 @@ def make_stage(
     """
     run = photos.run
     if config.lr_shN_spacing:
-        seen = [(photos.seen(roi), roi) for roi in rois]
-        spacing, detail = (max(starmap(f, seen)) for f in (view_spacing, detail_spacing))
-        config = learning_rates_for_spacing(config, spacing, detail)
+        spacing = max(view_spacing(photos.seen(roi), roi) for roi in rois)
+        config = with_spaced_rate(config, spacing)
     margins = tuple(roi.scaled(config.box_margin) for roi in rois)
     return Stage(
         name=name,

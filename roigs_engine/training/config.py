@@ -30,6 +30,8 @@ class TrainConfig:
         lr_sh0, lr_shN, lr_opacities, lr_scales, lr_quats: Adam's learning rates.
         lr_shN_spacing: above this angular view spacing around a box, degrees, `lr_shN` is lowered
             (`view_spacing.py`); 0: never.
+        lr_shN_measured: lower `lr_shN` if the photos show that colours hardly depend on the view
+            (`view_dependence.py`).
         densify_from, densify_until, densify_every: steps.
         grad_threshold: mean 2D gradient above which a Gaussian is cloned or split.
         split_fraction: a Gaussian larger than this share of the size reference is split.
@@ -73,6 +75,7 @@ class TrainConfig:
     lr_sh0: float = 2.5e-3
     lr_shN: float = 1.25e-4  # noqa: N815 - the field's name
     lr_shN_spacing: float = 0.0  # noqa: N815
+    lr_shN_measured: bool = False  # noqa: N815
     lr_opacities: float = 0.05
     lr_scales: float = 5e-3
     lr_quats: float = 1e-3

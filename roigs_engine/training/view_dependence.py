@@ -1,0 +1,179 @@
+"""Whether a point's colour depends on the view, as the photos show it; the SH learning rate for it.
+
+A point has another colour in each photo that observes it: because light and camera change with the
+view, which SH can learn, and because of noise, texture and neighbours, which they cannot. If it is
+the view, photos from similar directions agree better than others. So the variance between nearest
+neighbours is compared with that between all photos: the ratio of nugget and sill of a variogram
+(Matheron 1963). Where neighbours do not agree better, SH that learn fast learn the noise of single
+photos: they are wrong in between, most of all close up. Ours (docs/method.md, learning rates).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..context import QUIET, Context
+from ..cuda.photos import Photos
+from ..model.roi import OrientedBox
+from ..model.scene import Float64, PosedImage
+from .config import TrainConfig
+from .stage_data import StageData
+
+RADIUS = 2  # px around a point, whose mean is its colour there
+LEAST = 5  # photos that must observe a point
+MOST = 64  # of them that are compared
+SAME_SCALE = 1.5  # photos that show a point larger or smaller than that show other texture
+ENOUGH_POINTS, MOST_POINTS = 50, 5000
+TRIMMED = 0.9  # of the photos; points that are hidden or wrong in one differ most
+FULL_RATE = 0.5  # predicted share from which on SH learn at the full rate
+POINTS_AT_ONCE = 250
+
+# One row per point and photo: row of the point, colour (3), direction (3), pixels per world unit
+Sightings = NDArray[np.float64]
+POINT, COLOUR, DIRECTION, SCALE = 0, slice(1, 4), slice(4, 7), 7
+
+
+def with_measured_rate(
+    config: TrainConfig, data: StageData, context: Context = QUIET
+) -> TrainConfig:
+    """The config with the SH learning rate that the stage's photos allow, at least 3DGS's.
+
+    Points in the boxes are compared, or all that the photos observe if these are too few.
+
+    Args:
+        config: of the stage; `lr_shN` is that for colours that depend on the view.
+        data: of the stage.
+        context: told of a lower rate; checked for cancellation between photos.
+
+    Raises:
+        PhotoError: a photo cannot be read.
+    """
+    full, least = config.lr_shN, TrainConfig.lr_shN
+    if not config.lr_shN_measured or full <= least:
+        return config
+    share = predicted_share(data.images, data.photos, data.points, data.rois, context)
+    if share is None or share >= FULL_RATE:
+        return config
+    rate = least * (full / least) ** (max(share, 0.0) / FULL_RATE)
+    context.info(
+        f"Colours depend little on the view: neighbouring photos predict {max(share, 0.0):.0%} of"
+        f" how they differ. The SH learning rate is {rate:.2g}, not {full:.2g}."
+    )
+    return replace(config, lr_shN=rate)
+
+
+def predicted_share(
+    images: Sequence[PosedImage],
+    photos: Photos,
+    points: Float64,  # (P, 3)
+    rois: Sequence[OrientedBox],
+    context: Context = QUIET,
+) -> float | None:
+    """Share of the variance of points' colours that the neighbouring photo predicts, at most 1.
+
+    About 0, or below, where colours do not depend on the view.
+
+    Args:
+        images, photos: the photos and their pixels, in the same order.
+        points: (P, 3) that `images` observe, world units.
+        rois: the boxes: their points are compared, or all if these are too few.
+        context: checked for cancellation between photos.
+
+    Returns:
+        The share; None: too few points are observed by enough photos.
+
+    Raises:
+        PhotoError: a photo cannot be read.
+    """
+    counts = np.zeros(len(points), dtype=np.int64)
+    for image in images:
+        counts[image.point_indices] += 1
+    usable = counts >= LEAST
+    boxed = usable & np.any([roi.contains(points) for roi in rois], axis=0) if rois else usable
+    chosen = np.flatnonzero(boxed if boxed.sum() >= ENOUGH_POINTS else usable)
+    if len(chosen) < ENOUGH_POINTS:
+        return None
+    chosen = chosen[:: -(-len(chosen) // MOST_POINTS)]
+    sightings = _sightings(images, photos, points, chosen, context)
+    parts = [_variances(group) for group in _groups(sightings)]
+    near, all_ = (np.concatenate(part) for part in zip(*parts, strict=True)) if parts else ([], [])
+    if len(all_) < ENOUGH_POINTS:
+        return None
+    kept = all_ <= np.quantile(all_, TRIMMED)
+    sill = float(all_[kept].sum())
+    return 1 - float(near[kept].sum()) / sill if sill > 0 else None
+
+
+def _sightings(
+    images: Sequence[PosedImage],
+    photos: Photos,
+    points: Float64,
+    chosen: NDArray[np.int64],
+    context: Context,
+) -> Sightings:
+    """(S, 8) the sightings of the chosen points, point by point, photos in their order."""
+    wanted, rows = np.zeros(len(points), dtype=bool), []
+    wanted[chosen] = True
+    offsets = np.arange(-RADIUS, RADIUS + 1)
+    for index, image in enumerate(images):
+        context.check_cancelled()
+        own = image.point_indices[wanted[image.point_indices]]
+        camera, pose = image.camera, image.world_to_camera
+        local = points[own] @ pose[:3, :3].T + pose[:3, 3]
+        with np.errstate(all="ignore"):  # behind the camera, or at it
+            x = np.floor(local[:, 0] / local[:, 2] * camera.fx + camera.cx)
+            y = np.floor(local[:, 1] / local[:, 2] * camera.fy + camera.cy)
+        inside = (x >= RADIUS) & (x < camera.width - RADIUS) & (local[:, 2] > 0)
+        inside &= (y >= RADIUS) & (y < camera.height - RADIUS)
+        if not inside.any():
+            continue
+        own, local = own[inside], local[inside]
+        across = x[inside].astype(np.int64)[:, None, None] + offsets[None, None, :]
+        down = y[inside].astype(np.int64)[:, None, None] + offsets[None, :, None]
+        patches = np.asarray(photos[index])[down, across].astype(np.float64)
+        rays = image.centre - points[own]
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+        row = [own, patches[..., :3].mean(axis=(1, 2)), rays, camera.fx / local[:, 2]]
+        counted = (patches[..., 3:] == 255).all(axis=(1, 2, 3))  # a mask's pixels, if it has one
+        rows.append(np.column_stack(row)[counted])
+    found = np.concatenate(rows) if rows else np.zeros((0, 8))
+    return found[np.argsort(found[:, POINT], kind="stable")]
+
+
+def _groups(sightings: Sightings) -> Iterator[NDArray[np.float64]]:
+    """(P, N, 8) sightings of points, some at a time; NaN fills what a point has fewer than N."""
+    _, starts, counts = np.unique(sightings[:, POINT], return_index=True, return_counts=True)
+    starts, counts = starts[counts >= LEAST], np.minimum(counts[counts >= LEAST], MOST)
+    order = np.argsort(counts, kind="stable")
+    for begin in range(0, len(order), POINTS_AT_ONCE):
+        part = order[begin : begin + POINTS_AT_ONCE]
+        column = np.arange(counts[part].max())
+        rows = np.minimum(starts[part, None] + column, len(sightings) - 1)
+        group = sightings[rows]
+        group[column >= counts[part, None]] = np.nan
+        yield group
+
+
+def _variances(group: NDArray[np.float64]) -> tuple[Float64, Float64]:
+    """Of each photo of each point: its variance with the nearest photo, and with all others.
+
+    Only photos that show a point in a similar scale are compared; those with too few such others
+    are left out.
+    """
+    colour, ray, scale = group[..., COLOUR], group[..., DIRECTION], np.log(group[..., SCALE])
+    with np.errstate(invalid="ignore"):
+        alike = np.abs(scale[:, :, None] - scale[:, None, :]) <= np.log(SAME_SCALE)  # no NaN
+    alike &= ~np.eye(group.shape[1], dtype=bool)
+    cosine = np.where(alike, np.einsum("pic,pjc->pij", ray, ray), -2.0)
+    half = np.zeros(alike.shape)
+    for channel in range(3):
+        half += (colour[:, :, None, channel] - colour[:, None, :, channel]) ** 2 / 6
+    nearest = np.take_along_axis(half, cosine.argmax(axis=2)[..., None], axis=2)[..., 0]
+    count = alike.sum(axis=2)
+    enough = count >= LEAST - 1
+    mean = np.where(alike, half, 0.0).sum(axis=2) / np.maximum(count, 1)
+    return nearest[enough], mean[enough]
