@@ -80,7 +80,7 @@ def joint_recipe(
             outside_grad_threshold=8e-4,
             box_budget=32.0,
             full_every=3,
-            view_weighting=1.0,
+            view_weighting=1.5,
             reset_every=0,
             min_views=4,
             average_steps=roi_steps // 10,

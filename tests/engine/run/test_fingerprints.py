@@ -20,11 +20,11 @@ TURNS = [np.linalg.matrix_power(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), k)
 RECORDED = {
     "draft": {
         "scene": "12a01982",
-        "joint": "be17550c",
+        "joint": "7cbfd207",
         "compare-independent/scene": "bcb710c0",
         "compare-independent/object-vase": "4283bafc",
         "compare-independent/object-tin": "00104b8a",
-        "compare-independent/refine": "9597bae2",
+        "compare-independent/refine": "603cfaec",
         "full-scene": "34aab47b",
         "tuned-scene": "c31d1373",
         "full-object-vase": "34aab47b",
@@ -37,7 +37,7 @@ RECORDED = {
         "object-vase": "1b128121",
         "object-tin": "0d914ac2",
         "compare-joint/scene": "cd96ac2e",
-        "compare-joint/joint": "7193cf05",
+        "compare-joint/joint": "e203844e",
         "full-scene": "0f27950c",
         "tuned-coarse-scene": "cd96ac2e",
         "tuned-scene": "7bb215b9",
