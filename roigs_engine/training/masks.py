@@ -26,6 +26,8 @@ from ..model.scene import PosedImage
 from ..photos.masks import load_object_mask
 from ..rasterize.inputs import TILE
 
+MOST_WEIGHT = 2.0  # of the mean mask's: a tiny mask must not decide what a box looks like
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiMask:
@@ -60,7 +62,8 @@ class RoiMasks:
         view_weighting: exponent w of the per-view weighting. A mask with the share s of its photo
             has the loss weight s (m / s)^w, where m is the geometric mean share. 0: a pixel weighs
             as much as in a whole photo, so close-ups, which show a box on many pixels, outweigh
-            the others. 1: all masks weigh the same.
+            the others. 1: all masks weigh the same. Above, smaller ones weigh more, up to
+            `MOST_WEIGHT` times as much.
         context: checked for cancellation between photos while the mean share is computed.
     """
 
@@ -100,7 +103,10 @@ class RoiMasks:
         """The loss weight of a mask with this share of its photo."""
         if not self._weighting:
             return share
-        return float(share * (self._mean_share / share) ** self._weighting)
+        ratio = self._mean_share / share
+        if self._weighting <= 1:
+            return float(share * ratio**self._weighting)
+        return float(self._mean_share * min(ratio ** (self._weighting - 1), MOST_WEIGHT))
 
     def _geometric_mean(self, drawn: Sequence[int], context: Context) -> float:
         """The geometric mean of the masks' shares."""

@@ -70,7 +70,7 @@ def test_a_pixel_weights_as_hard_as_in_the_whole_photo() -> None:
     assert not gradient[~mask.pixels].any()
 
 
-def test_weightingd_photos_pull_alike_from_near_and_far() -> None:
+def test_weighted_photos_pull_alike_from_near_and_far() -> None:
     poses = [np.eye(4) for _ in range(4)]
     for pose, back in zip(poses, (-3.0, 0.0, 6.0, -20.0), strict=True):  # the last sees no box
         pose[2, 3] = back
@@ -89,6 +89,17 @@ def test_weightingd_photos_pull_alike_from_near_and_far() -> None:
     # Photos that no such step draws have no say.
     first_two = np.array([mask.loss_weight for mask in masks(1.0, drawn=[0, 1])])[:2]
     assert np.log(first_two / shares[:2]).mean() == pytest.approx(0, abs=1e-6)
+
+
+def test_a_tiny_mask_does_not_outweigh_all_others() -> None:
+    poses = [np.eye(4) for _ in range(4)]
+    for pose, back in zip(poses, (-3.0, -3.0, -3.0, 12.0), strict=True):
+        pose[2, 3] = back
+    several = RoiMasks([photo(pose) for pose in poses], [BOX], range(4), view_weighting=1.9)
+    weights = [mask.loss_weight for k in range(4) if (mask := several[k]) is not None]
+    shares = [float(mask.pixels.float().mean()) for k in range(4) if (mask := several[k])]
+    assert weights[3] == pytest.approx(2 * np.exp(np.mean(np.log(shares))))
+    assert weights[0] < weights[3]
 
 
 @pytest.mark.parametrize("every", [2, 3, 7])
