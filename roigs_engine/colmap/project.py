@@ -26,7 +26,6 @@ from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
 
 SIMPLE_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # fewer parameters than OPENCV
-FULLEST_LENS = "FULL_OPENCV"  # of refined models, wherever they are
 
 
 def load_colmap(
@@ -107,20 +106,19 @@ def _scene(
 
 
 def _mention_refined(model: Model, folder: Path, context: Context) -> None:
-    """Say that refined cameras may be better, or where they are; not of a refined model."""
+    """Say that refined cameras may be better, or where they are, if the lens model is simple."""
     used = {camera.model for camera in model.cameras.values()}
-    if is_refined_name(folder) or FULLEST_LENS in used:
+    simple = [name for name in SIMPLE_LENSES if name in used]
+    if not simple or is_refined_name(folder):
         return
-    refined, simple = refined_folder(folder), [name for name in SIMPLE_LENSES if name in used]
+    refined = refined_folder(folder)
     if is_complete(refined):
         context.info(f"{refined} has refined cameras: with that folder, results are sharper.")
-    elif simple:
+    else:
         context.info(
             f"The model's lens ({', '.join(simple)}) has few parameters. If the photos' lens needs"
             " more, refined cameras make results sharper (`refine-cameras`)."
         )
-    else:
-        context.info("Refined cameras mostly make results sharper (`refine-cameras`).")
 
 
 def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
