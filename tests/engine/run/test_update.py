@@ -182,7 +182,7 @@ def test_an_unfinished_stage_is_kept_and_gone_on_with(scene: SfmScene, tmp_path:
     def soon() -> bool:
         nonlocal asked
         asked += bool((tmp_path / "scene" / "stage.json").exists())
-        return asked > 25  # the photos are looked at first, once each
+        return asked > 25 + len(scene.images)  # the photos are looked at first, twice each
 
     with pytest.raises(Stopped):
         train(tmp_path, scene, [BOX], production(), context=Context(should_stop=soon))
