@@ -5,7 +5,7 @@ view, which SH can learn, and because of noise, texture and neighbours, which th
 the view, photos from similar directions agree better than others. So the variance between nearest
 neighbours is compared with that between all photos: the ratio of nugget and sill of a variogram
 (Matheron 1963). Where neighbours do not agree better, SH that learn fast learn the noise of single
-photos: they are wrong in between, most of all close up. Ours (docs/method.md, learning rates).
+photos: they are wrong in between, most of all close up. Ours (docs/method.md, view dependence).
 """
 
 from __future__ import annotations

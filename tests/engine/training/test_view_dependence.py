@@ -77,9 +77,10 @@ def noise(seed: int = 0) -> Colour:
     return lambda _: random.normal(120, 20, len(POINTS))
 
 
-def share(colour: Colour, points: NDArray[np.float64] = POINTS) -> float | None:
+def share(colour: Colour) -> float | None:
+    """The share that photos of such points predict."""
     images, photos = scene(colour)
-    return predicted_share(images, photos, points, [BOX])
+    return predicted_share(images, photos, POINTS, [BOX])
 
 
 def test_a_change_with_the_view_is_predicted_by_the_neighbour() -> None:
