@@ -41,7 +41,7 @@ SEEDS = (0, 1)
 def tiny() -> RunConfig:
     """Twenty steps a stage; the boxes densify readily, the scene not at all."""
     draft = preset("draft")
-    densify = {"densify_every": 2, "densify_until": 15, "reset_every": 0}
+    densify = {"densify_every": 2, "densify_until": 15, "reset_every": 0, "antialiased": True}
     scene = TrainConfig(steps=20, densify_from=2, grad_threshold=9.0, **densify)
     roi = replace(draft.roi, steps=20, grad_threshold=1e-9, average_steps=0, **densify)
     return replace(draft, scene=scene, roi=replace(roi, box_budget=3.0), test_every=4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -27,10 +28,10 @@ def merged(models: Sequence[PlacedModel]) -> tuple[Gaussians, LocalFrame]:
     parts = [_in_world(model, bands) for model in models]
     centres = np.concatenate([centres for centres, _ in parts])
     frame = LocalFrame.of_centres(centres)
-    tensors = Gaussians.concatenate([part for _, part in parts]).tensors()
-    tensors["means"] = torch.from_numpy(frame.points(centres).astype(np.float32))
-    tensors["log_scales"] = tensors["log_scales"] + float(np.log(frame.scale))
-    return Gaussians(**tensors), frame
+    model = Gaussians.concatenate([part for _, part in parts])
+    means = torch.from_numpy(frame.points(centres).astype(np.float32))
+    log_scales = model.log_scales + float(np.log(frame.scale))
+    return replace(model, means=means, log_scales=log_scales), frame
 
 
 def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
@@ -39,8 +40,8 @@ def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
     linear = to_world[:3, :3]
     quats, log_scales = transformed(gaussians, linear)
     centres = gaussians.means.numpy().astype(np.float64) @ linear.T + to_world[:3, 3]
-    return centres, Gaussians(
-        means=gaussians.means,  # replaced when the frame of all is known
+    return centres, replace(
+        gaussians,  # the centres are replaced when the frame of all is known
         quats=quats,
         log_scales=log_scales,
         logit_opacities=faded(gaussians.logit_opacities, model.density),

@@ -4,6 +4,10 @@ Layout (docs/conventions.md): binary little-endian float32 `x y z nx ny nz f_dc_
 opacity scale_0..2 rot_0..3`; `f_rest` channel-major (15 red, 15 green, 15 blue), opacity a logit,
 scales natural logarithms, rotation wxyz. Values go out and come back bit for bit. Centres far from
 the origin, as in map coordinates, are `double x y z`: float32 would be too coarse there.
+
+Gaussians that were trained with anti-aliasing must be drawn with it. A comment says so:
+`SplatRenderMode: mip`, as Brush, gsplat and PlayCanvas's splat-transform have it; Postshot's
+`antialiased 1` is read too.
 """
 
 from __future__ import annotations
@@ -33,6 +37,12 @@ SCALARS = {
 }  # fmt: skip
 REST_SIZES = (0, 9, 24, 45)  # numbers of `f_rest` columns for SH of degrees 0 to 3
 MAX_HEADER = 1 << 16  # bytes
+ANTIALIASED = "comment SplatRenderMode: mip"
+"""Header line of Gaussians that are drawn with anti-aliasing."""
+RENDER_MODE = re.compile(
+    rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
+    re.IGNORECASE | re.MULTILINE,
+)
 
 
 def _columns(rest: int) -> list[str]:
@@ -42,7 +52,7 @@ def _columns(rest: int) -> list[str]:
     return names
 
 
-def write_ply(path: Path, arrays: Mapping[str, Floats]) -> None:
+def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = False) -> None:
     """Write Gaussians under `path`, whole or not at all.
 
     Args:
@@ -50,6 +60,7 @@ def write_ply(path: Path, arrays: Mapping[str, Floats]) -> None:
         arrays: `means` (N, 3), float32 or, to be written as double, float64; float32 `quats`
             (N, 4), `log_scales` (N, 3), `logit_opacities` (N,), `sh` (N, K, 3) with K = 1, 4, 9
             or 16.
+        antialiased: whether they are drawn with anti-aliasing.
     """
     sh = arrays["sh"]
     count, bands = sh.shape[:2]
@@ -63,7 +74,9 @@ def write_ply(path: Path, arrays: Mapping[str, Floats]) -> None:
     table[:, -8] = arrays["logit_opacities"]
     table[:, -7:-4] = arrays["log_scales"]
     table[:, -4:] = arrays["quats"]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [ANTIALIASED] if antialiased else []
+    header += [f"element vertex {count}"]
     types = dict.fromkeys(names, "float")
     rows: NDArray[Any] = table
     if means.dtype == np.float64:
@@ -87,6 +100,21 @@ def read_ply(path: str | Path) -> dict[str, Floats]:
             Gaussians; one line that says which.
     """
     return _decode(_table(path), path)
+
+
+def is_antialiased(path: str | Path) -> bool:
+    """Whether a PLY, compressed or not, says that its Gaussians are drawn with anti-aliasing.
+
+    Raises:
+        RunFolderError: the file cannot be read.
+    """
+    try:
+        with open(path, "rb", opener=regular) as file:
+            head, _, _ = file.read(MAX_HEADER).partition(b"\nend_header")
+    except OSError as error:
+        raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    said = [mode.lower() or flag for mode, flag in RENDER_MODE.findall(head)]
+    return said[-1:] in ([b"mip"], [b"1"])
 
 
 def check_ply(path: str | Path) -> None:

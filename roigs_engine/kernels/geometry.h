@@ -24,7 +24,7 @@ struct Geometry {
     Floats U[2][3];          // J W R S; the 2D covariance is U U^T + blur (3DGS, eq. 5 and 6)
     Floats xx, xy, yy;       // that covariance, px^2
     Floats determinant;      // xx yy - xy^2
-    Floats photo_determinant;  // .. with the blur of the whole photo's pixels instead
+    Floats stored_determinant;  // .. with the blur at which the opacity is the stored one
     Floats opacity;
 };
 
@@ -120,19 +120,20 @@ ROIGS_INLINE void project_shapes(const Gaussians& gaussians, const Camera& camer
     const Floats cross[3] = {g.U[0][1] * g.U[1][2] - g.U[0][2] * g.U[1][1],
                              g.U[0][2] * g.U[1][0] - g.U[0][0] * g.U[1][2],
                              g.U[0][0] * g.U[1][1] - g.U[0][1] * g.U[1][0]};
-    const float blur = camera.blur, photo_blur = camera.photo_blur;
+    const float blur = camera.blur, stored_blur = camera.stored_blur;
     const Floats sharp = dot3(cross, cross);
     g.determinant = sharp + blur * (x2 + y2) + blur * blur;
-    g.photo_determinant = sharp + photo_blur * (x2 + y2) + photo_blur * photo_blur;
+    g.stored_determinant = sharp + stored_blur * (x2 + y2) + stored_blur * stored_blur;
     g.xx = x2 + blur;
     g.xy = dot3(g.U[0], g.U[1]);
     g.yy = y2 + blur;
 }
 
-// Where pixels are averages of several of the whole photo's, a Gaussian is wider in them, and
-// weaker by as much: its integral is that in the whole photo. Elsewhere this is the opacity itself.
+// A Gaussian that is drawn wider than it is stored is as much fainter: its integral is the same. So
+// it is with anti-aliasing, and where pixels are averages of several of the whole photo's. Elsewhere
+// this is the opacity itself.
 ROIGS_INLINE Floats drawn_opacity(const Geometry& g) {
-    return g.opacity * sqrt(g.photo_determinant / g.determinant);
+    return g.opacity * sqrt(g.stored_determinant / g.determinant);
 }
 
 // L of Splat: Sigma'^-1 = L L^T / kExponentScale.

@@ -12,15 +12,17 @@ struct Gradient2d {
 };
 
 // Through drawn_opacity: with `weight` = dL / d(log opacity) and P the covariance with the blur of
-// the whole photo's pixels, dL / d(Sigma') has weight (P^-1 - Sigma'^-1) / 2 in addition.
+// the stored opacity, dL / d(Sigma') has weight (P^-1 - Sigma'^-1) / 2 in addition. P may have no
+// blur and be all but singular: such a Gaussian is too faint to be drawn, and has no weight.
 inline void add_opacity_gradient(const Camera& camera, const Geometry& g, Floats weight,
                                  Gradient2d& d) {
-    if (camera.blur == camera.photo_blur) return;
-    const float less = camera.blur - camera.photo_blur;
-    const Floats photo = 0.5f * weight / g.photo_determinant, drawn = 0.5f * weight / g.determinant;
-    d.xx += photo * (g.yy - less) - drawn * g.yy;
-    d.xy += (drawn - photo) * g.xy;
-    d.yy += photo * (g.xx - less) - drawn * g.xx;
+    if (camera.blur == camera.stored_blur) return;
+    const float less = camera.blur - camera.stored_blur;
+    const Floats stored = 0.5f * weight / g.stored_determinant;
+    const Floats drawn = 0.5f * weight / g.determinant;
+    d.xx += stored * (g.yy - less) - drawn * g.yy;
+    d.xy += (drawn - stored) * g.xy;
+    d.yy += stored * (g.xx - less) - drawn * g.xx;
 }
 
 // With Sigma'^-1 = L L^T / h (h = kExponentScale) and (u, v) = L^T d,

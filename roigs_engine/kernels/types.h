@@ -48,7 +48,7 @@ struct Camera {
     float fx, fy, cx, cy;
     float background[3];
     float blur;         // added to the 2D covariance's diagonal, px^2
-    float photo_blur;   // .. of which a pixel of the whole photo has this much
+    float stored_blur;  // .. with which a Gaussian has its stored opacity
     float left, top, right, bottom;  // px: Gaussians with a centre not inside are left out
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive

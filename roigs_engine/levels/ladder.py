@@ -85,6 +85,7 @@ def make_level(
         reset_every=0,
         prune_opacity=0.0,
         average_steps=steps // 5,
+        antialiased=start.antialiased,
     )
     data = StageData(
         images=[_image(view, k) for k, view in enumerate(small)],

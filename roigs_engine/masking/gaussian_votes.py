@@ -89,7 +89,7 @@ class GaussianVotes:
         """(3, H, W) the share that each of three groups, (3, N) bool, has in each pixel."""
         model = self._model
         colours = (groups.T.to(model.means) - 0.5) / SH_C0
-        painted = Gaussians(**{**model.tensors(), "sh": colours[:, None].contiguous()})
+        painted = model.with_tensors({"sh": colours[:, None].contiguous()})
         output = rasterize_view(
             painted, view.camera, view.world_to_camera, max_slope=MAX_SLOPE, background=None
         )

@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional
 
-from ..formats.splat_ply import Floats, read_ply, write_ply
+from ..errors import ConfigError
+from ..formats.splat_ply import Floats, is_antialiased, read_ply, write_ply
 from .local_frame import LocalFrame
 from .roi import OrientedBox
 from .scene import Float64
@@ -32,6 +33,8 @@ class Gaussians:
         log_scales: (N, 3) natural logarithms of the standard deviations, world units.
         logit_opacities: (N,).
         sh: (N, K, 3) SH coefficients of colour minus 0.5, K = 1, 4, 9 or 16.
+        antialiased: whether they are drawn with anti-aliasing (`rasterize`). This belongs to the
+            model: it looks right only as it was trained.
     """
 
     means: Tensor
@@ -39,6 +42,7 @@ class Gaussians:
     log_scales: Tensor
     logit_opacities: Tensor
     sh: Tensor
+    antialiased: bool = False
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -47,18 +51,22 @@ class Gaussians:
         """The five tensors by name, not copied."""
         return {name: getattr(self, name) for name in NAMES}
 
+    def with_tensors(self, tensors: Mapping[str, Tensor]) -> Gaussians:
+        """The model with these tensors in place of its own; one that is not given is shared."""
+        return Gaussians(**{**self.tensors(), **tensors}, antialiased=self.antialiased)
+
     def rows(self, index: Tensor) -> Gaussians:
         """The Gaussians of a boolean mask (N,) or of row numbers, copied."""
         rows = index.nonzero()[:, 0] if index.dtype == torch.bool else index
         # index_select copies whole rows; t[rows] copies single elements and takes 7 times as long
         # for sh
-        return Gaussians(
-            **{name: t.detach().index_select(0, rows) for name, t in self.tensors().items()}
+        return self.with_tensors(
+            {name: t.detach().index_select(0, rows) for name, t in self.tensors().items()}
         )
 
     def detached(self) -> Gaussians:
         """A copy that shares no memory and requires no gradient."""
-        return Gaussians(**{name: t.detach().clone() for name, t in self.tensors().items()})
+        return self.with_tensors({n: t.detach().clone() for n, t in self.tensors().items()})
 
     def in_box(self, roi: OrientedBox) -> Tensor:
         """(N,) bool: whether the Gaussian's centre lies inside the box."""
@@ -67,18 +75,28 @@ class Gaussians:
 
     def to(self, device: torch.device) -> Gaussians:
         """The Gaussians on a device; tensors that are already there are shared."""
-        return Gaussians(**{name: t.to(device) for name, t in self.tensors().items()})
+        return self.with_tensors({name: t.to(device) for name, t in self.tensors().items()})
 
     @staticmethod
     def concatenate(parts: list[Gaussians]) -> Gaussians:
-        """The parts in one model, in their order; zeros stand for SH bands that a part lacks."""
+        """The parts in one model, in their order; zeros stand for SH bands that a part lacks.
+
+        Raises:
+            ConfigError: some are drawn with anti-aliasing, others without.
+        """
+        if len({part.antialiased for part in parts}) > 1:
+            raise ConfigError(
+                "Some of the models are drawn with anti-aliasing, others without.",
+                "Use models that were trained alike.",
+            )
         columns = {name: [getattr(p, name).detach() for p in parts] for name in NAMES}
         bands = max(sh.shape[1] for sh in columns["sh"])
         columns["sh"] = [
             sh if sh.shape[1] == bands else functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
             for sh in columns["sh"]
         ]
-        return Gaussians(**{name: torch.cat(column) for name, column in columns.items()})
+        tensors = {name: torch.cat(column) for name, column in columns.items()}
+        return Gaussians(**tensors, antialiased=parts[0].antialiased)
 
     @classmethod
     def from_points(
@@ -115,14 +133,13 @@ class Gaussians:
         )
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Floats]) -> Gaussians:
+    def from_arrays(cls, arrays: Mapping[str, Floats], *, antialiased: bool = False) -> Gaussians:
         """The model of these arrays, by the names of the attributes."""
-        return cls(
-            **{
-                name: torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32))
-                for name in NAMES
-            }
-        )
+        tensors = {
+            name: torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32))
+            for name in NAMES
+        }
+        return cls(**tensors, antialiased=antialiased)
 
     def save_ply(self, path: Path, frame: LocalFrame | None = None) -> None:
         """Write a standard 3DGS PLY, atomically.
@@ -131,7 +148,7 @@ class Gaussians:
             path: the file.
             frame: of these Gaussians; the file is in the world's. None: they are in the world's.
         """
-        write_ply(path, self.arrays(frame))
+        write_ply(path, self.arrays(frame), antialiased=self.antialiased)
 
     def arrays(self, frame: LocalFrame | None = None) -> dict[str, Floats]:
         """The five arrays by name, as a PLY has them.
@@ -152,7 +169,8 @@ class Gaussians:
             RunFolderError: the file is not one.
         """
         arrays = read_ply(path)
-        return cls.from_arrays(arrays if frame is None else _to_local(arrays, frame))
+        local = arrays if frame is None else _to_local(arrays, frame)
+        return cls.from_arrays(local, antialiased=is_antialiased(path))
 
     @classmethod
     def load_framed(cls, path: Path, *, scaled: bool = True) -> tuple[Gaussians, LocalFrame]:
@@ -166,19 +184,19 @@ class Gaussians:
         Raises:
             RunFolderError: the file is not one.
         """
-        return cls.framed(read_ply(path), scaled=scaled)
+        return cls.framed(read_ply(path), scaled=scaled, antialiased=is_antialiased(path))
 
     @classmethod
     def framed(
-        cls, arrays: Mapping[str, Floats], *, scaled: bool = True
+        cls, arrays: Mapping[str, Floats], *, scaled: bool = True, antialiased: bool = False
     ) -> tuple[Gaussians, LocalFrame]:
         """Arrays of a PLY in a frame of their own; returns both, as `load_framed`."""
         if not scaled and arrays["means"].dtype == np.float32:
-            return cls.from_arrays(arrays), LocalFrame.world()
+            return cls.from_arrays(arrays, antialiased=antialiased), LocalFrame.world()
         frame = LocalFrame.of_centres(arrays["means"].astype(np.float64))
         if not scaled:
             frame = replace(frame, scale=1.0)
-        return cls.from_arrays(_to_local(arrays, frame)), frame
+        return cls.from_arrays(_to_local(arrays, frame), antialiased=antialiased), frame
 
 
 def _to_world(arrays: Mapping[str, Floats], frame: LocalFrame) -> dict[str, Floats]:

@@ -73,6 +73,7 @@ def rasterize(
     with_weight_sum: bool = False,  # also return the sum of its weights
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
     mask: tuple[int, int, int, int] | Tensor | None = None,
+    antialiased: bool = False,  # a Gaussian below a pixel's size is fainter, not larger
     pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
     backward_step: BackwardStep | None = None,  # the optimizer step that `backward` takes
     backend: str = "auto",  # auto: for float32 the device's compiled backend, else the reference
@@ -109,7 +110,7 @@ def rasterize(
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),
         tiles=tiles,
         tile_mask=None if tile_mask is None else sent(tile_mask, means.device),
-        blur=blur_of(pixel_size),
+        blur=blur_of(pixel_size, antialiased),
         backward_step=backward_step,
     )
     return _render(inputs, backend)

@@ -21,7 +21,16 @@ from torch import Tensor
 
 from ..cuda import library
 from ..errors import KernelError
-from .inputs import NEAR, TILE, Blur, RenderInputs, RenderOutput, centre_bounds, inside
+from .inputs import (
+    FAINTEST,
+    NEAR,
+    TILE,
+    Blur,
+    RenderInputs,
+    RenderOutput,
+    centre_bounds,
+    inside,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,14 +207,14 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
 
 
 def _drawn_opacities(opacities: Tensor, conics: Tensor, blur: Blur) -> Tensor:
-    """(N,) opacities, less where pixels are averages: drawn_opacity in kernels/geometry.h."""
-    less = blur.drawn - blur.photo
+    """(N,) opacities of what is drawn: drawn_opacity in kernels/geometry.h."""
+    less = blur.drawn - blur.stored
     if not less:
         return opacities
     xx, xy, yy = conics.unbind(-1)  # of the inverse of the covariance
     # det(covariance - less I) / det(covariance)
     share = 1 - less * (xx + yy) + less * less * (xx * yy - xy * xy)
-    return opacities * share.sqrt()
+    return opacities * share.clamp(min=FAINTEST).sqrt()
 
 
 def _zero_rows(mask: Tensor) -> Any:

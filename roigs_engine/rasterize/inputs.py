@@ -33,6 +33,9 @@ The pixels are those of the whole photo, see `blur_of`."""
 ALPHA_MIN = 1.0 / 255.0
 """Contributions below this are skipped: 8-bit output would not show them."""
 
+FAINTEST = (ALPHA_MIN / 2) ** 2
+"""Of areas, squared: Gaussians below this ratio are not drawn; keeps the root's gradient finite."""
+
 ALPHA_MAX = 0.999
 """Upper limit of alpha per pixel: keeps 1 / (1 - alpha) in the gradient finite."""
 
@@ -52,11 +55,12 @@ class Blur(NamedTuple):
 
     Attributes:
         drawn: in all.
-        photo: of which a pixel of the whole photo has this much.
+        stored: with which a Gaussian has the opacity that is stored. The drawn one is as much lower
+            as the Gaussian is larger, so that its integral is the same.
     """
 
     drawn: float
-    photo: float
+    stored: float
 
 
 class BackwardStep(Protocol):
@@ -239,16 +243,18 @@ def checked_depth(with_depth: Depth) -> Depth:
     return with_depth if with_depth == "median" else bool(with_depth)
 
 
-def blur_of(pixel_size: float) -> Blur:
+def blur_of(pixel_size: float, antialiased: bool) -> Blur:
     """The blur of pixels that are averages of pixel_size^2 of the whole photo's.
 
     The latter have BLUR; n x n of them, evenly spread over a square of side 1, have a variance of
-    (1 - 1/n^2) / 12 in it. EngineError if the size is not 1 or more.
+    (1 - 1/n^2) / 12 in it. With anti-aliasing, a Gaussian has its stored opacity where it is much
+    larger than a pixel (Mip-Splatting, Yu et al. 2024, eq. 10), without it in the whole photo.
+    EngineError if the size is not 1 or more.
     """
     if not 1 <= pixel_size < math.inf:
         raise EngineError(f"rasterize: pixel_size {pixel_size} is not a number of 1 or more.")
     photo = BLUR / pixel_size**2
-    return Blur(drawn=photo + (1 - 1 / pixel_size**2) / 12, photo=photo)
+    return Blur(drawn=photo + (1 - 1 / pixel_size**2) / 12, stored=0.0 if antialiased else photo)
 
 
 def checked_max_slope(max_slope: float | None) -> float | None:

@@ -8,7 +8,7 @@ and drawn as plain colours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -93,11 +93,14 @@ def render_placed(
     parts = [_seen(model, world_to_camera) for model in models]
     centres = np.concatenate([centres for centres, _ in parts])
     scale = LocalFrame.of_centres(centres).scale
-    drawn = Gaussians.concatenate([part for _, part in parts]).tensors()
-    drawn["means"] = torch.from_numpy((centres * scale).astype(np.float32))
-    drawn["log_scales"] = drawn["log_scales"] + float(np.log(scale))
+    drawn = Gaussians.concatenate([part for _, part in parts])
+    drawn = replace(
+        drawn,
+        means=torch.from_numpy((centres * scale).astype(np.float32)),
+        log_scales=drawn.log_scales + float(np.log(scale)),
+    )
     output = rasterize_view(
-        Gaussians(**drawn).to(device),
+        drawn.to(device),
         camera,
         np.eye(4),
         max_slope=MAX_SLOPE,
@@ -121,8 +124,8 @@ def _seen(model: PlacedModel, world_to_camera: Float64) -> tuple[Float64, Gaussi
     local = gaussians.means.numpy().astype(np.float64)
     eye: Float64 = -np.linalg.solve(linear, offset).astype(np.float64)
     quats, log_scales = transformed(gaussians, linear)
-    return local @ linear.T + offset, Gaussians(
-        means=gaussians.means,  # replaced when the scale of all is known
+    return local @ linear.T + offset, replace(
+        gaussians,  # the centres are replaced when the scale of all is known
         quats=quats,
         log_scales=log_scales,
         logit_opacities=faded(gaussians.logit_opacities, model.density),

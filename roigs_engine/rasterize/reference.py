@@ -16,6 +16,7 @@ from ..model.rotations import rotation_matrices
 from .inputs import (
     ALPHA_MAX,
     ALPHA_MIN,
+    FAINTEST,
     FRUSTUM_MARGIN,
     NEAR,
     TILE,
@@ -116,8 +117,13 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
     sharp = torch.stack(
         [(U[:, 0] ** 2).sum(-1), (U[:, 0] * U[:, 1]).sum(-1), (U[:, 1] ** 2).sum(-1)], dim=-1
     )  # Sigma' = J W Sigma W^T J^T, 3DGS eq. 5
-    covariance, full = (sharp + sharp.new_tensor([b, 0.0, b]) for b in inputs.blur)
-    opacities = opacities * (determinant(full) / determinant(covariance)).sqrt()
+    drawn, stored = inputs.blur
+    covariance = sharp + sharp.new_tensor([drawn, 0.0, drawn])
+    # det(U U^T + b I) = |U0 x U1|^2 + b tr(U U^T) + b^2: xx yy - xy^2 would cancel for needles
+    area2 = torch.linalg.cross(U[:, 0], U[:, 1]).square().sum(-1)
+    trace = sharp[:, 0] + sharp[:, 2]
+    ratio = (area2 + stored * trace + stored**2) / (area2 + drawn * trace + drawn**2)
+    opacities = opacities * ratio.clamp(min=FAINTEST).sqrt()
     eye = -rotation.T @ translation
     direction = torch.nn.functional.normalize(means - eye, dim=-1, eps=0.0)
     used = (inputs.sh_degree + 1) ** 2

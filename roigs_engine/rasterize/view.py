@@ -67,7 +67,7 @@ def render_view(
 def rasterize_view(
     gaussians: Gaussians, camera: Camera, world_to_camera: Float64, **options: Any
 ) -> RenderOutput:
-    """`rasterize` a model from one camera, on the model's device; as in training by default.
+    """`rasterize` a model from one camera, on its device; as in training by default.
 
     Args:
         gaussians: the model.
@@ -89,5 +89,6 @@ def rasterize_view(
         camera.width,
         camera.height,
         raw=True,
+        antialiased=gaussians.antialiased,
         **options,
     )

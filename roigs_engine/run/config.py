@@ -94,6 +94,11 @@ class RunConfig:
         ):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}.", "Use a number from 0 to 1.")
+        if self.scene.antialiased != self.roi.antialiased:
+            raise ConfigError(
+                "One of the two stages draws with anti-aliasing, the other without.",
+                "Set scene.antialiased and roi.antialiased alike.",
+            )
         if self.scene.min_views:
             raise ConfigError(
                 f"scene.min_views is {self.scene.min_views}, but the Scene-GS has no boxes.",

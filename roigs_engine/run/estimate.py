@@ -194,7 +194,7 @@ def model_of_size(scene: SfmScene, count: int) -> Gaussians:
     generator = torch.Generator().manual_seed(0)
     values["means"] = values["means"] + spread * torch.randn(count, 3, generator=generator)
     values["log_scales"] = values["log_scales"] - float(np.log(copies)) / 2  # same total area
-    return Gaussians(**values)
+    return model.with_tensors(values)
 
 
 class _GreyPhotos:

@@ -61,6 +61,7 @@ def joint_recipe(
             grad_threshold=scene_threshold,
             lr_means_final=middle,
             reset_every=0,  # a short stage does not recover from a reset: haze would stay
+            antialiased=True,
         ),
         roi=TrainConfig(
             steps=roi_steps,
@@ -84,6 +85,7 @@ def joint_recipe(
             reset_every=0,
             min_views=4,
             average_steps=roi_steps // 10,
+            antialiased=True,
         ),
         roi_order="shuffled",
         selected_share=0.2,

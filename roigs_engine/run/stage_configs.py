@@ -42,6 +42,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         lr_means_final=TrainConfig.lr_means_final,
         grad_threshold=TrainConfig.grad_threshold,
         reset_every=config.scene.reset_every or TrainConfig.reset_every,
+        antialiased=False,
     )
 
 

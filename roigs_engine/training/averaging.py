@@ -39,9 +39,9 @@ class ModelMean:
         """Drop all models; needed before rows change."""
         self.count, self._sums = 0, {}
 
-    def mean(self) -> Gaussians:
+    def mean(self) -> dict[str, torch.Tensor]:
         """The mean of each parameter in its stored form (log scales, logits, raw quaternions)."""
-        return Gaussians(**{name: self._sums[name] / self.count for name in NAMES})
+        return {name: self._sums[name] / self.count for name in NAMES}
 
     def state_dict(self) -> dict[str, Any]:
         """The state, as `load_state_dict` takes it."""

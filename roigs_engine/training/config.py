@@ -63,6 +63,8 @@ class TrainConfig:
             too: what is beside the boxes needs no more.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
+        antialiased: draw Gaussians below a pixel's size fainter instead of larger, so that near and
+            far photos agree (`rasterize`; Mip-Splatting, Yu et al. 2024, sec. 5.2); False: 3DGS.
     """
 
     steps: int
@@ -99,6 +101,7 @@ class TrainConfig:
     small_until: int = 0
     whole_small_until: int = 0
     average_steps: int = 0
+    antialiased: bool = False
 
     def __post_init__(self) -> None:
         if self.full_every < 1:

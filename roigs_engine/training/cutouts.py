@@ -163,7 +163,7 @@ def _share(model: Gaussians, rows: Tensor, image: PosedImage) -> NDArray[np.floa
     """(H, W) the share of each pixel's light that comes from these Gaussians."""
     sh = torch.full_like(model.sh[:, :1], -0.5 / SH_C0)
     sh[rows] = 0.5 / SH_C0
-    labelled = Gaussians(**(model.tensors() | {"sh": sh}))
+    labelled = model.with_tensors({"sh": sh})
     black = torch.zeros(3, device=sh.device)
     view = rasterize_view(
         labelled, image.camera, image.world_to_camera, sh_degree=0, background=black

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
-        gaussians = gaussians.to(data.device)
+        gaussians = replace(gaussians.to(data.device), antialiased=config.antialiased)
         self._parameters = _leaves(gaussians.rows(morton_order(gaussians.means)))
         self._optimizer = self._new_optimizer()
         self._density = self._new_density(len(gaussians))
@@ -264,6 +265,7 @@ class Trainer:
             **camera._asdict(),
             sh_degree=self.config.degree(self.step),
             raw=True,
+            antialiased=self.config.antialiased,
             mask=active,
             backward_step=self._ahead.backward_step(optimizer, self.step, (*view, camera.width)),
             **options,
@@ -291,7 +293,7 @@ class Trainer:
         if self._averages():
             self._mean.add(self._parameters)
         if self.step == config.steps and self._mean.count:
-            self._parameters = _leaves(self._mean.mean())
+            self._parameters = _leaves(self._parameters.with_tensors(self._mean.mean()))
             self._mean.clear()
 
     def _prune_floaters(self, context: Context) -> bool:
@@ -363,7 +365,7 @@ class Trainer:
         self.cpu_seconds = float(state["cpu_seconds"])
         self._figures.loss.fill_(float(state["loss"]))
         self._figures.psnr = float(state["psnr"])
-        self._parameters = _leaves(Gaussians(**state["parameters"]))
+        self._parameters = _leaves(self._parameters.with_tensors(state["parameters"]))
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
         self._mean.load_state_dict(state["mean"])
@@ -373,6 +375,6 @@ class Trainer:
 
 def _leaves(gaussians: Gaussians) -> Gaussians:
     """The same values as contiguous leaf tensors that require gradients."""
-    return Gaussians(
-        **{n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
+    return gaussians.with_tensors(
+        {n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
     )

@@ -23,6 +23,7 @@ def tiny(strategy: str, **changes: object) -> RunConfig:
     """A preset of so few steps that a run takes a second."""
     config = preset("paper" if strategy == "independent" else "draft")
     quick = {"densify_every": 5, "grad_threshold": 1e-5, "reset_every": 0}
+    quick["antialiased"] = config.roi.antialiased
     scene_stage = TrainConfig(steps=20, densify_from=5, densify_until=15, **quick)
     roi_stage = replace(config.roi, steps=30, densify_until=20, **quick)
     selection = replace(config.selection, count=5)

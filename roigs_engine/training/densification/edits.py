@@ -88,4 +88,4 @@ def _children(parents: Gaussians, rng: torch.Generator) -> Gaussians:
     values = parents.tensors()
     values["means"] = parents.means + (rotations @ offsets[..., None])[..., 0]
     values["log_scales"] = (scales / SPLIT_SHRINK).log()
-    return Gaussians(**values)
+    return parents.with_tensors(values)
