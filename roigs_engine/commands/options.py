@@ -243,6 +243,12 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--sh-degree", type=integer(0, 3), metavar="N", help="highest SH degree, 0 to 3"
     )
+    group.add_argument(
+        "--antialiased",
+        action=argparse.BooleanOptionalAction,
+        help="draw fine Gaussians fainter from afar, not thicker: sharp near and far, but only in"
+        " viewers that know of it (default: not in `paper`)",
+    )
 
 
 def add_device_option(parser: argparse.ArgumentParser) -> None:
@@ -384,10 +390,5 @@ def run_config(args: argparse.Namespace) -> RunConfig:
     )
     selection = selection_options(args)
     config = replace(config, **given, selection=replace(config.selection, **selection))
-    if args.sh_degree is not None:
-        config = replace(
-            config,
-            scene=replace(config.scene, sh_degree=args.sh_degree),
-            roi=replace(config.roi, sh_degree=args.sh_degree),
-        )
-    return config
+    stages = given_options(args, "sh_degree", "antialiased")
+    return replace(config, scene=replace(config.scene, **stages), roi=replace(config.roi, **stages))

@@ -23,8 +23,8 @@ from ..model.local_frame import LocalFrame
 from ..model.recolour import recoloured
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
-from .inputs import MAX_SLOPE
-from .reference import sh_basis
+from .inputs import MAX_SLOPE, blur_of
+from .reference import drawn_share, jacobian, sh_basis
 from .view import rasterize_view
 
 NOTHING = 1e10  # depth where nothing is, as in Blender's depth pass
@@ -91,12 +91,13 @@ def render_placed(
         device: where to render.
     """
     parts = [_seen(model, world_to_camera) for model in models]
-    centres = np.concatenate([centres for centres, _ in parts])
-    scale = LocalFrame.of_centres(centres).scale
-    drawn = Gaussians.concatenate([part for _, part in parts])
+    scale = LocalFrame.of_centres(np.concatenate([part.means.numpy() for part in parts])).scale
+    if len({part.antialiased for part in parts}) > 1:
+        parts = [_for_camera(part, camera) if part.antialiased else part for part in parts]
+    drawn = Gaussians.concatenate(parts)
     drawn = replace(
         drawn,
-        means=torch.from_numpy((centres * scale).astype(np.float32)),
+        means=(drawn.means * scale).float(),
         log_scales=drawn.log_scales + float(np.log(scale)),
     )
     output = rasterize_view(
@@ -116,21 +117,38 @@ def render_placed(
     )
 
 
-def _seen(model: PlacedModel, world_to_camera: Float64) -> tuple[Float64, Gaussians]:
-    """(N, 3) centres in the camera's frame, and the model there, with plain colours."""
+def _seen(model: PlacedModel, world_to_camera: Float64) -> Gaussians:
+    """The model in the camera's frame, with float64 centres and plain colours."""
     to_camera = world_to_camera @ model.from_frame
     linear, offset = to_camera[:3, :3], to_camera[:3, 3]
     gaussians = model.gaussians
     local = gaussians.means.numpy().astype(np.float64)
     eye: Float64 = -np.linalg.solve(linear, offset).astype(np.float64)
     quats, log_scales = transformed(gaussians, linear)
-    return local @ linear.T + offset, replace(
-        gaussians,  # the centres are replaced when the scale of all is known
+    return replace(
+        gaussians,
+        means=torch.from_numpy(local @ linear.T + offset),
         quats=quats,
         log_scales=log_scales,
         logit_opacities=faded(gaussians.logit_opacities, model.density),
         sh=recoloured(_plain(gaussians, eye), model.gains),
     )
+
+
+def _for_camera(seen: Gaussians, camera: Camera) -> Gaussians:
+    """An anti-aliased model in the camera's frame as one that looks the same without, from there.
+
+    So it can be drawn together with others. Anti-aliasing only lowers opacities, by what one camera
+    shows of a Gaussian (`blur_of`).
+    """
+    matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32)
+    axes = rotation_matrices(torch.nn.functional.normalize(seen.quats, dim=1))
+    axes = axes * seen.log_scales.exp()[:, None, :]
+    # Beyond the near plane, what is not drawn may be anything.
+    U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ axes
+    share = drawn_share(U, blur_of(1.0, antialiased=True))
+    logits = torch.logit((seen.logit_opacities.sigmoid() * share).nan_to_num(0.0), eps=1e-7)
+    return replace(seen, logit_opacities=logits, antialiased=False)
 
 
 def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:

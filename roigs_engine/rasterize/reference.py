@@ -20,6 +20,7 @@ from .inputs import (
     FRUSTUM_MARGIN,
     NEAR,
     TILE,
+    Blur,
     RenderInputs,
     RenderOutput,
     centre_bounds,
@@ -117,18 +118,23 @@ def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tenso
     sharp = torch.stack(
         [(U[:, 0] ** 2).sum(-1), (U[:, 0] * U[:, 1]).sum(-1), (U[:, 1] ** 2).sum(-1)], dim=-1
     )  # Sigma' = J W Sigma W^T J^T, 3DGS eq. 5
-    drawn, stored = inputs.blur
-    covariance = sharp + sharp.new_tensor([drawn, 0.0, drawn])
-    # det(U U^T + b I) = |U0 x U1|^2 + b tr(U U^T) + b^2: xx yy - xy^2 would cancel for needles
-    area2 = torch.linalg.cross(U[:, 0], U[:, 1]).square().sum(-1)
-    trace = sharp[:, 0] + sharp[:, 2]
-    ratio = (area2 + stored * trace + stored**2) / (area2 + drawn * trace + drawn**2)
-    opacities = opacities * ratio.clamp(min=FAINTEST).sqrt()
+    covariance = sharp + sharp.new_tensor([inputs.blur.drawn, 0.0, inputs.blur.drawn])
+    opacities = opacities * drawn_share(U, inputs.blur)
     eye = -rotation.T @ translation
     direction = torch.nn.functional.normalize(means - eye, dim=-1, eps=0.0)
     used = (inputs.sh_degree + 1) ** 2
     colour = torch.einsum("vk,vkc->vc", sh_basis(direction)[:, :used], sh[:, :used])
     return mean2d, covariance, opacities, (colour + 0.5).clamp(min=0.0), t[:, 2]
+
+
+def drawn_share(U: Tensor, blur: Blur) -> Tensor:
+    """(V,) drawn opacity over stored opacity of Gaussians with J W R S = U (V, 2, 3)."""
+    # det(U U^T + b I) = |U0 x U1|^2 + b tr(U U^T) + b^2: xx yy - xy^2 would cancel for needles
+    area2 = torch.linalg.cross(U[:, 0], U[:, 1]).square().sum(-1)
+    trace = U.square().sum((-2, -1))
+    stored, drawn = (area2 + b * trace + b * b for b in (blur.stored, blur.drawn))
+    share: Tensor = (stored / drawn).clamp(min=FAINTEST).sqrt()
+    return share
 
 
 def jacobian(t: Tensor, K: Tensor, width: int, height: int) -> Tensor:

@@ -45,6 +45,7 @@ CASES: dict[str, dict[str, Any]] = {
     "mask": {"mask": ring(), "background": BACKGROUND, "with_depth": True},
     "depth": {"with_depth": True},
     "pixel size": {"pixel_size": 2.0},
+    "anti-aliased": {"antialiased": True},
 }
 
 

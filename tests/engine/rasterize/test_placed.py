@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -129,3 +131,19 @@ def test_the_nearer_model_covers_the_other() -> None:
 def test_models_with_other_numbers_of_sh_bands_go_together() -> None:
     few = cloud(5, sh=np.zeros((5, 4, 3)))
     assert render_placed([placed(cloud()), placed(few)], CAMERA, POSE).alpha.max() > 0.5
+
+
+def test_models_with_and_without_antialiasing_are_each_drawn_right() -> None:
+    fine = {"log_scales": np.random.default_rng(5).uniform(np.log(0.004), np.log(0.1), (60, 3))}
+    plain, smooth = cloud(seed=1, **fine), replace(cloud(seed=2, **fine), antialiased=True)
+    turned = affine(1.3 * TURN)
+    nothing = cloud(1, means=np.full((1, 3), 1e3))
+    for model in (plain, smooth):
+        alone = render_placed([placed(model, turned)], CAMERA, POSE)
+        other = replace(nothing, antialiased=not model.antialiased)
+        both = render_placed([placed(other), placed(model, turned)], CAMERA, POSE)
+        assert alone.alpha.max() > 0.1
+        torch.testing.assert_close(on_black(both), on_black(alone), atol=1e-3, rtol=0)
+    changed = replace(smooth, antialiased=False)
+    as_plain = render_placed([placed(changed, turned)], CAMERA, POSE)
+    assert (as_plain.alpha - alone.alpha).max() > 0.1
