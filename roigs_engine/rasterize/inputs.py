@@ -248,7 +248,7 @@ def blur_of(pixel_size: float, antialiased: bool) -> Blur:
 
     The latter have BLUR; n x n of them, evenly spread over a square of side 1, have a variance of
     (1 - 1/n^2) / 12 in it. With anti-aliasing, a Gaussian has its stored opacity where it is much
-    larger than a pixel (Mip-Splatting, Yu et al. 2024, eq. 10), without it in the whole photo.
+    larger than a pixel (Mip-Splatting, Yu et al. 2024, sec. 5.2), without it in the whole photo.
     EngineError if the size is not 1 or more.
     """
     if not 1 <= pixel_size < math.inf:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from ..errors import ConfigError
 from ..selection.config import SelectionConfig
@@ -114,8 +115,8 @@ def preset(name: str) -> RunConfig:
 def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
     """The config for another strategy: the paper's recipe, or the preset's joint recipe.
 
-    Steps, SH degree, baselines, test photos, seed and number of selected photos stay the same. The
-    intervals of the paper's recipe do not shrink with the preset's steps (`with_steps`).
+    Steps, SH degree, anti-aliasing, baselines, test photos, seed and number of selected photos stay
+    the same. The intervals of the paper's recipe do not shrink with the preset's steps (`with_steps`).
     """
     label = f"{config.preset}, {strategy}"
     if strategy == "joint":
@@ -131,10 +132,11 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
             scene=with_steps(other.scene, config.scene.steps),
             roi=with_steps(other.roi, config.roi.steps),
         )
+    kept: dict[str, Any] = {"sh_degree": config.roi.sh_degree, "antialiased": config.roi.antialiased}
     return replace(
         other,
-        scene=replace(other.scene, sh_degree=config.scene.sh_degree),
-        roi=replace(other.roi, sh_degree=config.roi.sh_degree),
+        scene=replace(other.scene, **kept),
+        roi=replace(other.roi, **kept),
         selection=replace(other.selection, seed=config.seed, count=config.selection.count),
         baseline_densify=config.baseline_densify,
         whole_schedule=False,

@@ -182,4 +182,5 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         whole_small_until=0,
         box_budget=0.0,
         average_steps=config.refine_steps // 2,
+        antialiased=config.roi.antialiased,
     )

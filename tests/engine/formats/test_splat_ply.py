@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roigs_engine.errors import RunFolderError
-from roigs_engine.formats.splat_ply import read_ply, write_ply
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
 from roigs_engine.model.gaussians import NAMES, Gaussians
 
 
@@ -199,3 +199,50 @@ def test_model_round_trip(tmp_path: Path) -> None:
     back = Gaussians.load_ply(tmp_path / "m.ply")
     for name, tensor in model.tensors().items():
         assert tensor.equal(back.tensors()[name])
+
+
+def test_antialiasing_is_a_comment_and_changes_nothing_else(tmp_path: Path) -> None:
+    plain, smooth = tmp_path / "plain.ply", tmp_path / "smooth.ply"
+    write_ply(plain, arrays())
+    write_ply(smooth, arrays(), antialiased=True)
+    assert (is_antialiased(plain), is_antialiased(smooth)) == (False, True)
+    assert b"comment" not in plain.read_bytes()
+    line = b"comment SplatRenderMode: mip\n"
+    assert smooth.read_bytes().replace(line, b"", 1) == plain.read_bytes()
+    for name, values in read_ply(smooth).items():
+        np.testing.assert_array_equal(values, arrays()[name])
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ((), False),
+        (("SplatRenderMode: mip",), True),
+        (("Exported from Brush", "  SPLATRENDERMODE:   MIP  "), True),
+        (("SplatRenderMode: default",), False),
+        (("SplatRenderMode: 2dgs",), False),
+        (("antialiased 1",), True),
+        (("antialiased 0",), False),
+        (("antialiased 1", "SplatRenderMode: default"), False),  # the last one counts
+        (("SplatRenderMode: default", "antialiased 1"), True),
+        (("not SplatRenderMode: mip",), False),
+    ],
+)
+def test_what_others_write_of_antialiasing(
+    tmp_path: Path, comments: tuple[str, ...], expected: bool
+) -> None:
+    path = tmp_path / "a.ply"
+    write_ply(path, arrays())
+    written = path.read_bytes()
+    lines = b"".join(f"comment {comment}\n".encode() for comment in comments)
+    path.write_bytes(written.replace(b"element", lines + b"element", 1))
+    assert is_antialiased(path) is expected
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n", 4 + len(comments)))
+    assert is_antialiased(path) is expected
+    path.write_bytes(written + lines)  # behind the header, it is data
+    assert not is_antialiased(path)
+
+
+def test_antialiasing_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="Cannot read"):
+        is_antialiased(tmp_path / "no.ply")

@@ -90,6 +90,8 @@ def test_the_other_strategy_keeps_steps_tests_and_seed(name: str, strategy: str)
     assert (other.scene.steps, other.roi.steps) == (config.scene.steps, config.roi.steps)
     assert (other.test_every, other.seed) == (5, 7)
     assert other.roi.densify_in_boxes
+    stages = (other.scene, other.roi, stage_configs.refine_stage(other))
+    assert {stage.antialiased for stage in stages} == {config.roi.antialiased}
 
 
 @pytest.mark.parametrize("name", ["standard", "draft"])
@@ -210,3 +212,11 @@ def test_the_papers_selection_ablations_are_settings(method: str) -> None:
     config = preset("paper")
     changed = replace(config, selection=replace(config.selection, method=method))
     assert changed.selection.resolved_count(1000) == 150
+
+
+def test_antialiasing_is_of_both_stages_or_of_none() -> None:
+    assert not preset("paper").roi.antialiased
+    config = preset("draft")
+    assert config.scene.antialiased and config.roi.antialiased
+    with pytest.raises(ConfigError, match="anti-aliasing"):
+        replace(config, scene=replace(config.scene, antialiased=False))

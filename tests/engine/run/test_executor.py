@@ -15,6 +15,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.run_files import is_own
+from roigs_engine.formats.splat_ply import is_antialiased
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.ownership import count_owned
@@ -54,6 +55,9 @@ def test_a_run_writes_its_result_and_every_stage(
     assert len(part) == int(result.in_box(BOX).sum()) > 0
     assert len({model.name for model in trained}) == len(trained)
     assert not set(run.test) & {image.name for image in run.train_scene.images}
+    for path in tmp_path.rglob("*.ply"):  # 3DGS and the paper draw without anti-aliasing
+        is_plain = strategy == "independent" or path.parent.name.startswith("full-")
+        assert is_antialiased(path) != is_plain
 
 
 def test_the_scene_learns_from_smaller_photos_and_the_boxes_from_whole_ones(

@@ -260,3 +260,28 @@ def test_stopped_among_the_floaters_it_goes_on_to_the_same_end(scene: SfmScene) 
     resumed.load_state_dict(state)
     assert resumed.run()
     assert same_bits(resumed.gaussians, whole.gaussians)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_the_stage_decides_on_antialiasing(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch, antialiased: bool
+) -> None:
+    """In every step, through densification, averaging and a resumption."""
+    drawn = set()
+
+    def noted(*args: Any, **options: Any) -> RenderOutput:
+        drawn.add(options.get("antialiased"))
+        return rasterize(*args, **options)
+
+    monkeypatch.setattr("roigs_engine.training.trainer.rasterize", noted)
+    config = replace(SHORT, average_steps=10, antialiased=antialiased)
+    start = replace(first_model(scene), antialiased=not antialiased)
+    trainer = Trainer(start, stage_data(scene), config)
+    resumed = Trainer(start, stage_data(scene), config)
+    trainer.train_step()
+    resumed.load_state_dict(trainer.state_dict())
+    for each in (trainer, resumed):
+        assert each.run()
+        assert len(each.gaussians) != len(start)
+        assert each.gaussians.antialiased is antialiased
+    assert drawn == {antialiased}
