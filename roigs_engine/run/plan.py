@@ -134,7 +134,7 @@ class Stage:
         }
         objects = self._object_masks()
         record |= {"objects": objects} if objects else {}
-        for name in ("small_until", "whole_small_until", "lr_shN_measured"):
+        for name in ("small_until", "whole_small_until", "lr_shN_measured", "antialiased"):
             if not record["config"][name]:  # such stages are what they were before there was one
                 del record["config"][name]
         if any(i.whole_size for i in (*self.images, *self.small_images)):

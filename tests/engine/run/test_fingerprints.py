@@ -19,18 +19,18 @@ CAMERA = Camera(width=64, height=48, fx=64.0, fy=64.0, cx=32.0, cy=24.0)
 TURNS = [np.linalg.matrix_power(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), k) for k in range(4)]
 RECORDED = {
     "draft": {
-        "scene": "12a01982",
-        "joint": "7cbfd207",
-        "compare-independent/scene": "bcb710c0",
-        "compare-independent/object-vase": "4283bafc",
-        "compare-independent/object-tin": "00104b8a",
-        "compare-independent/refine": "603cfaec",
+        "scene": "3ad341fb",
+        "joint": "acefee06",
+        "compare-independent/scene": "bb801c16",
+        "compare-independent/object-vase": "ee8606ea",
+        "compare-independent/object-tin": "e9e01d89",
+        "compare-independent/refine": "06c743f8",
         "full-scene": "34aab47b",
-        "tuned-scene": "c31d1373",
+        "tuned-scene": "7bf1ca80",
         "full-object-vase": "34aab47b",
         "full-object-tin": "34aab47b",
-        "tuned-object-vase": "37524873",
-        "tuned-object-tin": "93ca1d46",
+        "tuned-object-vase": "78ea521b",
+        "tuned-object-tin": "42660595",
     },
     "paper": {
         "scene": "951aabe0",
