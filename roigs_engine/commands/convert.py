@@ -101,11 +101,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         warn_of_axes(args.source, before, console)
     from_home = matrix @ home.T
     if listed:
-        arrays, poses = _placed(args, matrix)
+        arrays, antialiased, poses = _placed(args, matrix)
         there = len(arrays["means"])
     else:
         refuse_inputs([args.out], [args.source], OTHER)
         arrays = _cropped(formats.read(args.source), args, home)
+        antialiased = formats.is_antialiased(args.source)
         there = len(arrays["means"])
         console.context.check_cancelled()
         arrays = turned(arrays, matrix)
@@ -114,13 +115,24 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if target.suffix == PAGE:
         known = None if listed or poses is None else from_home
         extras = page_extras(args, _before(args, target.up, known), from_home, poses)
-        written = formats.write(args.out, arrays, extras=extras)
+        written = formats.write(args.out, arrays, antialiased=antialiased, extras=extras)
     else:
-        written = formats.write(args.out, arrays, console.context.check_cancelled)
+        check = console.context.check_cancelled
+        written = formats.write(args.out, arrays, check, antialiased=antialiased)
+    if antialiased and not target.keeps_antialiased:
+        _warn_of_antialiasing(target.title, console)
     size = args.out.stat().st_size / 1e6
     left = f" ({there - written:,} left out)" if written < there else ""
     console.print(f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
+
+
+def _warn_of_antialiasing(title: str, console: Console) -> None:
+    """Say that a format has no place for anti-aliasing."""
+    console.context.warn(
+        f"{title} cannot say that these Gaussians are drawn with anti-aliasing: other programs show"
+        " fine ones too thick from afar. Write .ply, .spz, .sog or .html where you can."
+    )
 
 
 def _home(args: argparse.Namespace, path: Path) -> Float64:
@@ -166,8 +178,13 @@ def _cropped(arrays: Arrays, args: argparse.Namespace, home: Float64) -> Arrays:
     return {name: values[inside] for name, values in arrays.items()}
 
 
-def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 | None]:
-    """The models of a list, in their places, as one; and the poses of its photos, if any."""
+def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, bool, Float64 | None]:
+    """The models of a list, in their places, as one.
+
+    Returns:
+        The model, whether it is drawn with anti-aliasing, and the poses of the list's photos, if
+        it has any.
+    """
     from ..exchange import formats
     from ..exchange.arrays import usable
     from ..model.gaussians import Gaussians
@@ -187,6 +204,7 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 
     }
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{args.source} has no Gaussians.", "Give models that have some.")
+    antialiased = formats.are_antialiased(Path(name) for name in read)
     models = []
     for item in wanted:
         gaussians, frame = read[item.file]
@@ -199,7 +217,7 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, Float64 
                 density=item.density,
             )
         )
-    return _merged(models), poses
+    return _merged(models), antialiased, poses
 
 
 def _merged(models: list[PlacedModel]) -> Arrays:

@@ -116,7 +116,7 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
     """All models as one in a frame, and which rows of the files it has: those that can be drawn."""
     from ..exchange.arrays import drawable
     from ..exchange.merged import merged
-    from ..formats.splat_ply import read_ply
+    from ..formats.splat_ply import is_antialiased, read_ply
     from ..model.gaussians import Gaussians
     from ..rasterize.placed import PlacedModel
 
@@ -124,13 +124,18 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
     into[:3, 3] = -frame.scale * frame.origin
     masks, models = [], []
     for item in wanted:
-        arrays = read_ply(Path(item.file))
+        path = Path(item.file)
+        arrays = read_ply(path)
         mask = drawable(arrays)
         masks.append(mask)
         if mask.any():
-            kept, own = Gaussians.framed({name: values[mask] for name, values in arrays.items()})
+            kept, own = Gaussians.framed(
+                {name: values[mask] for name, values in arrays.items()},
+                antialiased=is_antialiased(path),
+            )
             models.append(PlacedModel(gaussians=kept, frame=own, matrix=into @ item.matrix))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     model, own = merged(models)
-    return Gaussians.from_arrays(model.arrays(own)), np.concatenate(masks)
+    whole = Gaussians.from_arrays(model.arrays(own), antialiased=model.antialiased)
+    return whole, np.concatenate(masks)

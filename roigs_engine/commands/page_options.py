@@ -88,6 +88,7 @@ def page_extras(
     args: argparse.Namespace, before: Arrays | None, matrix: Float64, poses: Float64 | None
 ) -> Extras:
     """The options' values, with the boxes and the photos' poses turned as the model is."""
+    from ..exchange.formats import is_antialiased
     from ..exchange.page import Extras
     from ..exchange.page_views import Ball
 
@@ -104,4 +105,10 @@ def page_extras(
     ]
     if poses is not None:
         poses = poses @ np.linalg.inv(matrix)
-    return Extras(title=args.title or "", places=places, before=before, poses=poses)
+    return Extras(
+        title=args.title or "",
+        places=places,
+        before=before,
+        before_antialiased=before is not None and is_antialiased(args.before),
+        poses=poses,
+    )

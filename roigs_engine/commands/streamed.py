@@ -28,14 +28,17 @@ def write_streamed(args: argparse.Namespace, console: Console) -> dict[str, str]
     matrix = turn(before, args.up or "-y")
     if args.from_up is None:
         warn_of_axes(args.source, before, console)
-    parts = []
+    parts, files = [], []
     for ladder in read_ladders(folder).values():
         levels = []
         for level in ladder.levels:
-            refuse_inputs([args.out], [folder / level.ply], "Choose another OUT.")
+            file = folder / level.ply
+            refuse_inputs([args.out], [file], "Choose another OUT.")
             console.context.check_cancelled()
-            levels.append(shortened(turned(formats.read(folder / level.ply), matrix), args))
+            levels.append(shortened(turned(formats.read(file), matrix), args))
+            files.append(file)
         parts.append(levels)
-    written = streamed_sog.write(args.out, parts, console.context.check_cancelled)
+    check, antialiased = console.context.check_cancelled, formats.are_antialiased(files)
+    written = streamed_sog.write(args.out, parts, check, antialiased=antialiased)
     console.print(f"{counted(written, 'Gaussian')} in levels of detail in {args.out.parent}")
     return {"result": str(args.out)}

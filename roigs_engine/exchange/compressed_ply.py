@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..formats.files import atomic_write
+from ..formats.splat_ply import ANTIALIASED
 from .arrays import Arrays, unit_quats
 from .damage import damaged, reading
 from .packages import package
@@ -21,15 +22,15 @@ BYTES = {"chunk": (72, 48), "vertex": (16,), "sh": (9, 24, 45)}
 MAX_HEADER = 1 << 16
 
 
-def write(path: Path, arrays: Arrays) -> int:
-    """Write Gaussians; returns how many.
+def write(path: Path, arrays: Arrays, *, antialiased: bool = False) -> int:
+    """Write Gaussians; returns how many. The header says whether they are `antialiased`.
 
     Raises:
         EngineError: gsply is missing, or the file cannot be written.
     """
     gsply: Any = package("gsply", "gsply", TITLE)
     sh = arrays["sh"].astype(np.float32)
-    data = gsply.compress_to_bytes(
+    data: bytes = gsply.compress_to_bytes(
         arrays["means"].astype(np.float32),
         arrays["log_scales"].astype(np.float32),
         unit_quats(arrays),
@@ -37,6 +38,8 @@ def write(path: Path, arrays: Arrays) -> int:
         np.ascontiguousarray(sh[:, 0]),
         np.ascontiguousarray(sh[:, 1:]) if sh.shape[1] > 1 else None,
     )
+    if antialiased:  # gsply writes no comments; they follow the format, as in a plain PLY
+        data = data.replace(b"\nelement ", f"\n{ANTIALIASED}\nelement ".encode(), 1)
     with atomic_write(path) as file:
         file.write(data)
     return len(sh)

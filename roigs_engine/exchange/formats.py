@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, RunFolderError
+from ..formats import splat_ply
 from ..formats.files import regular, remove_leftovers_of
-from ..formats.splat_ply import read_ply, write_ply
 from .arrays import Arrays, Check, extent, flaw, nothing, usable
 from .damage import HINT, damaged
 
@@ -34,6 +35,8 @@ class FileFormat:
         module: of this package, with `read` and `write`; empty: the plain PLY.
         reads: whether it can be read; every one can be written.
         checks: whether its `write` takes `check`, as it takes long.
+        keeps_antialiased: whether a file says if its Gaussians are drawn with anti-aliasing. Such
+            a format's module has `is_antialiased` if it reads, and its `write` takes `antialiased`.
     """
 
     title: str
@@ -42,6 +45,7 @@ class FileFormat:
     module: str = ""
     reads: bool = True
     checks: bool = False
+    keeps_antialiased: bool = True
 
 
 FORMATS = (
@@ -49,11 +53,11 @@ FORMATS = (
     FileFormat(title="PLY", suffix=".ply", up="-y"),
     FileFormat(title="SPZ", suffix=".spz", up="y", module="spz", checks=True),
     FileFormat(title="SOG", suffix=".sog", up="-y", module="sog", checks=True),
-    FileFormat(title="glTF", suffix=".glb", up="y", module="gltf"),
-    FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd"),
-    FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd"),
-    FileFormat(title="OpenUSD", suffix=".usdz", up="y", module="usd"),
-    FileFormat(title=".splat", suffix=".splat", up="-y", module="splat"),
+    FileFormat(title="glTF", suffix=".glb", up="y", module="gltf", keeps_antialiased=False),
+    FileFormat(title="OpenUSD", suffix=".usdc", up="y", module="usd", keeps_antialiased=False),
+    FileFormat(title="OpenUSD", suffix=".usda", up="y", module="usd", keeps_antialiased=False),
+    FileFormat(title="OpenUSD", suffix=".usdz", up="y", module="usd", keeps_antialiased=False),
+    FileFormat(title=".splat", suffix=".splat", up="-y", module="splat", keeps_antialiased=False),
     FileFormat(title="web page", suffix=".html", up="y", module="page", reads=False),
 )
 
@@ -72,13 +76,22 @@ def format_of(path: Path) -> FileFormat:
     return found
 
 
-def write(path: Path, arrays: Arrays, check: Check = nothing, **more: Any) -> int:
+def write(
+    path: Path,
+    arrays: Arrays,
+    check: Check = nothing,
+    *,
+    antialiased: bool = False,
+    **more: Any,
+) -> int:
     """Write Gaussians in the format that the name says, whole or not at all; returns how many.
 
     Args:
         path: of the file.
         arrays: the model.
         check: called between the parts of long work; what it raises ends it without a file.
+        antialiased: whether the Gaussians are drawn with anti-aliasing; not written if the format
+            has no place for it.
         more: what the module's `write` takes besides these; nothing for a plain PLY.
 
     Raises:
@@ -88,12 +101,15 @@ def write(path: Path, arrays: Arrays, check: Check = nothing, **more: Any) -> in
     form = format_of(path)
     remove_leftovers_of(path)
     if not form.module:
-        write_ply(path, arrays)
+        splat_ply.write_ply(path, arrays, antialiased=antialiased)
         return len(arrays["means"])
     arrays = storable(arrays, form.title)
     writer: Callable[..., int] = import_module(f".{form.module}", __package__).write
-    checked = {"check": check} if form.checks else {}
-    return writer(path, arrays, **checked, **more)
+    if form.checks:
+        more["check"] = check
+    if form.keeps_antialiased:
+        more["antialiased"] = antialiased
+    return writer(path, arrays, **more)
 
 
 def storable(arrays: Arrays, title: str) -> Arrays:
@@ -118,29 +134,75 @@ def read(path: Path) -> Arrays:
         RunFolderError: the file is missing or damaged.
         EngineError: a package is missing.
     """
-    form = format_of(path)
-    if not form.reads:
-        raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")
+    form = _readable(path)
     if not form.module and _is_compressed(path):  # whatever its name says
         form = format_of(Path(COMPRESSED))
     if not form.module:
-        return read_ply(path)
+        return splat_ply.read_ply(path)
     reader: Callable[[Path], Arrays] = import_module(f".{form.module}", __package__).read
-    try:
-        # Libraries would wait for a pipe, and have their own errors for a missing file.
-        with open(path, "rb", opener=regular):
-            pass
+    with _opened(path):
         found = reader(path)
-    except OSError as error:
-        raise RunFolderError(
-            f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
-        ) from error
     if problem := flaw(found):
         raise damaged(path, form.title, problem)
     arrays = usable(found)
     if not len(arrays["means"]):
         raise RunFolderError(f"{path} has no Gaussians that can be drawn.", HINT)
     return arrays
+
+
+def is_antialiased(path: Path) -> bool:
+    """Whether a file says that its Gaussians are drawn with anti-aliasing, as they were trained.
+
+    Raises:
+        ConfigError: the format is unknown, or is only written.
+        RunFolderError: the file is missing, or damaged where it says so.
+    """
+    form = _readable(path)
+    if not form.keeps_antialiased:
+        return False
+    if form.suffix.endswith(".ply"):  # both kinds say it alike
+        return splat_ply.is_antialiased(path)
+    said: Callable[[Path], bool] = import_module(f".{form.module}", __package__).is_antialiased
+    with _opened(path):
+        return said(path)
+
+
+def are_antialiased(paths: Iterable[Path]) -> bool:
+    """Whether files that become one are drawn with anti-aliasing; False for none.
+
+    Raises:
+        ConfigError: some are, others are not. No file can say that.
+        RunFolderError: as `is_antialiased`.
+    """
+    first = {is_antialiased(path): path for path in reversed(list(paths))}
+    if len(first) > 1:
+        raise ConfigError(
+            f"{first[True]} is drawn with anti-aliasing, {first[False]} without.",
+            "Write each into a file of its own, or use models that were trained alike.",
+        )
+    return True in first
+
+
+def _readable(path: Path) -> FileFormat:
+    """The format of a file; ConfigError unless files of it can be read."""
+    form = format_of(path)
+    if not form.reads:
+        raise ConfigError(f"{form.title} files cannot be read.", "Give one of another format.")
+    return form
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[None]:
+    """Wrap a module that reads `path`: errors of the file system become one line."""
+    try:
+        # Libraries would wait for a pipe, and have their own errors for a missing file.
+        with open(path, "rb", opener=regular):
+            pass
+        yield
+    except OSError as error:
+        raise RunFolderError(
+            f"Cannot read {path} ({error.strerror or error}).", "Check the file and its rights."
+        ) from error
 
 
 def _is_compressed(path: Path) -> bool:

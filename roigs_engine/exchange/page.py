@@ -42,6 +42,7 @@ class Extras:
         title: of the page; empty: the file's name.
         places: name and ball to look at, in the model's frame, for one button each.
         before: a second model to switch to.
+        before_antialiased: whether that one is drawn with anti-aliasing.
         poses: (N, 4, 4) world_to_camera of the scene's photos, in the model's frame; places are
             first seen from where one of them was taken.
     """
@@ -49,11 +50,20 @@ class Extras:
     title: str = ""
     places: Sequence[tuple[str, Ball]] = ()
     before: Arrays | None = None
+    before_antialiased: bool = False
     poses: Float64 | None = None
 
 
-def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> int:
+def write(
+    path: Path, arrays: Arrays, extras: Extras | None = None, *, antialiased: bool = False
+) -> int:
     """Write the page; returns how many Gaussians of `arrays` it has.
+
+    Args:
+        path: of the page.
+        arrays: the model.
+        extras: what the page shows besides it.
+        antialiased: whether the model is drawn with anti-aliasing.
 
     Raises:
         ConfigError: SPZ cannot hold a model, or `before` has no Gaussians.
@@ -65,7 +75,8 @@ def write(path: Path, arrays: Arrays, extras: Extras | None = None) -> int:
         models = {BEFORE: usable(extras.before), AFTER: arrays}
         if not len(models[BEFORE]["means"]):
             raise ConfigError("The model before has no Gaussians.", "Give another --before.")
-    embedded = {name: _embedded(name, model) for name, model in models.items()}
+    drawn = {BEFORE: extras.before_antialiased, AFTER: antialiased}
+    embedded = {name: _embedded(name, model, drawn[name]) for name, model in models.items()}
     counts = {name: count for name, (_, count) in embedded.items()}
     values = {
         "title": html.escape(printable(extras.title or path.stem)),
@@ -114,11 +125,15 @@ def _json(value: Any) -> str:
     return json.dumps(value).replace("<", "\\u003c")
 
 
-def _embedded(name: str, arrays: Arrays) -> tuple[str, int]:
-    """A script element with the model, and how many Gaussians it has."""
+def _embedded(name: str, arrays: Arrays, antialiased: bool) -> tuple[str, int]:
+    """A script element with the model, and how many Gaussians it has.
+
+    The viewer knows from the SPZ's header whether to draw with anti-aliasing.
+    """
     with scratch("A web page") as folder:
         made = folder / "model.spz"
-        count = spz.write(made, arrays, step=spz.STEPS[-1])  # a page is to be small
+        # A page is to be small.
+        count = spz.write(made, arrays, step=spz.STEPS[-1], antialiased=antialiased)
         text = base64.b64encode(made.read_bytes()).decode()
     return f'<script id="{name}" type="text/plain">{text}</script>', count
 

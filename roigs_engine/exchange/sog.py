@@ -35,28 +35,35 @@ ROUNDS = 8  # of k-means
 MOST = 50_000_000  # Gaussians
 MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
 MOST_META = 16 << 20  # bytes
+ANTIALIASED = "antialiased"
+"""The `model` of a `meta.json` whose Gaussians are drawn with anti-aliasing; others have none."""
 COARSEST = 2e-3  # of the model's size: a step of its positions that is still hard to see
 
 Bytes = NDArray[np.uint8]
 
 
-def write(path: Path, arrays: Arrays, *, check: Check = nothing) -> int:
+def write(path: Path, arrays: Arrays, *, antialiased: bool = False, check: Check = nothing) -> int:
     """Write Gaussians; returns how many. `check` is called between the parts.
 
     Raises:
         As `files_of`; EngineError also if the file cannot be written.
     """
-    files = files_of(arrays, check)
+    files = files_of(arrays, check, antialiased=antialiased)
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as packed:
         for name, data in files.items():
             packed.writestr(name, data)
     return len(arrays["means"])
 
 
-def files_of(arrays: Arrays, check: Check = nothing) -> dict[str, bytes]:
+def files_of(
+    arrays: Arrays, check: Check = nothing, *, antialiased: bool = False
+) -> dict[str, bytes]:
     """Name -> content of the files of a SOG, `meta.json` first; near Gaussians are together.
 
-    `check` is called between the parts of the work.
+    Args:
+        arrays: the model.
+        check: called between the parts of the work.
+        antialiased: whether the Gaussians are drawn with anti-aliasing.
 
     Raises:
         ConfigError: the model is too small, or too far from the origin, for its positions.
@@ -81,6 +88,7 @@ def files_of(arrays: Arrays, check: Check = nothing) -> dict[str, bytes]:
     meta: dict[str, Any] = {
         "version": 2,
         "asset": {"generator": "ROI-GS"},
+        **({"model": ANTIALIASED} if antialiased else {}),
         "count": count,
         "means": bounds | {"files": ["means_l.webp", "means_u.webp"]},
         "scales": {"codebook": scale_codes, "files": ["scales.webp"]},
@@ -268,6 +276,17 @@ def read(path: Path) -> Arrays:
     _check(path)
     with reading(path, TITLE):
         return arrays_of(gsply.sogread(path))
+
+
+def is_antialiased(path: Path) -> bool:
+    """Whether a file says that its Gaussians are drawn with anti-aliasing.
+
+    Raises:
+        RunFolderError: the file is damaged.
+        OSError: it cannot be read.
+    """
+    with reading(path, TITLE), zipfile.ZipFile(path) as packed, packed.open("meta.json") as file:
+        return bool(json.loads(file.read(MOST_META)).get("model") == ANTIALIASED)
 
 
 def _check(path: Path) -> None:

@@ -22,7 +22,7 @@ from .packages import package
 from .scratch import scratch
 
 TITLE = "SPZ"
-MAGIC = 0x5053474E
+MAGIC, GZIP = 0x5053474E, b"\x1f\x8b"
 BITS = 24  # of a coordinate, with its sign
 MOST_FRACTION = 20  # bits behind the point
 SMALL, FINER = 0.05, 4  # a step is 2^-FINER of the size that this share of the Gaussians is below
@@ -35,6 +35,9 @@ PART = 8.1  # the finest step is taken with which the file is at most this part 
 BLOCKS, BLOCK = 8, 4096  # of rows that tell how small the file becomes
 SH_ROWS = {0: 0, 1: 3, 2: 8, 3: 15}
 MOST = 50_000_000  # Gaussians
+FLAGS, ANTIALIASED = 14, 0x1
+"""Byte of the header with flags, in all versions, and the one of anti-aliased Gaussians."""
+HEAD = 1 << 16  # bytes of a file that hold its header, packed or not
 
 
 def write(
@@ -43,6 +46,7 @@ def write(
     *,
     version: int = 3,
     step: float | None = None,
+    antialiased: bool = False,
     check: Check = nothing,
 ) -> int:
     """Write Gaussians; returns how many: those that are far outside are left out.
@@ -52,6 +56,7 @@ def write(
         arrays: the model.
         version: 3 or 4.
         step: of SH above degree 0; None: the finest with which the file is small.
+        antialiased: whether the Gaussians are drawn with anti-aliasing.
         check: called between the parts of the work.
 
     Raises:
@@ -79,14 +84,16 @@ def write(
     kept = {name: values[inside] for name, values in arrays.items()}
     step = step or _finest(kept, fraction, check)
     check()
-    data = _packed(kept, fraction, step, version)
+    data = _packed(kept, fraction, step, version=version, antialiased=antialiased)
     check()
     with atomic_write(path) as file:
         file.write(data)
     return int(inside.sum())
 
 
-def _packed(arrays: Arrays, fraction: int, step: float, version: int = 3) -> bytes:
+def _packed(
+    arrays: Arrays, fraction: int, step: float, *, version: int = 3, antialiased: bool = False
+) -> bytes:
     """The file of these Gaussians, with so many bits behind the point and this step of SH."""
     gsply: Any = package("gsply", "gsply", TITLE)
     spz: Any = package("gsply.spz", "gsply", TITLE)
@@ -103,8 +110,10 @@ def _packed(arrays: Arrays, fraction: int, step: float, version: int = 3) -> byt
         made = folder / "model.spz"
         spz.write_spz(made, data, version=version, fractional_bits=fraction)
         raw = made.read_bytes()
+    whole = bytearray(raw if version > 3 else gzip.decompress(raw))
+    whole[FLAGS] |= ANTIALIASED if antialiased else 0  # gsply sets no flags
     # What gsply compresses with is fast, and makes files that are a tenth larger.
-    return raw if version > 3 else gzip.compress(gzip.decompress(raw), 6, mtime=0)
+    return bytes(whole) if version > 3 else gzip.compress(whole, 6, mtime=0)
 
 
 def _finest(arrays: Arrays, fraction: int, check: Check) -> float:
@@ -152,10 +161,25 @@ def read(path: Path) -> Arrays:
         return arrays_of(spz.read_spz(path))
 
 
+def is_antialiased(path: Path) -> bool:
+    """Whether a file's header says that its Gaussians are drawn with anti-aliasing.
+
+    Raises:
+        RunFolderError: the file is damaged.
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as file:
+        head = file.read(HEAD)
+    with reading(path, TITLE):
+        if head[:2] == GZIP:
+            head = zlib.decompressobj(wbits=31).decompress(head, FLAGS + 1)
+        return bool(head[FLAGS] & ANTIALIASED)
+
+
 def _check(path: Path) -> None:
     """Compare what the header promises with what is there: gsply unpacks all of it first."""
     raw = path.read_bytes()
-    if raw[:2] == b"\x1f\x8b":
+    if raw[:2] == GZIP:
         _check_gzip(path, raw)
         return
     if len(raw) < 32:

@@ -20,13 +20,20 @@ NAME = "lod-meta.json"
 TITLE = "Streamed SOG"
 
 
-def write(path: Path, parts: Sequence[Sequence[Arrays]], check: Check = nothing) -> int:
+def write(
+    path: Path,
+    parts: Sequence[Sequence[Arrays]],
+    check: Check = nothing,
+    *,
+    antialiased: bool = False,
+) -> int:
     """Write a model into the folder of `path`; returns the number of Gaussians of the whole one.
 
     Args:
         path: of the `lod-meta.json`, written last.
         parts: for each part its levels, the whole one first.
         check: called between the parts of the work.
+        antialiased: whether the Gaussians, of all levels, are drawn with anti-aliasing.
 
     Raises:
         ConfigError: the format cannot hold this model.
@@ -43,7 +50,7 @@ def write(path: Path, parts: Sequence[Sequence[Arrays]], check: Check = nothing)
             node["lods"][str(level)] = {"file": len(names), "offset": 0, "count": count}
             folder = own_folder(path.parent, f"{level}_{number}")
             names.append(f"{folder.name}/meta.json")
-            for name, data in sog.files_of(arrays, check).items():
+            for name, data in sog.files_of(arrays, check, antialiased=antialiased).items():
                 with atomic_write(folder / name) as file:
                     file.write(data)
         nodes.append(node)

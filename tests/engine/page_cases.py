@@ -26,6 +26,14 @@ def arrays(count: int = 300, seed: int = 0) -> dict[str, np.ndarray]:
     return cloud(count, seed).arrays()
 
 
+def fine(count: int = 3000, seed: int = 0) -> dict[str, np.ndarray]:
+    """Gaussians from far below a pixel's size to some pixels."""
+    values = arrays(count, seed)
+    random = np.random.default_rng(seed)
+    values["log_scales"] = random.uniform(-9, -3, (count, 3)).astype(np.float32)
+    return values
+
+
 def description(path: Path) -> Any:
     found = re.search('<script id="page"[^>]*>(.*?)</script>', path.read_text())
     assert found
@@ -52,7 +60,9 @@ def still(shown: chromium.Page) -> None:
     )
 
 
-def ours(values: dict[str, np.ndarray], shown: chromium.Page) -> np.ndarray:
+def ours(
+    values: dict[str, np.ndarray], shown: chromium.Page, *, antialiased: bool = False
+) -> np.ndarray:
     """Our renderer's picture from the page's camera."""
     width, height = shown.run("[innerWidth, innerHeight]")
     eye, axes = shown.run("ready.then(({ orbit }) => [orbit.position, orbit.axes()])")
@@ -61,7 +71,8 @@ def ours(values: dict[str, np.ndarray], shown: chromium.Page) -> np.ndarray:
     world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ np.array(eye)
     focal = height / 2 / np.tan(np.radians(FIELD / 2))
     camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
-    view = render_view(Gaussians.from_arrays(values), camera, world_to_camera)
+    model = Gaussians.from_arrays(values, antialiased=antialiased)
+    view = render_view(model, camera, world_to_camera)
     return np.asarray(view.image)
 
 

@@ -27,7 +27,7 @@ class Renderer {
     this.moved = -Infinity; // when
     this.frames = []; // when the last pictures of a moving view were begun
     this.settling = [];
-    this.programs = {};
+    this.programs = {}; // by kind of model
     const gl = this.gl;
     this.target = this.layer(gl.RGBA8, 1, 1);
     this.triangle = this.corners([0, 1, 2]);
@@ -100,7 +100,7 @@ class Renderer {
     });
   }
 
-  uploaded({ count, degree, centres, shapes, harmonics }, worker) {
+  uploaded({ count, degree, antialiased, centres, shapes, harmonics }, worker) {
     const gl = this.gl;
     if (Math.max(WIDTH, harmonics.length / 4 / WIDTH) > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
       throw new Error("The model is too large for this browser.");
@@ -108,7 +108,7 @@ class Renderer {
     const height = (values, width) => Math.max(1, values.length / width / WIDTH);
     const rows = Math.ceil(count / PROJECTED);
     const model = {
-      count, degree, worker, drawn: 0, asked: false, ordered: null,
+      count, worker, kind: `${degree} ${antialiased}`, drawn: 0, asked: false, ordered: null,
       centres: this.texture(gl.RGBA32UI, WIDTH, height(centres, 4), centres),
       shapes: this.texture(gl.RG32UI, WIDTH, height(shapes, 2), shapes),
       harmonics: harmonics.length
@@ -121,8 +121,8 @@ class Renderer {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT1, gl.TEXTURE_2D, model.looks, 0);
     gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
     worker.onmessage = ({ data }) => this.take(model, data);
-    const { project, draw } = shaders(degree, this.rules);
-    this.programs[degree] ??= { project: this.program(project), draw: this.program(draw) };
+    const { project, draw } = shaders({ degree, antialiased }, this.rules);
+    this.programs[model.kind] ??= { project: this.program(project), draw: this.program(draw) };
     return model;
   }
 
@@ -253,7 +253,7 @@ class Renderer {
     gl.clearColor(0, 0, 0, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (!model.drawn) return;
-    const { made, uniforms } = this.programs[model.degree].project;
+    const { made, uniforms } = this.programs[model.kind].project;
     gl.useProgram(made);
     gl.bindFramebuffer(gl.FRAMEBUFFER, model.projected.buffer);
     gl.viewport(0, 0, PROJECTED, Math.ceil(model.drawn / PROJECTED));
@@ -293,7 +293,7 @@ class Renderer {
   draw(first, count) {
     const { gl, model } = this;
     if (count <= 0) return;
-    const { made, uniforms } = this.programs[model.degree].draw;
+    const { made, uniforms } = this.programs[model.kind].draw;
     gl.useProgram(made);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
     gl.viewport(0, 0, ...this.size);

@@ -2,8 +2,11 @@
 // One pass projects the Gaussians that are drawn, one for each pixel of its two targets; the next
 // draws a square for each. The rules are those of roigs_engine.rasterize.
 
-/** WebGL programs of a model with SH of `degree`; `rules` are the constants of our rasterizer. */
-function shaders(degree, rules) {
+/**
+ * WebGL programs of a model with SH of `degree`; `rules` are the constants of our rasterizer. An
+ * `antialiased` Gaussian that the blur makes larger is as much fainter.
+ */
+function shaders({ degree, antialiased }, rules) {
   const [blur, slope, margin] = [rules.blur, rules.slope, rules.margin].map((v) => v.toFixed(6));
   const head = "#version 300 es\nprecision highp float;\nprecision highp int;\n" +
     "precision highp usampler2D;\n";
@@ -97,6 +100,11 @@ void main() {
   float xx = dot(u, u), yy = dot(v, v), xy = dot(u, v);
   vec3 across = cross(u, v);
   float determinant = dot(across, across) + ${blur} * (xx + yy) + ${blur} * ${blur};
+#if ${antialiased ? 1 : 0}
+  opacity *= sqrt(dot(across, across) / determinant);
+  if (!(255.0 * opacity > 1.0)) return;
+  inside = log2(255.0 * opacity);
+#endif
   xx += ${blur};
   yy += ${blur};
   float larger = 0.5 * (xx + yy) + length(vec2(0.5 * (xx - yy), xy));

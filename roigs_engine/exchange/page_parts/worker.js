@@ -29,6 +29,7 @@ function load(bytes) {
   count = head.getUint32(8, true);
   const degree = bytes[12];
   const unit = 2 ** -bytes[13];
+  const antialiased = (bytes[14] & 1) !== 0; // SPZ's flag
   const starts = [16];
   for (const width of [9, 1, 3, 3, 4]) starts.push(starts.at(-1) + width * count);
   const [places, alphas, colours, scales, turns, sh] = starts;
@@ -60,7 +61,7 @@ function load(bytes) {
     }
   }
   [keys, weights, found, other] = [0, 1, 2, 3].map(() => new Uint32Array(count));
-  return { count, degree, centres, shapes, harmonics };
+  return { count, degree, antialiased, centres, shapes, harmonics };
 }
 
 /** The Gaussians in view, the farthest first; of more than `most`, those that show most. */

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from roigs_engine.cli import main
+from roigs_engine.exchange.formats import is_antialiased
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
-from tests.engine.commands.command_line import start
+from tests.engine.commands.command_line import refused, start
 from tests.engine.rasterize.test_placed import TURN, affine, cloud
 
 
@@ -163,3 +165,65 @@ def test_the_hint_names_the_argument(
 ) -> None:
     assert main(["convert", str(ply), str(ply)]) == 2
     assert "Choose another OUT." in capsys.readouterr().err
+
+
+def smooth(folder: Path) -> Path:
+    """An anti-aliased model's file."""
+    replace(cloud(), antialiased=True).save_ply(folder / "smooth.ply")
+    return folder / "smooth.ply"
+
+
+WAYS: dict[str, list[str]] = {
+    "as it is": [],
+    "turned": ["--up=z"],
+    "cropped": ["--roi", "a=-9,0.1,-9,9,9,9"],
+    "without SH": ["--sh-degree=0"],
+}
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".sog"])
+@pytest.mark.parametrize("way", WAYS)
+def test_antialiasing_stays(suffix: str, way: str, tmp_path: Path) -> None:
+    needs = {".ply": (), ".sog": ("gsply", "imagecodecs", "sklearn")}.get(suffix, ("gsply",))
+    for package in needs:
+        pytest.importorskip(package)
+    made, back = tmp_path / f"made{suffix}", tmp_path / "back.ply"
+    assert main(["convert", str(smooth(tmp_path)), str(made), *WAYS[way]]) == 0
+    assert main(["convert", str(made), str(back)]) == 0
+    assert is_antialiased(made) and is_antialiased(back)
+
+
+def test_models_of_a_list_stay_antialiased_and_must_agree(
+    ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, out = {"ply": str(smooth(tmp_path)), "matrix": np.eye(4).tolist()}, tmp_path / "out.ply"
+    turned = {**one, "matrix": affine(2 * TURN, (1, 2, 3)).tolist(), "density": 0.5}
+    assert main(["convert", str(listed(tmp_path, one, turned)), str(out)]) == 0
+    assert is_antialiased(out)
+    out.unlink()
+    capsys.readouterr()
+    models = listed(tmp_path, one, {**one, "ply": str(ply)})
+    error = refused(capsys, "convert", models, out)
+    assert "smooth.ply is drawn with anti-aliasing" in error and "vase.ply without" in error
+    assert "trained alike" in error and not out.exists()
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdc", ".splat"])
+def test_formats_without_antialiasing_are_warned_of_once(
+    suffix: str, ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for package in {".glb": ("pygltflib",), ".usdc": ("pxr",)}.get(suffix, ()):
+        pytest.importorskip(package)
+    for source, times in ((ply, 0), (smooth(tmp_path), 1)):
+        assert main(["convert", str(source), str(tmp_path / f"out{suffix}")]) == 0
+        said = capsys.readouterr()
+        assert (said.out + said.err).count("cannot say that these Gaussians are drawn") == times
+
+
+def test_formats_with_antialiasing_are_not_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("gsply")
+    for suffix in (".ply", ".spz", ".html"):
+        assert main(["convert", str(smooth(tmp_path)), str(tmp_path / f"out{suffix}")]) == 0
+    assert "warning" not in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
+from roigs_engine.commands import floaters
+from roigs_engine.commands.placed_models import Placed
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import PosedImage
 from tests.engine.commands.command_line import BOX
 from tests.engine.rasterize.test_placed import cloud
@@ -71,6 +75,14 @@ def test_files_in_their_places(project: Project, tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text(json.dumps({"models": record}))
     whole = found(project, tmp_path / "a.ply", tmp_path / "a.npy")
     np.testing.assert_array_equal(found(project, tmp_path / "list.json", tmp_path / "b.npy"), whole)
+
+
+def test_a_model_stays_antialiased(tmp_path: Path) -> None:
+    for antialiased in (False, True):
+        replace(cloud(), antialiased=antialiased).save_ply(tmp_path / "a.ply")
+        wanted = [Placed(str(tmp_path / "a.ply"), np.eye(4), (1.0, 1.0, 1.0))]
+        model, _ = floaters._model(wanted, LocalFrame.world())
+        assert model.antialiased is antialiased
 
 
 def test_wrong_input_is_one_line(

@@ -60,8 +60,25 @@ def test_the_page_holds_all(tmp_path: Path) -> None:
     assert "<title>a</title>" in text
     found = description(path)
     assert [place["name"] for place in found["places"]] == ["Whole scene", NASTY]
-    packed = re.search('<script id="After" type="text/plain">(.*?)</script>', text)
-    assert packed and gzip.decompress(base64.b64decode(packed[1]))[:4] == b"NGSP"
+    assert unpacked(path, "After")[:4] == b"NGSP"
+
+
+def unpacked(path: Path, name: str) -> bytes:
+    """The SPZ of a page's model, without gzip."""
+    packed = re.search(f'<script id="{name}" type="text/plain">(.*?)</script>', path.read_text())
+    assert packed
+    return gzip.decompress(base64.b64decode(packed[1]))
+
+
+@pytest.mark.parametrize("smooth", ["before", "after"])
+def test_convert_tells_of_each_model_whether_it_is_antialiased(smooth: str, tmp_path: Path) -> None:
+    for name in ("before", "after"):
+        write_ply(tmp_path / f"{name}.ply", arrays(), antialiased=name == smooth)
+    out = tmp_path / "a.html"
+    command = ["convert", str(tmp_path / "after.ply"), str(out)]
+    assert main([*command, "--before", str(tmp_path / "before.ply")]) == 0
+    flags = {name.lower(): unpacked(out, name)[14] for name in ("Before", "After")}
+    assert flags == {"before": 0, "after": 0} | {smooth: 1}
 
 
 def test_two_hundred_thousand_gaussians_are_ten_megabytes(tmp_path: Path) -> None:

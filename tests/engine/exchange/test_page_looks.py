@@ -15,8 +15,10 @@ from tests.engine.page_cases import (
     BOX,
     arrays,
     bare,
+    fine,
     opened,
     ours,
+    press,
     psnr,
 )
 
@@ -35,6 +37,34 @@ def test_a_browser_shows_what_we_render(degree: int, tmp_path: Path) -> None:
         assert expected.std() > 0.05
         assert psnr(picture, expected) > 36
         assert not shown.problems
+
+
+@browser
+@pytest.mark.parametrize(("antialiased", "least"), [(False, 42), (True, 45)])
+def test_fine_gaussians_are_drawn_as_they_were_trained(
+    antialiased: bool, least: float, tmp_path: Path
+) -> None:
+    """With ellipses that reach as far as without, an anti-aliased model has 42 dB."""
+    values = fine()
+    formats.write(tmp_path / "a.html", values, antialiased=antialiased)
+    with opened(tmp_path / "a.html") as shown:
+        picture = bare(shown)
+        assert psnr(picture, ours(values, shown, antialiased=antialiased)) > least
+        assert psnr(picture, ours(values, shown, antialiased=not antialiased)) < 25
+        assert not shown.problems
+
+
+@browser
+def test_the_model_before_may_be_drawn_otherwise(tmp_path: Path) -> None:
+    before, after = fine(seed=1), fine()
+    extras = page.Extras(before=before, before_antialiased=True)
+    formats.write(tmp_path / "a.html", after, extras=extras)
+    with opened(tmp_path / "a.html") as shown:
+        assert psnr(bare(shown), ours(after, shown)) > 40
+        press(shown, "Before")
+        assert psnr(bare(shown), ours(before, shown, antialiased=True)) > 40
+        press(shown, "After")
+        assert psnr(bare(shown), ours(after, shown)) > 40
 
 
 @browser

@@ -79,4 +79,13 @@ def test_a_run_is_converted_with_its_levels(
     assert "Leave out the boxes" in refused(capsys, *line, "--roi", "a=0,0,0,1,1,1")
     assert main([*line, "--sh-degree", "0"]) == 0
     assert json.loads(out.read_text())["counts"] == [500, 200]
-    assert "shN" not in json.loads((out.parent / "0_0/meta.json").read_text())
+    meta = json.loads((out.parent / "0_0/meta.json").read_text())
+    assert "shN" not in meta and "model" not in meta
+    write_ply(run / "background.ply", arrays(500), antialiased=True)
+    capsys.readouterr()
+    assert "levels/1/b.ply without" in refused(capsys, *line)
+    write_ply(run / "levels/1/b.ply", arrays(200), antialiased=True)
+    assert main(line) == 0
+    for name in ("0_0", "1_0"):
+        meta = json.loads((out.parent / name / "meta.json").read_text())
+        assert meta["model"] == "antialiased"

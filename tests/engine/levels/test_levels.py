@@ -219,6 +219,9 @@ def test_a_level_does_from_where_it_stays_as_good_as_the_whole() -> None:
     found = farther(records)
     assert found is not None and found.coarser == 3
     assert farther([at(1, 30, 20)]) is None
+    # An anti-aliased whole part is all but right from anywhere: nobody sees what a level lacks.
+    found = farther([at(1, 48, 37), at(2, 47, 41), at(3, 47, 42)])
+    assert found is not None and found.coarser == 2
     assert farther([]) is None
     assert spaced([1.0, 1.05, 3.0]) == pytest.approx([1.0, FADE**2, 3.0])
 
