@@ -17,7 +17,7 @@ MOST_LINES, FUNCTION_LINES, PARAMETERS = 320, 60, 8
 PACKAGES = tuple(MEDIAN_LINES)
 # Blender fixes the arguments of `draw_item`; the one way to draw has those of gsplat's function.
 # The one way to load a scene says which photos, masks and sizes it uses.
-MORE_PARAMETERS = {"draw_item": PARAMETERS + 1, "load_colmap": PARAMETERS + 1, "rasterize": 21}
+MORE_PARAMETERS = {"draw_item": PARAMETERS + 1, "load_colmap": PARAMETERS + 1, "rasterize": 22}
 LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 

@@ -24,6 +24,7 @@ from .page_options import (
     refuse_page_options,
 )
 from .placed_models import HINT, photo_poses, placed_models
+from .plain_models import read_model, warn_of_antialiasing
 from .streamed import STREAMED, write_streamed
 from .turning import shortened, turned, warn_of_axes
 from .values import PATH, integer
@@ -78,6 +79,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="highest degree of view-dependent colour, 0 to 3 (default: as it is)",
     )
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="for viewers that draw without anti-aliasing: of a run's result, opacities become what"
+        " its photos show (formats that cannot say how Gaussians are drawn: always)",
+    )
     add_roi_options(parser)
     add_page_options(parser)
 
@@ -100,18 +107,22 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     elif not listed and args.from_up is None:
         warn_of_axes(args.source, before, console)
     from_home = matrix @ home.T
+    plain = bool(args.plain) or not target.keeps_antialiased
     if listed:
-        arrays, antialiased, poses = _placed(args, matrix)
+        arrays, antialiased, poses = _placed(args, matrix, plain=plain)
         there = len(arrays["means"])
     else:
         refuse_inputs([args.out], [args.source], OTHER)
-        arrays = _cropped(formats.read(args.source), args, home)
-        antialiased = formats.is_antialiased(args.source)
+        whole, antialiased = read_model(args.source, plain=plain)
+        arrays = _cropped(whole, args, home)
         there = len(arrays["means"])
         console.context.check_cancelled()
         arrays = turned(arrays, matrix)
     arrays = shortened(arrays, args)
     console.context.check_cancelled()
+    if antialiased and plain:
+        antialiased = False
+        warn_of_antialiasing(target.title, console)
     if target.suffix == PAGE:
         known = None if listed or poses is None else from_home
         extras = page_extras(args, _before(args, target.up, known), from_home, poses)
@@ -119,20 +130,10 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     else:
         check = console.context.check_cancelled
         written = formats.write(args.out, arrays, check, antialiased=antialiased)
-    if antialiased and not target.keeps_antialiased:
-        _warn_of_antialiasing(target.title, console)
     size = args.out.stat().st_size / 1e6
     left = f" ({there - written:,} left out)" if written < there else ""
     console.print(f"{counted(written, 'Gaussian')}{left}, {size:.1f} MB in {args.out}")
     return {"result": str(args.out)}
-
-
-def _warn_of_antialiasing(title: str, console: Console) -> None:
-    """Say that a format has no place for anti-aliasing."""
-    console.context.warn(
-        f"{title} cannot say that these Gaussians are drawn with anti-aliasing: other programs show"
-        " fine ones too thick from afar. Write .ply, .spz, .sog or .html where you can."
-    )
 
 
 def _home(args: argparse.Namespace, path: Path) -> Float64:
@@ -178,8 +179,10 @@ def _cropped(arrays: Arrays, args: argparse.Namespace, home: Float64) -> Arrays:
     return {name: values[inside] for name, values in arrays.items()}
 
 
-def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, bool, Float64 | None]:
-    """The models of a list, in their places, as one.
+def _placed(
+    args: argparse.Namespace, matrix: Float64, *, plain: bool
+) -> tuple[Arrays, bool, Float64 | None]:
+    """The models of a list, in their places, as one; `plain` as in `read_model`.
 
     Returns:
         The model, whether it is drawn with anti-aliasing, and the poses of the list's photos, if
@@ -198,17 +201,19 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, bool, Fl
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
     refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)], OTHER)
-    read = {
-        name: Gaussians.framed(usable(formats.read(Path(name))))
-        for name in dict.fromkeys(item.file for item in wanted)
-    }
+    names = dict.fromkeys(item.file for item in wanted)
+    models = {name: read_model(Path(name), plain=plain) for name in names}
+    read = {name: Gaussians.framed(usable(arrays)) for name, (arrays, _) in models.items()}
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{args.source} has no Gaussians.", "Give models that have some.")
-    antialiased = formats.are_antialiased(Path(name) for name in read)
-    models = []
+    if plain:
+        antialiased = any(still for _, still in models.values())
+    else:
+        antialiased = formats.are_antialiased(Path(name) for name in names)
+    placed = []
     for item in wanted:
         gaussians, frame = read[item.file]
-        models.append(
+        placed.append(
             PlacedModel(
                 gaussians=gaussians,
                 frame=frame,
@@ -217,7 +222,7 @@ def _placed(args: argparse.Namespace, matrix: Float64) -> tuple[Arrays, bool, Fl
                 density=item.density,
             )
         )
-    return _merged(models), antialiased, poses
+    return _merged(placed), antialiased, poses
 
 
 def _merged(models: list[PlacedModel]) -> Arrays:

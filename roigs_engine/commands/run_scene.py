@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..colmap.records import MAX_SIDE
-from ..context import Context
+from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
 from ..formats.files import read_json
@@ -82,6 +82,24 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
     )
 
 
+def cameras_of_result(path: Path) -> SfmScene | None:
+    """The cameras that a PLY's run was trained with; None: it is no run's, or they are gone."""
+    folder = _run_folder(path)
+    if folder is None:
+        return None
+    with suppress(EngineError):
+        return cameras_of_run(folder, None, QUIET)
+    return None
+
+
+def _run_folder(path: Path) -> Path | None:
+    """The run folder of a result, or of a part of one; None: the file is not called like one."""
+    folder = path.absolute().parent
+    if folder.name in (FINE, COARSE):
+        return folder.parent
+    return folder if path.name in (RESULT, BACKGROUND) else None
+
+
 def _longest_side(folder: Path) -> int | None:
     """The longest side of the photos that a run was trained on, pixels; None: not known."""
     with suppress(ConfigError, KeyError, TypeError, ValueError):
@@ -109,10 +127,8 @@ def up_in_run(path: Path) -> str | None:
 
     None: it is none of a run folder's, or the scene is not there.
     """
-    folder = path.absolute().parent
-    if folder.name in (FINE, COARSE):
-        folder = folder.parent
-    elif path.name not in (RESULT, BACKGROUND):
+    folder = _run_folder(path)
+    if folder is None:
         return None
     from ..colmap.project import load_poses
 

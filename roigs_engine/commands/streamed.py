@@ -24,6 +24,8 @@ def write_streamed(args: argparse.Namespace, console: Console) -> dict[str, str]
     folder = levelled_run(args.source)
     if boxes(args, required=False):
         raise ConfigError(f"{STREAMED} holds a whole result.", "Leave out the boxes.")
+    if args.plain:
+        raise ConfigError(f"{STREAMED} says how its Gaussians are drawn.", "Leave out --plain.")
     before = args.from_up or "-y"
     matrix = turn(before, args.up or "-y")
     if args.from_up is None:

@@ -178,7 +178,7 @@ def are_antialiased(paths: Iterable[Path]) -> bool:
     if len(first) > 1:
         raise ConfigError(
             f"{first[True]} is drawn with anti-aliasing, {first[False]} without.",
-            "Write each into a file of its own, or use models that were trained alike.",
+            "Write each into a file of its own, or add --plain.",
         )
     return True in first
 

@@ -83,7 +83,6 @@ def rasterize(
     `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
     touches are active, forward and backward; other pixels get the background. With `backward_step`
     (one camera, not gsplat), `backward`, called once, updates the visible ones without gradients.
-
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
     """

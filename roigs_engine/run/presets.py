@@ -116,7 +116,7 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
     """The config for another strategy: the paper's recipe, or the preset's joint recipe.
 
     Steps, SH degree, anti-aliasing, baselines, test photos, seed and number of selected photos stay
-    the same. The intervals of the paper's recipe do not shrink with the preset's steps (`with_steps`).
+    the same. The intervals of the paper's recipe do not shrink with the steps (`with_steps`).
     """
     label = f"{config.preset}, {strategy}"
     if strategy == "joint":
@@ -132,7 +132,8 @@ def in_strategy(config: RunConfig, strategy: str) -> RunConfig:
             scene=with_steps(other.scene, config.scene.steps),
             roi=with_steps(other.roi, config.roi.steps),
         )
-    kept: dict[str, Any] = {"sh_degree": config.roi.sh_degree, "antialiased": config.roi.antialiased}
+    now = config.roi
+    kept: dict[str, Any] = {"sh_degree": now.sh_degree, "antialiased": now.antialiased}
     return replace(
         other,
         scene=replace(other.scene, **kept),

@@ -1,0 +1,99 @@
+"""`convert --plain`: results of a run for viewers that draw without anti-aliasing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from roigs_engine.cli import main
+from roigs_engine.commands.run_scene import cameras_of_result
+from roigs_engine.formats.splat_ply import is_antialiased
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.rasterize.view import render_view
+from tests.engine.synthetic_colmap import write_project
+
+WARNING = "too thick"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run folder with results that are anti-aliased, and the scene that it knows."""
+    names = [f"{letter}.png" for letter in "abcd"]
+    scene = write_project(tmp_path / "scene", names=names).folder
+    folder = tmp_path / "run"
+    random = np.random.default_rng(1)
+    places = random.uniform(-0.4, 0.4, (400, 3))
+    model = Gaussians.from_points(places, random.integers(0, 256, places.shape).astype(np.uint8))
+    fine = model.log_scales.new_full(model.log_scales.shape, np.log(0.01))
+    model = replace(model, log_scales=fine, logit_opacities=fine[:, 0] + 5, antialiased=True)
+    for name in ("result.ply", "rois/thing.ply"):
+        model.save_ply(folder / name)
+    (folder / "manifest.json").write_text("{}")
+    (folder / "settings.json").write_text(json.dumps({"scene": str(scene)}))
+    return folder
+
+
+def error(run: Path, model: Gaussians) -> float:
+    """Of a model's pictures from the run's photos, against those of its result."""
+    scene = cameras_of_result(run / "result.ply")
+    assert scene is not None
+    result = Gaussians.load_ply(run / "result.ply")
+    differences = []
+    for image in scene.images:
+        pictures = [
+            render_view(m, image.camera, image.world_to_camera).image for m in (model, result)
+        ]
+        assert pictures[1].max() > 0.05
+        differences.append((pictures[0] - pictures[1]).square().mean())
+    return float(torch.stack(differences).mean().sqrt())
+
+
+@pytest.mark.parametrize("name", ["result.ply", "rois/thing.ply"])
+def test_opacities_become_what_the_photos_show(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    out, places = tmp_path / "out.ply", tmp_path / "list.json"
+    model = {"ply": str(run / name), "matrix": np.eye(4).tolist()}
+    places.write_text(json.dumps({"models": [model]}))
+    kept = replace(Gaussians.load_ply(run / name), antialiased=False)
+    for source in (run / name, places):
+        assert main(["convert", str(source), str(out), "--plain"]) == 0
+        assert not is_antialiased(out)
+        assert error(run, Gaussians.load_ply(out)) < 0.3 * error(run, kept)
+    assert WARNING not in capsys.readouterr().err
+
+
+def test_formats_that_cannot_say_it_are_always_plain(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    splat, back = tmp_path / "out.splat", tmp_path / "back.ply"
+    assert main(["convert", str(run / "result.ply"), str(splat)]) == 0
+    assert main(["convert", str(splat), str(back)]) == 0
+    kept = replace(Gaussians.load_ply(run / "result.ply"), antialiased=False)
+    assert error(run, Gaussians.load_ply(back)) < 0.5 * error(run, kept)
+    assert WARNING not in capsys.readouterr().err
+
+
+def test_without_the_photos_nothing_changes_and_a_line_says_so(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (run / "settings.json").unlink()
+    out = tmp_path / "out.ply"
+    assert main(["convert", str(run / "result.ply"), str(out), "--plain"]) == 0
+    assert not is_antialiased(out)
+    made, result = (Gaussians.load_ply(path) for path in (out, run / "result.ply"))
+    torch.testing.assert_close(made.logit_opacities, result.logit_opacities)
+    assert capsys.readouterr().err.count(WARNING) == 1
+
+
+def test_a_model_that_is_plain_stays_as_it_is(run: Path, tmp_path: Path) -> None:
+    model = replace(Gaussians.load_ply(run / "result.ply"), antialiased=False)
+    model.save_ply(run / "result.ply")
+    out = tmp_path / "out.ply"
+    assert main(["convert", str(run / "result.ply"), str(out), "--plain"]) == 0
+    assert out.read_bytes() == (run / "result.ply").read_bytes()
