@@ -29,6 +29,7 @@ MODULES = (
     "jobs.run_folders",
     "scene.active_camera",
     "scene.edits",
+    "scene.former_settings",
     "scene.formerly_hidden",
     "scene.arrivals",
     "scene.placement",

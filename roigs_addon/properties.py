@@ -17,7 +17,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from .engine.training_steps import PRESET_STEPS
+from .engine.presets import PRESETS, STRATEGIES, follow_preset
 
 KINDS = (
     ("NONE", "None", "Not an object of ROI-GS"),
@@ -40,29 +40,9 @@ METHODS = (
     ("fvs", "Farthest views", "Viewpoints as far apart as possible"),
     ("random", "Random", "Random photos, for comparison"),
 )
-PRESETS = (
-    ("draft", "Draft", f"{sum(PRESET_STEPS['draft']):,} steps: minutes on a CPU"),
-    ("standard", "Standard", f"{sum(PRESET_STEPS['standard']):,} steps"),
-    (
-        "paper",
-        "Paper",
-        f"{sum(PRESET_STEPS['paper']):,} steps, boxes one by one, photos chosen by the paper's"
-        " Gaussian process",
-    ),
-)
-STRATEGIES = (
-    ("joint", "All boxes together", "One stage refines all boxes within the whole scene"),
-    (
-        "independent",
-        "One by one (paper)",
-        "A model for each box, which then replaces the coarse one",
-    ),
-)
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 """For a path that may begin with `//`; earlier Blenders need no such option."""
 
-PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9"}
-JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage"}
 PAIRS = (
     ("auto", "Auto", "All pairs of few photos, else the photos that look alike"),
     ("all", "All", "Every pair: slow with many photos"),
@@ -188,16 +168,6 @@ class RoigsObject(bpy.types.PropertyGroup):
     )
 
 
-def _follow_preset(settings: RoigsScene, _: bpy.types.Context) -> None:
-    """The paper's preset sets the paper's method and strategy; what the user chose stays."""
-    left, taken = JOINT_DEFAULTS, PAPER_DEFAULTS
-    if settings.preset != "paper":
-        left, taken = PAPER_DEFAULTS, JOINT_DEFAULTS
-    for name, value in taken.items():
-        if getattr(settings, name) == left[name]:
-            setattr(settings, name, value)
-
-
 def _other_photos(settings: RoigsScene, _: bpy.types.Context) -> None:
     """Other photos get another project folder, and other masks."""
     settings.project = settings.masks = ""
@@ -273,7 +243,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         description="How many photos each box gets; 0: the method decides",
     )
     seed: IntProperty(name="Seed", default=0, min=0, description="Seed of all random choices")
-    preset: EnumProperty(items=PRESETS, name="Preset", default="draft", update=_follow_preset)
+    preset: EnumProperty(items=PRESETS, name="Preset", default="draft", update=follow_preset)
+    is_paper: BoolProperty(description="Whether the settings followed the paper's preset last")
     strategy: EnumProperty(items=STRATEGIES, name="Boxes", default="joint")
     steps_factor: FloatProperty(
         name="Steps ×",
@@ -282,6 +253,12 @@ class RoigsScene(bpy.types.PropertyGroup):
         max=1000.0,
         soft_max=10.0,
         description="Multiplies the preset's steps: fewer are faster, more are finer",
+    )
+    antialiased: BoolProperty(
+        name="Anti-aliased",
+        default=True,
+        description="Sharp from near and from afar. Turn it off for viewers that do not know"
+        " anti-aliased Gaussians",
     )
     max_side: IntProperty(
         name="Photo Size",

@@ -79,7 +79,8 @@ def _draw(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> str:
         if _engine is None or not _engine.alive():
             _end_engine()
             _engine = _started()
-        return _engine.draw(request) or edits.problem(shown(scene))
+        items = shown(scene)
+        return _engine.draw(request) or edits.problem(items) or edits.remark(items)
     finally:
         compositor.reload(scene)
 

@@ -22,7 +22,7 @@ class RunSettings:
 
     Attributes:
         preset, strategy, method, count, seed, test_every: as the engine's options.
-        max_side, steps_factor: likewise.
+        max_side, steps_factor, antialiased: likewise.
         exclude: names of the photos that are left out.
         scene, images: names of the folders. Their paths change when a project is moved.
     """
@@ -31,6 +31,7 @@ class RunSettings:
     max_side: int | None = None
     steps_factor: float | None = None
     strategy: str | None = None
+    antialiased: bool | None = None
     method: str | None = None
     count: int | None = None
     seed: int | None = None
@@ -52,7 +53,7 @@ class RunSettings:
         config = config or {}
         selection = config.get("selection")
         chosen = selection if isinstance(selection, dict) else {}
-        known = {**chosen, **config, **values}
+        known = {**chosen, **_of_stages(config), **config, **values}
         names = [field.name for field in fields(cls) if field.name not in ("exclude", "count")]
         found = {name: _plain(known.get(name)) for name in names}
         if values:
@@ -66,6 +67,12 @@ class RunSettings:
             exclude=tuple(sorted(map(str, listed))) if values else None,
             count=(count if isinstance(count, int) else 0) if known else None,
         )
+
+
+def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What a manifest says of the stages. Before there was anti-aliasing, none had it."""
+    stage = config.get("roi")
+    return {"antialiased": bool(stage.get("antialiased"))} if isinstance(stage, dict) else {}
 
 
 def _plain(value: Any) -> Any:
@@ -96,6 +103,7 @@ IN_WORDS: dict[str, Callable[[Any], str]] = {
     "max_side": lambda value: f"{value} px",
     "steps_factor": lambda value: f"{value:g} x steps",
     "strategy": lambda value: "boxes together" if value == "joint" else "boxes one by one",
+    "antialiased": lambda value: "anti-aliased" if value else "not anti-aliased",
     "method": lambda value: f"method {value}",
     "count": lambda value: (
         f"{text.counted(value, 'photo')} a box" if value else "photos a box: auto"

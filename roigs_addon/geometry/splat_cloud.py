@@ -29,6 +29,7 @@ class SplatCloud:
         scales: (N, 3) standard deviations.
         opacities: (N,) 0 to 1.
         sh: (N, K, 3) SH coefficients; a colour is max(0, 0.5 + sum of sh * basis), sRGB.
+        antialiased: whether they are drawn with anti-aliasing, as they were trained.
     """
 
     means: Float32
@@ -36,6 +37,7 @@ class SplatCloud:
     scales: Float32
     opacities: Float32
     sh: Float32
+    antialiased: bool = False
 
     def __len__(self) -> int:
         return len(self.means)
@@ -50,7 +52,7 @@ def read_splats(path: str | Path) -> SplatCloud:
         ValueError: the file cannot be read, see `splat_ply.read_ply`; one line that says why.
     """
     try:
-        stored = splat_ply.read_ply(path)
+        stored, antialiased = splat_ply.read_ply(path), splat_ply.is_antialiased(path)
     except EngineError as error:
         raise ValueError(str(error)) from error
     quats = stored["quats"]
@@ -67,7 +69,7 @@ def read_splats(path: str | Path) -> SplatCloud:
             usable &= np.isfinite(values.sum(axis=tuple(range(1, values.ndim))))
     if not usable.all():
         cloud = {name: values[usable] for name, values in cloud.items()}
-    return SplatCloud(**cloud)
+    return SplatCloud(**cloud, antialiased=antialiased)
 
 
 def write_splats(path: Path, cloud: SplatCloud) -> None:
@@ -81,4 +83,4 @@ def write_splats(path: Path, cloud: SplatCloud) -> None:
         "logit_opacities": logits.astype(np.float32),
         "sh": cloud.sh,
     }
-    splat_ply.write_ply(path, arrays)
+    splat_ply.write_ply(path, arrays, antialiased=cloud.antialiased)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -11,8 +12,8 @@ from ..engine.own_files import ROIS
 from ..engine.writing import writing
 from ..errors import AddonError
 from ..scene import edits, fly_to
-from ..scene.frame_request import models_of, shown
-from ..shared import files, text
+from ..scene.frame_request import Model, models_of, shown, standing
+from ..shared import EngineError, files, splat_ply, text
 from .spec import EXPORTING, PACKAGES, JobSpec
 
 NAME = "roigs-export"
@@ -20,6 +21,10 @@ NAME = "roigs-export"
 
 PAGE = ".html"
 NOTHING = "There is nothing to export: {}."
+MIXED = (
+    "'{}' is drawn with anti-aliasing, '{}' without: one file cannot hold both. Export each kind by"
+    " itself, with Selected Only."
+)
 
 
 def spec(
@@ -41,16 +46,15 @@ def spec(
         selected, visible: only objects that are selected, or that the viewport does not hide.
 
     Raises:
-        AddonError: there is nothing to export, an edit cannot be written, or the folder is missing.
+        AddonError: there is nothing to export, an edit cannot be written, some are drawn with
+            anti-aliasing and others without, or the folder is missing.
     """
     scene = context.scene
     assert scene is not None
     items, why = _wanted(context, scene, selected=selected, visible=visible)
     leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
     depsgraph = context.evaluated_depsgraph_get()
-    models = models_of(items, depsgraph)
-    if problem := edits.problem(items):
-        raise AddonError(problem)
+    models = _models(items, depsgraph)
     if not models:
         raise AddonError(NOTHING.format(why))
     if not path.parent.is_dir():
@@ -82,6 +86,25 @@ def spec(
         done_text=f"Exported {path.name}",
         words=PACKAGES,
     )
+
+
+def _models(items: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[Model]:
+    """Those to export.
+
+    Raises:
+        AddonError: an edit cannot be written, or some are drawn with anti-aliasing and others not.
+    """
+    models = models_of(items, depsgraph)
+    if problem := edits.problem(items):
+        raise AddonError(problem)
+    kinds: dict[bool, str] = {}
+    for item, _, _ in standing(items, depsgraph):
+        if ply := edits.file_of(item):
+            with suppress(EngineError):  # of a file that is missing, the engine says so
+                kinds.setdefault(splat_ply.is_antialiased(ply), item.name)
+    if len(kinds) > 1:
+        raise AddonError(MIXED.format(kinds[True], kinds[False]))
+    return models
 
 
 def _wanted(

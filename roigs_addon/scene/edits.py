@@ -29,7 +29,16 @@ from ..geometry.splat_cloud import write_splats
 from ..properties import object_props
 from ..shared import EngineError
 from . import clouds
-from .splat_attributes import SHAPE, cloud_of, hidden, imported_frame, move_to_frame, values
+from .splat_attributes import (
+    SHAPE,
+    antialiased_share,
+    cloud_of,
+    drawn,
+    hidden,
+    imported_frame,
+    move_to_frame,
+    values,
+)
 
 MARK = "roigs_imported"
 """Custom property of a mesh: `state_of` of the points that were imported."""
@@ -57,6 +66,13 @@ _changed: set[int] = set()
 
 _problems: dict[int, str] = {}
 """Mesh -> why its edits are not drawn, in one line."""
+
+MIXED = (
+    "'{}' joins Gaussians with anti-aliasing and without. All are drawn {}: the others look too"
+    " thick or too faint. Undo, and do not join them"
+)
+_mixed: dict[int, str] = {}
+"""Mesh that was joined of both kinds -> that in one line."""
 
 
 def mark_imported(mesh: bpy.types.Mesh) -> None:
@@ -106,14 +122,24 @@ def problem(items: Iterable[bpy.types.Object]) -> str:
     return next((_problems[d.session_uid] for d in data if d and d.session_uid in _problems), "")
 
 
+def remark(items: Iterable[bpy.types.Object]) -> str:
+    """What does not look right of these objects after an edit, in one line; or nothing."""
+    data = (item.data for item in items)
+    return next((_mixed[d.session_uid] for d in data if d and d.session_uid in _mixed), "")
+
+
 def _look(mesh: bpy.types.Mesh, uid: int, *, own_file: bool) -> None:
     """Bring the file with a mesh's edits up to date; without a file of its own, it needs one."""
     _changed.discard(uid)
     _problems.pop(uid, None)
+    _mixed.pop(uid, None)
     try:
         _files[uid] = _file(mesh, uid, own_file=own_file)
     except AddonError as error:
         _problems[uid], _files[uid] = str(error), None
+    share = antialiased_share(mesh, drawn(mesh)) if _files[uid] else 0.0
+    if 0 < share < 1:
+        _mixed[uid] = MIXED.format(mesh.name, "with it" if share > 0.5 else "without it")
 
 
 def is_edited(item: bpy.types.Object) -> bool:
@@ -242,7 +268,7 @@ def _after_load(*_: object) -> None:
 
 
 def _forget() -> None:
-    for known in (_files, _written, _changed, _problems, _applied):
+    for known in (_files, _written, _changed, _problems, _mixed, _applied):
         known.clear()
 
 

@@ -30,6 +30,12 @@ PLACE = "imported"
 FRAME = "roigs_frame"
 """Custom property of a mesh: the map from its file's frame to its own, as it was imported."""
 
+ANTIALIASED = "antialiased"
+"""Attribute of Gaussians that are drawn with anti-aliasing; others have none, or False.
+
+It is each point's own, so that meshes that are joined do not lose it.
+"""
+
 
 def imported_frame(mesh: bpy.types.Mesh) -> Matrix:
     """(4, 4) from the frame of a mesh's file to its own, before any edit."""
@@ -64,13 +70,15 @@ def add_attributes(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         columns[_sh_name(index)] = ("FLOAT_VECTOR", cloud.sh[:, index])
     for name, (kind, numbers) in columns.items():
         clouds.set_attribute(mesh, name, kind, numbers)
+    if cloud.antialiased:
+        mark_antialiased(mesh)
 
 
 def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
     """The Gaussians of a mesh in their file's frame, and the map (4, 4) that all went through.
 
     Without points that are hidden in edit mode or have no size. Those without a size were added to
-    the mesh, as by joining with another one.
+    the mesh, as by joining with another one. What most of them are decides on anti-aliasing.
 
     None if an attribute is missing, as after joining into another mesh or applying a modifier.
     """
@@ -92,8 +100,26 @@ def cloud_of(mesh: bpy.types.Mesh) -> tuple[SplatCloud, Matrix] | None:
         scales=scales[there],
         opacities=radiance[there, 3],
         sh=sh_of(mesh)[there],
+        antialiased=antialiased_share(mesh, there) > 0.5,
     )
     return cloud, applied
+
+
+def mark_antialiased(data: Points) -> None:
+    """All points of a mesh or point cloud are Gaussians that are drawn with anti-aliasing."""
+    attribute: Any = data.attributes.new(ANTIALIASED, "BOOLEAN", "POINT")
+    attribute.data.foreach_set("value", np.ones(len(attribute.data), np.bool_))
+
+
+def antialiased_share(data: Points, there: NDArray[np.bool_] | None = None) -> float:
+    """The share of points, of those that are `there`, that are drawn with anti-aliasing."""
+    attribute: Any = data.attributes.get(ANTIALIASED)
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type != "BOOLEAN":
+        return 0.0
+    found = np.empty(len(attribute.data), np.bool_)
+    attribute.data.foreach_get("value", found)
+    of_those = found if there is None else found[there]
+    return float(of_those.mean()) if len(of_those) else 0.0
 
 
 def sh_of(data: Points) -> Float32:

@@ -46,7 +46,8 @@ def problems() -> dict[str, str]:
     from . import chosen, draw, marks, points
 
     marking = marks.problem() or chosen.problem()
-    own = points.problem() or marking or edits.problem(bpy.data.objects)
+    edited = edits.problem(bpy.data.objects) or edits.remark(bpy.data.objects)
+    own = points.problem() or marking or edited
     return {**({"": own} if own else {}), **draw.problems()}
 
 

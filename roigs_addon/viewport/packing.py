@@ -17,7 +17,10 @@ ROW = 8192
 """Texels in a row of every texture; all of Blender's GPUs can do twice that."""
 
 GEOMETRY_TEXELS = 3
-"""Texels of a Gaussian's shape: mean and opacity; quaternion; scales and its object's number."""
+"""Texels of a Gaussian's shape: mean and opacity; quaternion; scales and its object's number.
+
+With anti-aliasing, the number is half a one larger.
+"""
 
 INDEX_MARK = np.uint32(0x40000000)
 """Set in every stored index.
@@ -71,7 +74,7 @@ def pack(clouds: Sequence[SplatCloud]) -> PackedSet:
         part = by_gaussian[start:stop]
         part[:, 0, :3], part[:, 0, 3] = cloud.means, cloud.opacities
         part[:, 1] = cloud.quats
-        part[:, 2, :3], part[:, 2, 3] = cloud.scales, number
+        part[:, 2, :3], part[:, 2, 3] = cloud.scales, number + 0.5 * cloud.antialiased
         sh[start:stop, :, : cloud.sh.shape[1]] = cloud.sh.transpose(0, 2, 1)
     means = np.ascontiguousarray(by_gaussian[:, 0, :3])
     extent = float(np.sqrt(np.square(means).sum(axis=1).mean(dtype=float))) if count else 1.0

@@ -28,9 +28,22 @@ def random_arrays(count: int, seed: int, coefficients: int = 16) -> dict[str, np
     return {name: values.astype(np.float32) for name, values in arrays.items()}
 
 
-def random_ply(path: Path, count: int, seed: int = 0, coefficients: int = 16) -> Path:
+def random_ply(
+    path: Path, count: int, seed: int = 0, coefficients: int = 16, *, antialiased: bool = False
+) -> Path:
     """`random_arrays` as a file."""
-    write_ply(path, random_arrays(count, seed, coefficients))
+    write_ply(path, random_arrays(count, seed, coefficients), antialiased=antialiased)
+    return path
+
+
+def fine_ply(
+    path: Path, count: int, seed: int = 0, *, thinner: float = 6.0, antialiased: bool = True
+) -> Path:
+    """The same with Gaussians so much finer, on which anti-aliasing has an effect."""
+    arrays = random_arrays(count, seed)
+    arrays["log_scales"] -= np.float32(np.log(thinner))
+    arrays["logit_opacities"] += np.float32(2.0)
+    write_ply(path, arrays, antialiased=antialiased)
     return path
 
 

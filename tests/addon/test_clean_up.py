@@ -8,9 +8,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply
 from tests.addon.jobs.test_refining import use
 from tests.addon.scenes import add_box
+from tests.addon.splat_cases import random_ply
 
 pytestmark = pytest.mark.blender
 
@@ -229,6 +230,21 @@ def test_floaters_of_the_engine(blender: ModuleType, scene, engine) -> None:
     told = current.state().outcome
     word = "floater" if count == 1 else "floaters"
     assert told == f"Selected {count} {word} of {len(points(item))}"
+
+
+@pytest.mark.parametrize("most", [False, True])
+def test_floaters_among_both_kinds(
+    blender: ModuleType, scene, engine, tmp_path: Path, most: bool
+) -> None:
+    """With anti-aliasing and without: the engine judges all as most are drawn."""
+    from roigs_addon.scene import splats
+
+    path = random_ply(tmp_path / "smooth.ply", 500 if most else 5, antialiased=True)
+    splats.show_imported(scene, path, "Smooth", in_model=True)
+    assert blender.ops.roigs.find_floaters(action="SELECT") == {"FINISHED"}
+    written = list(Path(blender.app.tempdir).glob("roigs-floaters-*.ply"))
+    assert len(written) == 3
+    assert {is_antialiased(path) for path in written} == {most}
 
 
 ANSWER = """

@@ -10,9 +10,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, with_cycles
+from tests.addon.splat_cases import random_ply
 
 pytestmark = pytest.mark.blender
 
@@ -138,6 +139,22 @@ def test_copies_are_exported_where_they_stand(blender: ModuleType, scene, tmp_pa
     before = len(export(blender, tmp_path / "two.ply")["means"])
     copy.hide_render = True
     assert before - len(export(blender, tmp_path / "one.ply")["means"]) == len(item.data.vertices)
+
+
+def test_one_file_does_not_hold_both_kinds(blender: ModuleType, scene, tmp_path: Path) -> None:
+    """With anti-aliasing and without; what is hidden does not count."""
+    from roigs_addon.scene import splats
+
+    path = random_ply(tmp_path / "smooth.ply", 5, antialiased=True)
+    item = splats.show_imported(scene, path, "Smooth", in_model=True)
+    with pytest.raises(RuntimeError, match=r"'Smooth' is drawn with anti-aliasing, .* without"):
+        export(blender, tmp_path / "a.ply")
+    item.select_set(True)
+    assert len(export(blender, tmp_path / "a.ply", selected=True)["means"]) == 5
+    assert is_antialiased(tmp_path / "a.ply")
+    item.hide_render = True
+    export(blender, tmp_path / "b.ply")
+    assert not is_antialiased(tmp_path / "b.ply")
 
 
 def test_a_look_that_a_script_has_just_set(blender: ModuleType, scene, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, packages
 from roigs_engine.exchange.axes import turn
-from roigs_engine.formats.splat_ply import read_ply, write_ply
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
 from tests.addon.jobs.test_refining import use
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, imported, with_cycles
@@ -91,6 +91,37 @@ def test_out_and_in_again_is_the_same(blender: ModuleType, engine, ply: Path, tm
     blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "out.ply"))
     again = bring(blender, tmp_path / "out.ply")
     np.testing.assert_allclose(points(again), before, atol=1e-5)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_out_and_in_again_it_is_as_anti_aliased(
+    blender: ModuleType, engine, tmp_path: Path, antialiased: bool
+) -> None:
+    from roigs_addon.scene.splat_attributes import cloud_of
+
+    write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), antialiased=antialiased)
+    item = bring(blender, tmp_path / "vase.ply")
+    assert is_antialiased(item.roigs.ply) is antialiased
+    assert cloud_of(item.data)[0].antialiased is antialiased
+    item.rotation_euler = (0.3, 0.2, 0.1)
+    item.data.vertices[0].co.x += 0.1  # an edit: exported from a file of its own
+    blender.ops.roigs.export_gaussians(filepath=str(tmp_path / "out.ply"))
+    assert is_antialiased(tmp_path / "out.ply") is antialiased
+    assert cloud_of(bring(blender, tmp_path / "out.ply").data)[0].antialiased is antialiased
+
+
+def test_the_panel_warns_of_formats_that_cannot_say_it(
+    blender: ModuleType, engine, tmp_path: Path
+) -> None:
+    from roigs_addon.ui.result import ResultPanel
+    from tests.addon.ui.test_panels import said
+
+    write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), antialiased=True)
+    bring(blender, tmp_path / "vase.ply")
+    for name, warned in (("a.ply", False), ("b.splat", True), ("c.ply", False)):
+        blender.ops.roigs.export_gaussians(filepath=str(tmp_path / name))
+        texts = " ".join(said(blender, ResultPanel)).lower()
+        assert f"exported {name}" in texts and ("anti-alias" in texts) == warned
 
 
 def test_other_axes_and_the_frame_of_the_model(

@@ -21,7 +21,7 @@ from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from roigs_addon import properties
-from roigs_addon.geometry.splat_cloud import read_splats
+from roigs_addon.geometry.splat_cloud import SplatCloud, read_splats
 from roigs_addon.scene import clouds
 from roigs_addon.viewport import draw, pace, points, targets
 from roigs_addon.viewport import painter as drawing
@@ -31,7 +31,7 @@ from roigs_addon.viewport.view import View
 from roigs_engine.formats.levels import FADE
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.levels_cases import make_levels
-from tests.addon.splat_cases import recoloured
+from tests.addon.splat_cases import fine_ply, recoloured
 from tests.blender.gpu_pictures import perspective, picture, psnr, with_gpu
 
 SIDE = 96
@@ -58,14 +58,17 @@ def seen(*objects: bpy.types.Object, distance: float = DISTANCE) -> np.ndarray:
 
 
 def check_orthographic(a: bpy.types.Object, b: bpy.types.Object) -> None:
-    """Parallel light is what a far telephoto lens sees."""
-    far = seen(a, b, distance=3000.0)
-    clip = Matrix.Diagonal((0.8, 0.8, -0.1, 1.0))
-    clip[0][3] = 6 / SIDE
-    view = Matrix.Translation((0, 0, -DISTANCE)) @ TURN
-    flat = picture([a, b], view, clip, SIDE, SIDE)
-    assert psnr(flat, far) > 40, psnr(flat, far)
-    assert psnr(seen(a, b), far) < 35, "the same as from near: nothing was compared"
+    """Parallel light is what a far telephoto lens sees, also with anti-aliasing."""
+    fine = splats("fine", fine_ply(FOLDER / "fine.ply", 500, seed=3))
+    for items in ((a, b), (a, fine)):
+        far = seen(*items, distance=3000.0)
+        clip = Matrix.Diagonal((0.8, 0.8, -0.1, 1.0))
+        clip[0][3] = 6 / SIDE
+        view = Matrix.Translation((0, 0, -DISTANCE)) @ TURN
+        flat = picture([*items], view, clip, SIDE, SIDE)
+        assert psnr(flat, far) > 40, psnr(flat, far)
+        assert psnr(seen(*items), far) < 35, "the same as from near: nothing was compared"
+    bpy.data.objects.remove(fine)
 
 
 def check_one_order_for_all(a: bpy.types.Object, b: bpy.types.Object) -> None:
@@ -154,12 +157,31 @@ def check_changed_file(a: bpy.types.Object, b: bpy.types.Object) -> None:
 
 
 def check_stretched(a: bpy.types.Object, _b: bpy.types.Object) -> None:
-    """A stretched object covers what its stretched covariances cover."""
-    stretch = np.array([1.0, 0.4, 1.6])
-    a.matrix_world = Matrix.LocRotScale(None, None, Vector(stretch))
-    got = seen(a)[..., 3]
-    a.matrix_world = Matrix()
-    cloud = read_splats(a.roigs.ply)
+    """A stretched object covers what its stretched covariances cover, also with anti-aliasing."""
+    compare_covered(a, read_splats(a.roigs.ply))
+    fine = splats("fine", fine_ply(FOLDER / "fine.ply", 500, seed=3))
+    cloud = read_splats(fine.roigs.ply)
+    assert cloud.antialiased
+    compare_covered(fine, cloud)
+    plain = np.square(covered(cloud, antialiased=False) - covered(cloud)).mean()
+    assert plain > 1e-3, "no difference: anti-aliasing was not compared"
+    bpy.data.objects.remove(fine)
+
+
+STRETCH = np.array([1.0, 0.4, 1.6])
+
+
+def compare_covered(item: bpy.types.Object, cloud: SplatCloud) -> None:
+    """An object, stretched, as `covered` has it."""
+    item.matrix_world = Matrix.LocRotScale(None, None, Vector(STRETCH))
+    got, wanted = seen(item)[..., 3], covered(cloud)
+    item.matrix_world = Matrix()
+    assert psnr(got, wanted) > 45, psnr(got, wanted)
+
+
+def covered(cloud: SplatCloud, *, antialiased: bool | None = None) -> np.ndarray:
+    """(H, W) alpha of the stretched Gaussians in `seen`, computed the long way."""
+    antialiased = cloud.antialiased if antialiased is None else antialiased
     focal, view = 0.4 * SIDE * DISTANCE, np.array(Matrix.Translation((0, 0, -DISTANCE)) @ TURN)
     left = np.ones((SIDE, SIDE))
     y, x = np.mgrid[:SIDE, :SIDE] + 0.5
@@ -169,17 +191,20 @@ def check_stretched(a: bpy.types.Object, _b: bpy.types.Object) -> None:
         w, *v = (float(value) for value in quat)
         cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
         axes = np.eye(3) + 2 * w * cross + 2 * cross @ cross  # Rodrigues
-        t = view[:3, :3] @ (stretch * mean) + view[:3, 3]
+        t = view[:3, :3] @ (STRETCH * mean) + view[:3, 3]
         depth = -t[2]
         jacobian = focal / depth * np.array([[1, 0, t[0] / depth], [0, 1, t[1] / depth]])
-        shape = jacobian @ view[:3, :3] @ (stretch[:, None] * axes * scale)
-        inverse = np.linalg.inv(shape @ shape.T + 0.3 * np.eye(2))
+        shape = jacobian @ view[:3, :3] @ (STRETCH[:, None] * axes * scale)
+        blurred = shape @ shape.T + 0.3 * np.eye(2)
+        if antialiased:
+            opacity = opacity * np.prod(np.linalg.svd(shape)[1]) / np.sqrt(np.linalg.det(blurred))
+        inverse = np.linalg.inv(blurred)
         dx = x - (focal * t[0] / depth + SIDE / 2 + 3)
         dy = (SIDE - y) - (focal * t[1] / depth + SIDE / 2)
         power = inverse[0, 0] * dx * dx + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy * dy
         alpha = np.minimum(0.999, opacity * np.exp(-0.5 * power))
         left *= np.where(alpha < 1 / 255, 1, 1 - alpha)
-    assert psnr(got, 1 - left) > 45, psnr(got, 1 - left)
+    return 1 - left
 
 
 def check_depth(a: bpy.types.Object, _b: bpy.types.Object) -> None:

@@ -3,12 +3,12 @@
     blender -b --factory-startup --python viewport_parity.py -- CASE
     python viewport_parity.py CASE        (with bpy)
 
-CASE is a folder with `splats.ply`, `cameras.json` (the engine's camera path file) and, for each
-camera, the engine's picture `<name>.png`. Every camera is drawn with the object as it is and with
-the object turned, scaled and moved, the camera going with it, and with the picture as a part of
-wider windows: the picture must stay the same. One line per picture is printed, `<name> <pose>
-<PSNR>`, and written as `<name>-<pose>.npy` (H, W, 4), first row on top. Exit status 1 when a PSNR
-is below 35 dB, or in a wider window below 40 dB.
+CASE is a folder with `splats.ply`, and maybe more whose names begin so, `cameras.json` (the
+engine's camera path file) and, for each camera, the engine's picture `<name>.png`. Every camera is
+drawn with the objects as they are and with the objects turned, scaled and moved, the camera going
+with them, and with the picture as a part of wider windows: the picture must stay the same. One line
+per picture is printed, `<name> <pose> <PSNR>`, and written as `<name>-<pose>.npy` (H, W, 4), first
+row on top. Exit status 1 when a PSNR is below 35 dB, or in a wider window below 40 dB.
 """
 
 from __future__ import annotations
@@ -45,31 +45,34 @@ WINDOWS = {"wide": (1.5, 0.1, 1.0, 0.0), "high": (0.0, 1.0, 0.2, 2.0), "far": (4
 
 def main(folder: Path) -> bool:
     """Draw and compare everything in a case; whether all of it is similar enough."""
-    item = bpy.data.objects.new("splats", None)
-    bpy.context.scene.collection.objects.link(item)
-    item.roigs.kind, item.roigs.ply = "SPLATS", str(folder / "splats.ply")
+    items = []
+    for path in sorted(folder.glob("splats*.ply")):
+        item = bpy.data.objects.new(path.stem, None)
+        bpy.context.scene.collection.objects.link(item)
+        item.roigs.kind, item.roigs.ply = "SPLATS", str(path)
+        items.append(item)
     good = True
     for camera in json.loads((folder / "cameras.json").read_text(encoding="utf-8"))["cameras"]:
         wanted = load_png(folder / f"{camera['name']}.png")
         for name, pose in POSES.items():
-            item.matrix_world = pose
-            drawn = draw_camera(item, camera, pose)
+            drawn = draw_camera(items, camera, pose)
             quality = psnr(drawn[..., :3], wanted)
             good &= quality >= LEAST
             np.save(folder / f"{camera['name']}-{name}.npy", drawn)
             print(f"{camera['name']} {name} {quality:.2f}", flush=True)
         for name, beyond in WINDOWS.items():
-            quality = psnr(draw_window(item, camera, beyond)[..., :3], wanted)
+            quality = psnr(draw_window(items, camera, beyond)[..., :3], wanted)
             good &= quality >= LEAST_IN_WINDOW
             print(f"{camera['name']} {name} {quality:.2f}", flush=True)
     return good
 
 
 def draw_window(
-    item: bpy.types.Object, camera: dict, beyond: tuple[float, float, float, float]
+    items: list[bpy.types.Object], camera: dict, beyond: tuple[float, float, float, float]
 ) -> np.ndarray:
-    """(H, W, 4) of the object, which lies as it is, cut from a larger window."""
-    item.matrix_world = Matrix()
+    """(H, W, 4) of the objects, which lie as they are, cut from a larger window."""
+    for item in items:
+        item.matrix_world = Matrix()
     width, height = camera["width"], camera["height"]
     sides = (width, height, width, height)
     left, bottom, right, top = (round(a * b) for a, b in zip(beyond, sides, strict=True))
@@ -78,19 +81,21 @@ def draw_window(
     view = Matrix.Diagonal((1, -1, -1, 1)) @ Matrix(camera["world_to_camera"])
     frame = (float(left), float(bottom), float(left + width), float(bottom + height))
     size = whole["width"], whole["height"]
-    drawn = picture([item], view, perspective(whole, NEAR, FAR), *size, frame)
+    drawn = picture(items, view, perspective(whole, NEAR, FAR), *size, frame)
     return drawn[top : top + height, left : left + width]
 
 
-def draw_camera(item: bpy.types.Object, camera: dict, pose: Matrix) -> np.ndarray:
-    """(H, W, 4) of the object from a camera of its own frame."""
+def draw_camera(items: list[bpy.types.Object], camera: dict, pose: Matrix) -> np.ndarray:
+    """(H, W, 4) of the objects in a pose, from a camera of their own frame."""
+    for item in items:
+        item.matrix_world = pose
     # The camera goes with the object: what was w2c in the object's frame is w2c · pose⁻¹ in the
     # world, made rigid again by giving lengths the world's unit.
     scale = pose.to_scale()[0]
     to_camera = Matrix.Scale(scale, 4) @ Matrix(camera["world_to_camera"]) @ pose.inverted()
     view = Matrix.Diagonal((1, -1, -1, 1)) @ to_camera
     clip = perspective(camera, NEAR * scale, FAR * scale)
-    return picture([item], view, clip, camera["width"], camera["height"])
+    return picture(items, view, clip, camera["width"], camera["height"])
 
 
 if __name__ == "__main__":

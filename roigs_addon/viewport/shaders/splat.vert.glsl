@@ -67,6 +67,7 @@ void main()
   vec4 quat = TEXEL(geometry, 3u * index + 1u);
   vec4 size = TEXEL(geometry, 3u * index + 2u);
   int number = int(size.w);
+  bool antialiased = fract(size.w) > 0.0;
   vec3 mean = body.xyz;
   float opacity = body.w, density = OBJECT(number, 4).w;
   if (density < 1.0) {
@@ -116,7 +117,19 @@ void main()
     u = focal.x * rows[0];
     v = focal.y * rows[1];
   }
-  float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
+  float xx = dot(u, u), xy = dot(u, v), yy = dot(v, v);
+  if (antialiased) {
+    // Blurred, a Gaussian is larger, and as much fainter: by the root of the determinants' ratio.
+    // |u x v|^2 is that without the blur; xx * yy - xy * xy would cancel for needles.
+    vec3 area = cross(u, v);
+    float sharp = dot(area, area);
+    opacity *= sqrt(sharp / (sharp + BLUR * (xx + yy) + BLUR * BLUR));
+    if (!(opacity > ALPHA_MIN)) {
+      return;
+    }
+  }
+  xx += BLUR;
+  yy += BLUR;
 
   // Beyond this many standard deviations the Gaussian is fainter than ALPHA_MIN.
   float reach = sqrt(2.0 * log(opacity / ALPHA_MIN));

@@ -85,6 +85,7 @@ def test_several_settings(trained) -> None:
     ("name", "value", "expected"),
     [
         ("strategy", "independent", "boxes one by one"),
+        ("antialiased", False, "not anti-aliased"),
         ("steps_factor", 2.0, "2 x steps"),
         ("test_every", 4, "test photos: 1 in 4"),
         ("method", "fvs", "method fvs"),
@@ -98,6 +99,22 @@ def test_every_setting_that_decides(trained, name: str, value: object, expected:
     assert ("Train repeats the boxes (about 6 min)" in words(scene)) == (
         name in ("method", "count")
     )
+
+
+def test_a_training_before_there_was_anti_aliasing(trained) -> None:
+    scene, folder = trained
+    settings = json.loads((folder / "settings.json").read_text("utf-8"))
+    del settings["antialiased"]
+    (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
+    manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
+    manifest["config"]["roi"] = {"sh_degree": 3}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert words(scene) == (
+        "Trained with not anti-aliased; the settings now say anti-aliased: Train starts again"
+        " (about 10 min)"
+    )
+    scene.roigs.antialiased = False
+    assert words(scene) == ""
 
 
 def test_a_deleted_photo(blender: ModuleType, trained) -> None:

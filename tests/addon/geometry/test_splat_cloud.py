@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roigs_addon.geometry.splat_cloud import read_splats
-from roigs_engine.formats.splat_ply import write_ply
+from roigs_addon.geometry.splat_cloud import read_splats, write_splats
+from roigs_engine.formats.splat_ply import is_antialiased, write_ply
 from tests.addon.splat_cases import random_arrays, random_ply
 
 
@@ -28,8 +28,19 @@ def test_reads_what_the_engine_writes(tmp_path: Path, coefficients: int) -> None
     )
     quats = arrays["quats"] / np.linalg.norm(arrays["quats"], axis=1, keepdims=True)
     np.testing.assert_allclose(cloud.quats, quats, rtol=1e-6)
-    for values in vars(cloud).values():
-        assert values.dtype == np.float32
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        assert getattr(cloud, name).dtype == np.float32
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_a_file_says_whether_it_is_anti_aliased(tmp_path: Path, antialiased: bool) -> None:
+    arrays = random_arrays(9, seed=3)
+    arrays["quats"][4] = 0  # skipped
+    write_ply(tmp_path / "a.ply", arrays, antialiased=antialiased)
+    cloud = read_splats(tmp_path / "a.ply")
+    assert len(cloud) == 8 and cloud.antialiased is antialiased
+    write_splats(tmp_path / "b.ply", cloud)
+    assert is_antialiased(tmp_path / "b.ply") is antialiased
 
 
 def rewritten(path: Path, types: dict[str, str], drop: tuple[str, ...] = ()) -> Path:

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import read_ply
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply
 from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
@@ -60,6 +60,97 @@ def assert_rows(got: dict[str, np.ndarray], rows: object) -> None:
                 quats / np.linalg.norm(quats, axis=1)[:, None] for quats in (left, right)
             )
         np.testing.assert_allclose(left, right, atol=1e-4)
+
+
+@pytest.fixture
+def smooth(blender: ModuleType, run, background):
+    """An object with 20 anti-aliased Gaussians, selected; the other is not anti-aliased."""
+    path = random_ply(run[1] / "smooth.ply", 20, seed=5, antialiased=True)
+    from roigs_addon.scene import splats
+
+    item = splats.show_imported(run[0], path, "Smooth", in_model=True)
+    background.select_set(False)
+    item.select_set(True)
+    blender.context.view_layer.objects.active = item
+    blender.context.view_layer.update()
+    return item
+
+
+def file_is_antialiased(item) -> bool:
+    """Of the file that is drawn, rendered and exported for an object."""
+    from roigs_addon.scene import edits
+
+    edits.look_again(item)
+    return is_antialiased(edits.file_of(item))
+
+
+def test_edits_of_anti_aliased_gaussians_stay_so(
+    blender: ModuleType, smooth, background, tmp_path: Path
+) -> None:
+    from roigs_addon.scene.splat_attributes import cloud_of
+
+    assert cloud_of(smooth.data)[0].antialiased and not cloud_of(background.data)[0].antialiased
+    blender.ops.object.duplicate()
+    copy = blender.context.active_object
+    choose(blender, copy, range(5))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    assert len(drawn(copy)["means"]) == 15
+    choose(blender, background, range(5))
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    blender.ops.wm.save_as_mainfile(filepath=str(tmp_path / "edited.blend"))
+    blender.ops.wm.open_mainfile(filepath=str(tmp_path / "edited.blend"))
+    for name, expected in (("Smooth", True), ("Smooth.001", True), ("Background", False)):
+        assert file_is_antialiased(blender.data.objects[name]) is expected
+
+
+def test_without_their_file_they_are_still_anti_aliased(
+    blender: ModuleType, smooth, tmp_path: Path
+) -> None:
+    from roigs_addon.scene import edits
+
+    Path(smooth.roigs.ply).unlink()
+    assert file_is_antialiased(smooth)
+    assert edits.file_of(smooth) != smooth.roigs.ply and len(drawn(smooth)["means"]) == 20
+
+
+def test_parts_stay_anti_aliased(blender: ModuleType, smooth) -> None:
+    """Separate, and join again."""
+    from roigs_addon import viewport
+
+    choose(blender, smooth, range(12))
+    blender.ops.mesh.separate(type="SELECTED")
+    blender.ops.object.mode_set(mode="OBJECT")
+    part = next(i for i in blender.context.selected_objects if i != smooth)
+    assert file_is_antialiased(part) and file_is_antialiased(smooth)
+    blender.context.view_layer.objects.active = smooth
+    blender.ops.object.join()
+    assert file_is_antialiased(smooth) and len(drawn(smooth)["means"]) == 20
+    assert not viewport.problems()
+
+
+@pytest.mark.parametrize("into_smooth", [False, True])
+def test_joined_with_others_most_decide_and_the_panel_says_so(
+    blender: ModuleType, smooth, background, into_smooth: bool
+) -> None:
+    """There are 30 without anti-aliasing and 20 with it, whichever object is joined into."""
+    from roigs_addon import viewport
+
+    assert not viewport.problems()
+    item = smooth if into_smooth else background
+    background.select_set(True)
+    blender.context.view_layer.objects.active = item
+    blender.ops.object.join()
+    assert not file_is_antialiased(item) and len(drawn(item)["means"]) == 50
+    assert "with anti-aliasing and without. All are drawn without it" in viewport.problems()[""]
+    numbers = np.arange(50)
+    others = numbers < 30 if not into_smooth else numbers >= 20
+    choose(blender, item, numbers[others])
+    blender.ops.mesh.delete(type="VERT")
+    blender.ops.object.mode_set(mode="OBJECT")
+    assert file_is_antialiased(item) and len(drawn(item)["means"]) == 20
+    assert not viewport.problems()
 
 
 def test_untouched_gaussians_are_drawn_from_their_file(background) -> None:

@@ -77,7 +77,7 @@ def scene(blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path)
     for name in ("result", Path(BACKGROUND).stem, "rois/thing", "coarse/thing"):
         path = tmp_path / "run" / f"{name}.ply"
         path.parent.mkdir(parents=True, exist_ok=True)
-        random_ply(path, 20, seed=1)
+        random_ply(path, 20, seed=1, antialiased=name.startswith("rois"))
     made = ready(blender, project, tmp_path / "run")
     blender.ops.roigs.load_results()
     return made
@@ -205,6 +205,7 @@ def test_the_way_there_and_back_changes_nothing(
     again, _ = cloud_of(back.data)
     for name in ("means", "scales", "opacities", "sh"):
         assert_allclose(getattr(again, name), getattr(written, name), atol=1e-5)
+    assert cloud.antialiased and written.antialiased and again.antialiased
     assert made.hide_render and Path(back.roigs.ply).is_file()
 
 

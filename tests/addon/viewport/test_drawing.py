@@ -11,13 +11,14 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.addon.scenes import ROOT
-from tests.addon.splat_cases import random_arrays, random_ply
+from tests.addon.splat_cases import fine_ply, random_arrays, random_ply
 from tests.poses import look_at
 
 pytestmark = pytest.mark.blender
@@ -86,6 +87,50 @@ def test_the_viewport_draws_what_the_engine_draws(
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
     gaussians = Gaussians.load_ply(path)
     render_sequence(gaussians, load_camera_path(tmp_path / "cameras.json"), tmp_path)
+    assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
+
+
+def engine_picture(folder: Path, camera: dict, *plain: str) -> np.ndarray:
+    """(H, W, 3) uint8 that the engine makes of all PLYs of a folder in one picture.
+
+    Those named are drawn without anti-aliasing, whatever they say.
+    """
+    from roigs_engine.model.gaussians import Gaussians
+    from roigs_engine.model.scene import Camera
+    from roigs_engine.rasterize.image_files import to_uint8
+    from roigs_engine.rasterize.placed import PlacedModel, render_placed
+
+    models = []
+    for path in sorted(folder.glob("splats*.ply")):
+        gaussians, frame = Gaussians.load_framed(path)
+        if path.stem in plain:
+            gaussians = replace(gaussians, antialiased=False)
+        models.append(PlacedModel(gaussians=gaussians, frame=frame, matrix=np.eye(4)))
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    lens = Camera(**{name: camera[name] for name in names})
+    layer = render_placed(models, lens, np.array(camera["world_to_camera"]))
+    return to_uint8(layer.image * layer.alpha[..., None])
+
+
+@pytest.mark.parametrize("kinds", [{"splats": True}, {"splats-1": True, "splats-2": False}])
+def test_the_viewport_draws_with_anti_aliasing(
+    blender: str, tmp_path: Path, kinds: dict[str, bool]
+) -> None:
+    """One object, and one of each kind among each other."""
+    pytest.importorskip("torch")
+    from roigs_engine.rasterize.image_files import save_png
+
+    for seed, (name, antialiased) in enumerate(kinds.items()):
+        path = tmp_path / f"{name}.ply"
+        fine_ply(path, 800 // len(kinds), seed, antialiased=antialiased)
+    chosen = cameras()
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
+    for camera in chosen:
+        wanted = engine_picture(tmp_path, camera)
+        without = engine_picture(tmp_path, camera, *kinds)
+        error = np.square((wanted.astype(float) - without) / 255).mean()
+        assert -10 * np.log10(error) < 30, "no difference: nothing would be compared"
+        save_png(tmp_path / f"{camera['name']}.png", wanted)
     assert len(run(blender, "viewport_parity.py", tmp_path).splitlines()) >= 5 * len(chosen)
 
 

@@ -41,6 +41,14 @@ def test_every_gaussian_has_its_texels(clouds: list[SplatCloud]) -> None:
             assert not texels[held:].any()
 
 
+def test_each_gaussian_knows_whether_it_is_anti_aliased(tmp_path: Path) -> None:
+    clouds = [
+        read_splats(random_ply(tmp_path / f"{k}.ply", 4, antialiased=k in (0, 2))) for k in range(4)
+    ]
+    numbers = pack(clouds).geometry.reshape(-1, 4)[2 : 3 * 16 : 3, 3]
+    np.testing.assert_array_equal(numbers, np.repeat([0.5, 1, 2.5, 3], 4))
+
+
 @pytest.mark.parametrize(("coefficients", "texels"), [(1, 1), (4, 1), (9, 3), (16, 4)])
 def test_no_more_texels_than_the_colours_need(
     tmp_path: Path, coefficients: int, texels: int

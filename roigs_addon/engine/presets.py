@@ -1,0 +1,46 @@
+"""The presets and strategies of the engine, as Blender offers them. No bpy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .training_steps import PAPER, PRESET_STEPS
+
+PRESETS = (
+    ("draft", "Draft", f"{sum(PRESET_STEPS['draft']):,} steps: minutes on a CPU"),
+    ("standard", "Standard", f"{sum(PRESET_STEPS['standard']):,} steps"),
+    (
+        "paper",
+        "Paper",
+        f"{sum(PRESET_STEPS['paper']):,} steps, boxes one by one, photos chosen by the paper's"
+        " Gaussian process",
+    ),
+)
+STRATEGIES = (
+    ("joint", "All boxes together", "One stage refines all boxes within the whole scene"),
+    (
+        "independent",
+        "One by one (paper)",
+        "A model for each box, which then replaces the coarse one",
+    ),
+)
+PAPER_DEFAULTS = {"strategy": "independent", "method": "gp9", "antialiased": False}
+JOINT_DEFAULTS = {"strategy": "joint", "method": "coverage", "antialiased": True}
+
+
+def follow_preset(settings: Any, _: object = None) -> None:
+    """The paper's preset sets the paper's way; what the user chose stays.
+
+    Args:
+        settings: a scene's.
+    """
+    now_paper = settings.preset == PAPER
+    if now_paper == settings.is_paper:
+        return
+    settings.is_paper = now_paper
+    left, taken = JOINT_DEFAULTS, PAPER_DEFAULTS
+    if not now_paper:
+        left, taken = PAPER_DEFAULTS, JOINT_DEFAULTS
+    for name, value in taken.items():
+        if getattr(settings, name) == left[name]:
+            setattr(settings, name, value)
