@@ -82,7 +82,8 @@ def synthetic_gaussians(count: int, seed: int = 0) -> Gaussians:
 
 def trainable(count: int, device: torch.device | None = None) -> Gaussians:
     """`synthetic_gaussians` on a device, as leaves of autograd."""
-    tensors = synthetic_gaussians(count).to(device or torch.device("cpu")).tensors()
+    model = synthetic_gaussians(count).to(device or torch.device("cpu"))
+    tensors = model.tensors()
     return model.with_tensors({name: t.requires_grad_() for name, t in tensors.items()})
 
 
