@@ -21,6 +21,8 @@ NAME = "roigs-export"
 
 PAGE = ".html"
 NOTHING = "There is nothing to export: {}."
+PLAIN = (".glb", ".usdc", ".usda", ".usdz", ".splat")
+"""Formats that cannot say how Gaussians are drawn: the engine makes all of them plain."""
 MIXED = (
     "'{}' is drawn with anti-aliasing, '{}' without: one file cannot hold both. Export each kind by"
     " itself, with Selected Only."
@@ -54,7 +56,7 @@ def spec(
     items, why = _wanted(context, scene, selected=selected, visible=visible)
     leave_edit_mode(items)  # Blender keeps what was done in it to itself until then
     depsgraph = context.evaluated_depsgraph_get()
-    models = _models(items, depsgraph)
+    models = _models(items, depsgraph, path)
     if not models:
         raise AddonError(NOTHING.format(why))
     if not path.parent.is_dir():
@@ -88,8 +90,10 @@ def spec(
     )
 
 
-def _models(items: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[Model]:
-    """Those to export.
+def _models(
+    items: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, path: Path
+) -> list[Model]:
+    """Those to export to a file.
 
     Raises:
         AddonError: an edit cannot be written, or some are drawn with anti-aliasing and others not.
@@ -102,7 +106,7 @@ def _models(items: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> li
         if ply := edits.file_of(item):
             with suppress(EngineError):  # of a file that is missing, the engine says so
                 kinds.setdefault(splat_ply.is_antialiased(ply), item.name)
-    if len(kinds) > 1:
+    if len(kinds) > 1 and path.suffix.lower() not in PLAIN:
         raise AddonError(MIXED.format(kinds[True], kinds[False]))
     return models
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from ..errors import AddonError
 from ..geometry.splat_cloud import write_splats
 from ..properties import scene_props
 from ..scene import edits, lookup, point_edits, rois
-from ..scene.splat_attributes import antialiased_share, cloud_of, drawn
+from ..scene.splat_attributes import cloud_of, drawn
 from ..settings import get as preferences
 from ..shared import files
 from . import options_files, run_folders
@@ -48,9 +47,7 @@ def spec(context: bpy.types.Context, take: Callable[[Found], str]) -> JobSpec:
     folder = Path(bpy.app.tempdir)
     out = folder / f"{NAME}.npy"
     with writing(folder, "temporary folder in Blender's preferences"):
-        seen = point_edits.visible(context)
-        antialiased = _most_are_antialiased(seen)
-        judged = [_written(item, scene, folder, antialiased) for item in seen]
+        judged = [_written(item, scene, folder) for item in point_edits.visible(context)]
         listed, options = folder / f"{NAME}-models.json", folder / f"{NAME}.json"
         files.write_json(listed, {"models": [model for _, model in judged]}, durable=False)
         files.write_json(options, _options(scene, colmap, listed, out, folder), durable=False)
@@ -75,18 +72,8 @@ def _uid(item: bpy.types.Object) -> int:
     return int(mesh_of(item).session_uid)
 
 
-def _most_are_antialiased(items: list[bpy.types.Object]) -> bool:
-    """Whether most Gaussians are drawn with anti-aliasing: then all of them are judged so.
-
-    They are judged as one model, which is either. It matters little for what is visible.
-    """
-    meshes = [mesh_of(item) for item in items]
-    shares = [(antialiased_share(mesh), len(mesh.vertices)) for mesh in meshes]
-    return sum(share * count for share, count in shares) > sum(count for _, count in shares) / 2
-
-
 def _written(
-    item: bpy.types.Object, scene: bpy.types.Scene, folder: Path, antialiased: bool
+    item: bpy.types.Object, scene: bpy.types.Scene, folder: Path
 ) -> tuple[tuple[int, str], dict[str, Any]]:
     """The mesh and its state, and its Gaussians in a file with their place in the COLMAP frame."""
     mesh = mesh_of(item)
@@ -95,7 +82,7 @@ def _written(
         raise AddonError(f"'{item.name}' is no object of Gaussians any more. Import it again.")
     cloud, applied = found
     path = folder / f"{NAME}-{mesh.session_uid}.ply"
-    write_splats(path, replace(cloud, antialiased=antialiased))
+    write_splats(path, cloud)
     root = np.linalg.inv(lookup.matrix_world(scene_props(scene).root))
     matrix = root @ lookup.matrix_world(item) @ applied
     return (_uid(item), edits.state_of(mesh)), {"ply": str(path), "matrix": matrix.tolist()}

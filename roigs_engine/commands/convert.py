@@ -24,7 +24,7 @@ from .page_options import (
     refuse_page_options,
 )
 from .placed_models import HINT, photo_poses, placed_models
-from .plain_models import read_model, warn_of_antialiasing
+from .plain_models import photos_unknown, read_model
 from .streamed import STREAMED, write_streamed
 from .turning import shortened, turned, warn_of_axes
 from .values import PATH, integer
@@ -82,8 +82,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plain",
         action="store_true",
-        help="for viewers that draw without anti-aliasing: of a run's result, opacities become what"
-        " its photos show (formats that cannot say how Gaussians are drawn: always)",
+        help="for viewers without anti-aliasing: each Gaussian becomes as faint as it looks in the"
+        " photos, on average; always done for .glb, .usd and .splat. Needs a run's result in its"
+        " folder, or --scene",
     )
     add_roi_options(parser)
     add_page_options(parser)
@@ -93,10 +94,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the models, make them one, and write it."""
     from ..exchange import formats
 
-    refuse_page_options(args)
     if args.out.name == STREAMED:
+        refuse_page_options(args, plain=False)
         return write_streamed(args, console)
     target = formats.format_of(args.out)
+    plain = bool(args.plain) or not target.keeps_antialiased
+    refuse_page_options(args, plain=plain)
     listed = args.source.suffix.lower() == LIST
     home = np.eye(4) if listed else _home(args, args.source)
     before = args.from_up or ("-y" if listed else formats.format_of(args.source).up)
@@ -107,13 +110,12 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     elif not listed and args.from_up is None:
         warn_of_axes(args.source, before, console)
     from_home = matrix @ home.T
-    plain = bool(args.plain) or not target.keeps_antialiased
     if listed:
         arrays, antialiased, poses = _placed(args, matrix, plain=plain)
         there = len(arrays["means"])
     else:
         refuse_inputs([args.out], [args.source], OTHER)
-        whole, antialiased = read_model(args.source, plain=plain)
+        whole, antialiased = read_model(args.source, plain=plain, scene=args.page_scene)
         arrays = _cropped(whole, args, home)
         there = len(arrays["means"])
         console.context.check_cancelled()
@@ -121,8 +123,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     arrays = shortened(arrays, args)
     console.context.check_cancelled()
     if antialiased and plain:
-        antialiased = False
-        warn_of_antialiasing(target.title, console)
+        photos_unknown(target, console)
     if target.suffix == PAGE:
         known = None if listed or poses is None else from_home
         extras = page_extras(args, _before(args, target.up, known), from_home, poses)
@@ -202,7 +203,7 @@ def _placed(
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
     refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)], OTHER)
     names = dict.fromkeys(item.file for item in wanted)
-    models = {name: read_model(Path(name), plain=plain) for name in names}
+    models = {name: read_model(Path(name), plain=plain, scene=args.page_scene) for name in names}
     read = {name: Gaussians.framed(usable(arrays)) for name, (arrays, _) in models.items()}
     if not any(len(gaussians) for gaussians, _ in read.values()):
         raise ConfigError(f"{args.source} has no Gaussians.", "Give models that have some.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
+    from ..rasterize.placed import PlacedModel
 
 HELP = "find Gaussians that hang in the air, by the rule with which a training ends"
 EXAMPLES = """\
@@ -136,6 +138,18 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
             models.append(PlacedModel(gaussians=kept, frame=own, matrix=into @ item.matrix))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
-    model, own = merged(models)
+    model, own = merged(_alike(models))
     whole = Gaussians.from_arrays(model.arrays(own), antialiased=model.antialiased)
     return whole, np.concatenate(masks)
+
+
+def _alike(models: list[PlacedModel]) -> list[PlacedModel]:
+    """All with anti-aliasing or all without, as most Gaussians are drawn.
+
+    They are judged as one model, which is either; it matters little for what hides what.
+    """
+    counts = {True: 0, False: 0}
+    for model in models:
+        counts[model.gaussians.antialiased] += len(model.gaussians)
+    most = counts[True] > counts[False]
+    return [replace(m, gaussians=replace(m.gaussians, antialiased=most)) for m in models]

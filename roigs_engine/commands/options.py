@@ -247,7 +247,7 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
         "--antialiased",
         action=argparse.BooleanOptionalAction,
         help="draw fine Gaussians fainter from afar, not thicker: sharp near and far, but only in"
-        " viewers that know of it (default: not in `paper`)",
+        " viewers that know of it (default: on; off in `paper`)",
     )
 
 

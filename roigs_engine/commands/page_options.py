@@ -44,19 +44,28 @@ def add_page_options(parser: argparse.ArgumentParser) -> None:
         type=PATH,
         metavar="DIR",
         help="COLMAP project that IN was trained on: its photos tell which way is up, and from"
-        " where to look first (default: that of IN's run folder, if it has one)",
+        " where to look first (default: that of IN's run folder, if it has one); also for --plain",
     )
 
 
-def refuse_page_options(args: argparse.Namespace) -> None:
-    """Raise ConfigError if such an option is given for another format."""
-    names = ("title", "fly_to", "before", "page_scene")
+def refuse_page_options(args: argparse.Namespace, *, plain: bool) -> None:
+    """Raise ConfigError if such an option is given for another format.
+
+    Args:
+        args: of the command.
+        plain: whether OUT is for viewers without anti-aliasing, which needs the scene too.
+    """
+    names = ("title", "fly_to", "before", *(() if plain else ("page_scene",)))
     given = [name for name in names if getattr(args, name) is not None]
-    if given and args.out.suffix.lower() != SUFFIX:
-        option = f"--{given[0].removeprefix('page_').replace('_', '-')}"
-        raise ConfigError(
-            f"{option} is for web pages alone.", f"Leave it out, or let OUT end in {SUFFIX}."
-        )
+    if args.out.suffix.lower() != SUFFIX:
+        if given:
+            option = f"--{given[0].removeprefix('page_').replace('_', '-')}"
+            also = " and --plain" if given[0] == "page_scene" else ""
+            raise ConfigError(
+                f"{option} is for web pages{also} alone.",
+                f"Leave it out, or let OUT end in {SUFFIX}.",
+            )
+        return
     if args.page_scene is not None and args.from_up is not None:
         raise ConfigError("--scene and --from-up both say which way is up.", "Leave out one.")
 

@@ -82,9 +82,19 @@ def cameras_of_run(folder: Path, scene: Path | None, context: Context) -> SfmSce
     )
 
 
-def cameras_of_result(path: Path) -> SfmScene | None:
-    """The cameras that a PLY's run was trained with; None: it is no run's, or they are gone."""
+def cameras_of_result(path: Path, scene: Path | None = None) -> SfmScene | None:
+    """The cameras that a file's run was trained with; None: it is no run's, or they are gone.
+
+    Args:
+        path: of the file.
+        scene: where the scene is; None: where it was.
+
+    Raises:
+        SceneError: `scene` cannot be used.
+    """
     folder = _run_folder(path)
+    if scene is not None:
+        return cameras_of_run(folder or path.absolute().parent, scene, QUIET)
     if folder is None:
         return None
     with suppress(EngineError):

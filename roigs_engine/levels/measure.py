@@ -2,8 +2,8 @@
 
 The truth is the whole part drawn without aliasing, alone. A level does from where it is at least as
 near to that as the whole part itself is when it is drawn as viewers draw it, one sample per pixel,
-or so near that nobody sees a difference: an anti-aliased whole part is all but right from anywhere.
-From there on it looks no worse and costs less.
+or so near that nobody sees a difference: the whole part may be nearly right itself. From there on
+it looks no worse and costs less.
 """
 
 from __future__ import annotations

@@ -138,8 +138,14 @@ class RunConfig:
         return self.scene.steps + self.roi.steps
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; without `groups`, and without `blocks` if there is one."""
+        """Plain values for JSON; without `groups`, and without `blocks` if there is one.
+
+        Without anti-aliasing, the stages are what they were before there was any.
+        """
         record = dataclasses.asdict(self)
+        for stage in (record["scene"], record["roi"]):
+            if not stage["antialiased"]:
+                del stage["antialiased"]
         del record["groups"]  # the manifest has those that follow from the photos, too
         if self.blocks == 1:
             del record["blocks"]

@@ -58,7 +58,8 @@ def _head(run: Run, plan: Plan, context: Context) -> list[str]:
     if not all(image.digest for image in images):
         notes.append("a run decodes them first and leaves damaged ones out")
     lines = [
-        f"Plan of {run.folder}: preset {config.preset}, {config.strategy}, seed {config.seed}",
+        f"Plan of {run.folder}: preset {config.preset}, {config.strategy},"
+        f" {'anti-aliased' if config.roi.antialiased else 'not anti-aliased'}, seed {config.seed}",
         f"Photos: {count}, {len(run.train_scene.images)} to train on, {_held_out(run)}"
         + "".join(f"; {note}" for note in notes),
     ]

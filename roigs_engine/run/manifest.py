@@ -183,6 +183,10 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         before, now = (_groups_in_words(value) for value in (before, now))
     if name == "blocks":
         before, now = before or 1, now or 1
+    if name.endswith(".antialiased"):
+        return "anti-aliasing was {}, now {} (--antialiased, --no-antialiased)".format(
+            *("on" if value else "off" for value in (before, now))
+        )
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
 

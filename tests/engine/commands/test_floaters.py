@@ -14,6 +14,7 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands import floaters
 from roigs_engine.commands.placed_models import Placed
 from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import PosedImage
 from tests.engine.commands.command_line import BOX
@@ -98,3 +99,15 @@ def test_wrong_input_is_one_line(
     same = ["--model", str(tmp_path / "a.ply"), "--out", str(tmp_path / "a.ply")]
     assert main(["floaters", str(project.folder), *same]) == 2
     assert not (tmp_path / "o.npy").exists()
+
+
+@pytest.mark.parametrize("most", [False, True])
+def test_both_kinds_are_judged_as_most_are(tmp_path: Path, most: bool) -> None:
+    wanted = []
+    for antialiased in (False, True):
+        models = [cloud()] * (3 if antialiased == most else 1)
+        path = tmp_path / f"{antialiased}.ply"
+        replace(Gaussians.concatenate(models), antialiased=antialiased).save_ply(path)
+        wanted.append(Placed(str(path), np.eye(4), (1.0, 1.0, 1.0)))
+    model, rows = floaters._model(wanted, LocalFrame.world())
+    assert model.antialiased is most and len(rows) == 4 * len(cloud())

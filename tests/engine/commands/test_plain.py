@@ -15,6 +15,7 @@ from roigs_engine.commands.run_scene import cameras_of_result
 from roigs_engine.formats.splat_ply import is_antialiased
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.rasterize.view import render_view
+from tests.engine.commands.command_line import refused
 from tests.engine.synthetic_colmap import write_project
 
 WARNING = "too thick"
@@ -79,16 +80,36 @@ def test_formats_that_cannot_say_it_are_always_plain(
     assert WARNING not in capsys.readouterr().err
 
 
-def test_without_the_photos_nothing_changes_and_a_line_says_so(
+def test_without_the_photos_it_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The mark would be gone, and nothing made up for it."""
+    scene = json.loads((run / "settings.json").read_text())["scene"]
+    (run / "settings.json").unlink()
+    out = tmp_path / "out.ply"
+    assert "--scene" in refused(capsys, "convert", run / "result.ply", out, "--plain")
+    assert not out.exists()
+    kept = replace(Gaussians.load_ply(run / "result.ply"), antialiased=False)
+    (run / "settings.json").write_text(json.dumps({"scene": scene}))
+    copied = tmp_path / "other.ply"
+    copied.write_bytes((run / "result.ply").read_bytes())
+    for source in (run / "result.ply", copied):
+        assert main(["convert", str(source), str(out), "--plain", "--scene", scene]) == 0
+        assert error(run, Gaussians.load_ply(out)) < 0.3 * error(run, kept)
+
+
+def test_without_the_photos_other_formats_warn_once(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (run / "settings.json").unlink()
-    out = tmp_path / "out.ply"
-    assert main(["convert", str(run / "result.ply"), str(out), "--plain"]) == 0
-    assert not is_antialiased(out)
-    made, result = (Gaussians.load_ply(path) for path in (out, run / "result.ply"))
-    torch.testing.assert_close(made.logit_opacities, result.logit_opacities)
+    splat, back = tmp_path / "out.splat", tmp_path / "back.ply"
+    assert main(["convert", str(run / "result.ply"), str(splat)]) == 0
     assert capsys.readouterr().err.count(WARNING) == 1
+    assert main(["convert", str(splat), str(back)]) == 0
+    made, result = (Gaussians.load_ply(path) for path in (back, run / "result.ply"))
+    torch.testing.assert_close(
+        made.logit_opacities.sigmoid(), result.logit_opacities.sigmoid(), atol=0.01, rtol=0
+    )
 
 
 def test_a_model_that_is_plain_stays_as_it_is(run: Path, tmp_path: Path) -> None:

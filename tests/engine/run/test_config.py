@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from dataclasses import FrozenInstanceError, replace
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from roigs_engine.errors import ConfigError
 from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
+from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training.config import INTERVALS, TrainConfig, with_steps
 
@@ -220,3 +222,13 @@ def test_antialiasing_is_of_both_stages_or_of_none() -> None:
     assert config.scene.antialiased and config.roi.antialiased
     with pytest.raises(ConfigError, match="anti-aliasing"):
         replace(config, scene=replace(config.scene, antialiased=False))
+
+
+def test_manifests_from_before_antialiasing_are_those_without_it() -> None:
+    paper, draft = preset("paper").to_dict(), preset("draft").to_dict()
+    assert "antialiased" not in paper["scene"] and "antialiased" not in paper["roi"]
+    assert draft["scene"]["antialiased"] and draft["roi"]["antialiased"]
+    old = copy.deepcopy(draft)
+    del old["scene"]["antialiased"], old["roi"]["antialiased"]
+    told = manifest_difference({"config": old}, {"config": draft})
+    assert told == "anti-aliasing was off, now on (--antialiased, --no-antialiased)"
