@@ -271,7 +271,7 @@ def test_one_run_is_as_here(cluster: Any, table: Path, tmp_path: Path) -> None:
     there, here = map(contents, folders)
     assert there.pop("cluster.json") and there == here
     with start(*options, folders[0], "--cluster", cluster.address, "--seed", 9) as engine:
-        assert "--update" in engine.communicate(timeout=100)[1]  # another run is refused
+        assert "--update" in engine.communicate(timeout=200)[1]  # another run is refused
         assert engine.returncode == 2
 
 
