@@ -135,3 +135,22 @@ def largest_difference(value: Tensor | None, truth: Tensor | None) -> float:
     """max |value - truth|."""
     assert value is not None and truth is not None
     return float((value.detach().double() - truth.detach().double()).abs().max())
+
+
+def assert_matches(*, raw: bool, **options: Any) -> None:
+    """The kernels and the reference agree in all that they return, and in the gradients."""
+    ours, truth, errors = render_both(
+        gaussians(150, raw=raw, size=0.03, seed=1),
+        *cameras(61, 43),
+        61,
+        43,
+        raw=raw,
+        background=BACKGROUND,
+        with_max_weight=True,
+        **options,
+    )
+    assert torch.equal(ours.visible, truth.visible)
+    assert largest_difference(ours.image, truth.image) < 1e-4
+    assert largest_difference(ours.max_weight, truth.max_weight) < 1e-4
+    assert relative_error(ours.grad2d, truth.grad2d) < 1e-4
+    assert max(errors.values()) < 1e-4, errors

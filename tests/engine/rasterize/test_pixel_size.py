@@ -14,7 +14,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import rasterize
 from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
-    BACKGROUND,
+    assert_matches,
     cameras,
     dots_to_needles,
     gaussians,
@@ -80,21 +80,7 @@ def test_a_scene_is_drawn_nearly_as_its_average() -> None:
 @pytest.mark.parametrize("raw", [False, True])
 @pytest.mark.parametrize("pixel_size", [1.4, 2.0])
 def test_everything_matches(isa: str, raw: bool, pixel_size: float) -> None:
-    ours, truth, errors = render_both(
-        gaussians(150, raw=raw, size=0.03, seed=1),
-        *cameras(61, 43),
-        61,
-        43,
-        raw=raw,
-        background=BACKGROUND,
-        with_max_weight=True,
-        pixel_size=pixel_size,
-    )
-    assert torch.equal(ours.visible, truth.visible)
-    assert largest_difference(ours.image, truth.image) < 1e-4
-    assert largest_difference(ours.max_weight, truth.max_weight) < 1e-4
-    assert relative_error(ours.grad2d, truth.grad2d) < 1e-4
-    assert max(errors.values()) < 1e-4, errors
+    assert_matches(raw=raw, pixel_size=pixel_size)
 
 
 def test_shapes_from_dots_to_needles(isa: str) -> None:
