@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..selection.config import MAX_SEED, SelectionConfig
-from ..training.config import TrainConfig, miniature, with_steps
+from ..training.config import ADDED, TrainConfig, miniature, with_steps
 
 STRATEGIES = ("joint", "independent")
 INITS = ("scene", "points", "box")
@@ -140,12 +140,13 @@ class RunConfig:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; without `groups`, and without `blocks` if there is one.
 
-        Without anti-aliasing, the stages are what they were before there was any.
+        Without what was added later, the stages are what they were before.
         """
         record = dataclasses.asdict(self)
         for stage in (record["scene"], record["roi"]):
-            if not stage["antialiased"]:
-                del stage["antialiased"]
+            for name in ADDED:
+                if not stage[name]:
+                    del stage[name]
         del record["groups"]  # the manifest has those that follow from the photos, too
         if self.blocks == 1:
             del record["blocks"]

@@ -17,7 +17,7 @@ from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
 from ..model.territories import Territories
 from ..selection import CameraSelection
-from ..training.config import TrainConfig
+from ..training.config import ADDED, TrainConfig
 from ..training.photo_order import PhotoOrder
 
 CUTOUTS_VERSION = 2  # increase it if stages with cutouts get other results
@@ -134,7 +134,7 @@ class Stage:
         }
         objects = self._object_masks()
         record |= {"objects": objects} if objects else {}
-        for name in ("small_until", "whole_small_until", "lr_shN_measured", "antialiased"):
+        for name in ("small_until", "whole_small_until", "lr_shN_measured", *ADDED):
             if not record["config"][name]:  # such stages are what they were before there was one
                 del record["config"][name]
         if any(i.whole_size for i in (*self.images, *self.small_images)):

@@ -62,6 +62,7 @@ def joint_recipe(
             grad_threshold=scene_threshold,
             lr_means_final=middle,
             reset_every=0,  # a short stage does not recover from a reset: haze would stay
+            faint_growth=0.05,
             antialiased=True,
         ),
         roi=TrainConfig(
@@ -84,6 +85,7 @@ def joint_recipe(
             full_every=3,
             view_weighting=1.5,
             reset_every=0,
+            faint_growth=0.05,
             min_views=4,
             average_steps=roi_steps // 10,
             antialiased=True,

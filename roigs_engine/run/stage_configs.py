@@ -42,6 +42,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         lr_means_final=TrainConfig.lr_means_final,
         grad_threshold=TrainConfig.grad_threshold,
         reset_every=config.scene.reset_every or TrainConfig.reset_every,
+        faint_growth=0.0,
         antialiased=False,
     )
 
@@ -105,6 +106,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         small_until=0,
         whole_small_until=0,
         box_budget=0.0,
+        faint_growth=0.0,
         min_views=0,
         average_steps=steps // 2,
     )
@@ -181,6 +183,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         small_until=0,
         whole_small_until=0,
         box_budget=0.0,
+        faint_growth=0.0,
         average_steps=config.refine_steps // 2,
         antialiased=config.roi.antialiased,
     )

@@ -16,6 +16,9 @@ from .photo_order import is_whole
 # What `miniature` scales beside the steps.
 INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contribution_every")
 
+# Fields that records of settings leave out where they are off: these stages train as before them.
+ADDED = ("antialiased", "faint_growth")
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
@@ -53,6 +56,8 @@ class TrainConfig:
         prune_size: Gaussians above this share of the scene extent are removed at densification
             steps, after the first opacity reset.
         reset_every: steps between opacity resets to 0.01 during densification; 0: none.
+        faint_growth: when densification ends, the faintest Gaussians are removed, as long as the
+            photos' squared error grows by no more than this share (`faint.py`); 0: none are.
         contribution_every: shortest window, in steps. At the end of a window, Gaussians are removed
             if their alpha x T stayed below 1/255 on all its training pixels; 0: never.
         min_views: at its end, the stage removes floaters (`floaters/`); of these, Gaussians in
@@ -96,6 +101,7 @@ class TrainConfig:
     prune_opacity: float = 0.005
     prune_size: float = 0.1
     reset_every: int = 3000
+    faint_growth: float = 0.0
     contribution_every: int = 0
     min_views: int = 0
     small_until: int = 0
@@ -111,6 +117,8 @@ class TrainConfig:
                 "contribution_every needs steps that use whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
+        if self.faint_growth < 0:
+            raise ConfigError(f"faint_growth is {self.faint_growth:g}.", "Use 0 or more.")
         if not 0 <= self.view_weighting <= 2:
             raise ConfigError(
                 f"view_weighting is {self.view_weighting:g}.", "Use a number from 0 to 2."

@@ -26,6 +26,7 @@ from .config import TrainConfig
 from .cutouts import Cutout
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
+from .faint import PhotoErrors, faintest, visible_worth
 from .figures import Figures
 from .floaters import floaters
 from .health import CHECK_EVERY, Health
@@ -65,6 +66,7 @@ class Trainer:
         self._optimizer = self._new_optimizer()
         self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
+        self._faint_pruned = False
         self.health = Health([image.name for image in data.images])
         small = data.small if config.has_small else None
         self._small = None if small is None else PhotoViews(small, data.device, data.card_photos)
@@ -104,7 +106,7 @@ class Trainer:
         before, first = self.seconds, self.step
         cpu_started = time.process_time() - self.cpu_seconds
         while self.step < self.config.steps:
-            if context.should_stop():
+            if context.should_stop() or not self._without_faint(context):
                 break
             self.train_step()
             now = time.perf_counter()
@@ -296,6 +298,22 @@ class Trainer:
             self._parameters = _leaves(self._parameters.with_tensors(self._mean.mean()))
             self._mean.clear()
 
+    def _without_faint(self, context: Context) -> bool:
+        """Prune the faintest Gaussians if that is due; False if stopped, with nothing changed."""
+        growth, ended = self.config.faint_growth, 0 < self.config.densify_until <= self.step
+        if not growth or not ended or self._faint_pruned or self._taken_back(wait=True):
+            return True
+        data, model = self.data, self._parameters
+        errors = PhotoErrors(self._views(self.step), len(data.images), data.backgrounds, context)
+        try:
+            worth = visible_worth(model, data.images, context)
+            found = faintest(worth, lambda kept: errors(model.rows(kept)), growth)
+        except Stopped:
+            return False
+        self._prune(found)
+        self._faint_pruned = True
+        return True
+
     def _prune_floaters(self, context: Context) -> bool:
         """Prune floaters; False if stopped, with nothing changed."""
         began, cpu_began = time.perf_counter(), time.process_time()
@@ -304,11 +322,17 @@ class Trainer:
             found = floaters(self._parameters, data.images, data.rois, data.points, views, context)
         except Stopped:
             return False
-        if bool(found.any()):
-            self._apply(unchanged(self._parameters).keep((~found).nonzero()[:, 0]))
+        self._prune(found)
         self.seconds += time.perf_counter() - began
         self.cpu_seconds += time.process_time() - cpu_began
         return True
+
+    def _prune(self, found: Tensor) -> None:
+        """Remove Gaussians, (N,) bool."""
+        if bool(found.any()):
+            kept = (~found).nonzero()[:, 0]
+            self._density.follow(kept)
+            self._apply(unchanged(self._parameters).keep(kept))
 
     def _apply(self, edit: Edit) -> None:
         """Continue with the edited Gaussians and their optimizer state."""
@@ -355,6 +379,7 @@ class Trainer:
             "optimizer": self._optimizer.state_dict(),
             "mean": self._mean.state_dict(),
             "density": self._density.state_dict(),
+            "faint_pruned": self._faint_pruned,
         }
         return dict(on_device(state, CPU))
 
@@ -371,6 +396,7 @@ class Trainer:
         self._mean.load_state_dict(state["mean"])
         self._density = self._new_density(len(self._parameters))
         self._density.load_state_dict(state["density"])
+        self._faint_pruned = bool(state.get("faint_pruned"))  # None: an older checkpoint
 
 
 def _leaves(gaussians: Gaussians) -> Gaussians:

@@ -1,0 +1,204 @@
+"""Faint Gaussians go when densification ends, as many as the photos do not miss."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from roigs_engine.context import Context
+from roigs_engine.cuda.device import CPU
+from roigs_engine.errors import ConfigError, Stopped
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.rasterize.view import rasterize_view
+from roigs_engine.training import photo_order
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.faint import PhotoErrors, faintest, visible_worth
+from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.photo_views import PhotoViews
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
+from tests.engine.synthetic_scene import BOX, make_scene
+
+CONFIG = TrainConfig(
+    steps=60, densify_from=10, densify_until=40, densify_every=10, grad_threshold=1e-5,
+    faint_growth=0.1, antialiased=True,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def stage_data(scene: SfmScene) -> StageData:
+    rows = range(len(scene.images))
+    return StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=photo_order.shuffled(rows, 3),
+        extent=scene.extent(),
+        masks=RoiMasks(scene.images, [BOX], rows),
+    )
+
+
+def model_of(scene: SfmScene) -> Gaussians:
+    return Gaussians.from_points(scene.points, scene.colors)
+
+
+def with_idle(scene: SfmScene, count: int = 50) -> Gaussians:
+    """The model of the points, then Gaussians in it that are nearly transparent."""
+    model = model_of(scene)
+    idle = model.rows(torch.arange(count))
+    idle.logit_opacities[:] = -5.0
+    return Gaussians.concatenate([model, idle])
+
+
+def same_bits(a: Gaussians, b: Gaussians) -> bool:
+    return all(torch.equal(x, b.tensors()[name]) for name, x in a.tensors().items())
+
+
+def squares(dropped: Tensor) -> tuple[float, ...]:
+    """An error that grows by the dropped worth, from 100."""
+    return (100.0 + float(dropped),)
+
+
+@pytest.mark.parametrize("growth", [0.01, 0.1, 0.5])
+def test_as_many_go_as_the_error_allows(growth: float) -> None:
+    worth = torch.rand(2000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    found = faintest(worth, lambda kept: squares(worth[~kept].sum()), growth)
+    assert float(worth[~found].min()) >= float(worth[found].max())
+    gone = float(worth[found].sum())
+    assert gone <= 100.0 * growth
+    three_percent = worth.sort().values[: int(found.sum()) + 60].sum()
+    assert float(three_percent) > 100.0 * growth
+
+
+def test_each_error_counts() -> None:
+    worth = torch.arange(1, 101, dtype=torch.float64)
+
+    def errors(kept: Tensor) -> tuple[float, ...]:
+        return 1.0, 1.0 if bool(kept[:20].all()) else 2.0
+
+    assert not faintest(worth, errors, 0.1).any()
+
+
+def test_what_no_photo_shows_stays() -> None:
+    worth = torch.tensor([0.0, 0.0, 1.0, 2.0, 3.0, 0.0], dtype=torch.float64)
+    found = faintest(worth, lambda kept: (1.0,), 0.1)
+    assert found.tolist() == [False, False, True, True, False, False]
+
+
+def test_worth_is_low_for_what_is_faint_or_hidden(scene: SfmScene) -> None:
+    model = with_idle(scene)
+    outside = model.rows(torch.arange(1))
+    outside.means[:] = 1e4
+    worth = visible_worth(Gaussians.concatenate([model, outside]), scene.images)
+    solid, idle = worth[:-51], worth[-51:-1]
+    assert worth[-1] == 0
+    assert 0 < idle.median() < 0.01 * solid.median()
+
+
+def test_errors_are_those_of_the_photos(scene: SfmScene) -> None:
+    """On all pixels, and on those of the boxes' masks alone."""
+    data, model = stage_data(scene), model_of(scene)
+    squares, inside = [], []
+    for index, image in enumerate(scene.images):
+        drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
+        difference = (drawn - data.photos[index] / 255).square().mean(dim=-1)
+        squares.append(difference.flatten())
+        mask = data.masks[index]
+        inside += [difference[mask.pixels]] if mask is not None else []
+    views = PhotoViews(data, CPU, None)
+    whole, masks = PhotoErrors(views, len(data.images), None)(model)
+    assert whole == pytest.approx(float(torch.cat(squares).mean()), rel=1e-4)
+    assert masks == pytest.approx(float(torch.cat(inside).mean()), rel=1e-4)
+    plain = PhotoViews(replace(data, masks=None), CPU, None)
+    assert PhotoErrors(plain, len(data.images), None)(model) == (whole,)
+
+
+def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
+    image = scene.images[0]
+    width, height = image.camera.width, image.camera.height
+    photo = np.random.default_rng(0).integers(0, 255, (height, width, 4), dtype=np.uint8)
+    photo[..., 3] = 0
+    photo[:5, :, 3] = 255
+
+    class Photos:
+        def __getitem__(self, index: int) -> np.ndarray:
+            return photo
+
+    data = replace(stage_data(scene), images=[image], photos=Photos(), masks=None)
+    model = model_of(scene)
+    drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
+    expected = (drawn[:5] - torch.from_numpy(photo[:5, :, :3]) / 255).square().mean()
+    (error,) = PhotoErrors(PhotoViews(data, CPU, None), 1, None)(model)
+    assert error == pytest.approx(float(expected), rel=1e-4)
+
+
+class Sizes:
+    """Notes the number of Gaussians after each step, in place of a callback."""
+
+    def __init__(self, trainer: Trainer) -> None:
+        self.trainer, self.after = trainer, {}
+
+    def call_if_due(self, seconds: float) -> float:
+        self.after[self.trainer.step] = len(self.trainer.gaussians)
+        return 0.0
+
+
+def test_a_stage_prunes_once_when_densification_ends(scene: SfmScene) -> None:
+    ends = CONFIG.densify_until
+    left = {}
+    for growth in (0.0, 0.1):
+        config = replace(CONFIG, faint_growth=growth)
+        trainer = Trainer(with_idle(scene), stage_data(scene), config)
+        sizes = Sizes(trainer)
+        trainer.run(callbacks=[sizes])
+        assert len({size for step, size in sizes.after.items() if step > ends}) == 1
+        left[growth] = sizes.after
+    assert left[0.0][ends] == left[0.1][ends]
+    assert left[0.1][ends + 1] < 0.95 * left[0.0][ends + 1]
+
+
+def test_stopped_meanwhile_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
+    model, data = with_idle(scene), stage_data(scene)
+    whole = Trainer(model, data, CONFIG)
+    whole.run()
+    for asked in (CONFIG.densify_until + 1, CONFIG.densify_until + 5, CONFIG.densify_until + 40):
+        left = iter(range(asked))
+        stopped = Trainer(model, data, CONFIG)
+        assert not stopped.run(Context(should_stop=lambda left=left: next(left, None) is None))
+        state = stopped.state_dict()
+        resumed = Trainer(Gaussians(**state["parameters"]), data, CONFIG)
+        resumed.load_state_dict(state)
+        assert resumed.run()
+        assert same_bits(resumed.gaussians, whole.gaussians), asked
+
+
+def test_an_older_checkpoint_goes_on(scene: SfmScene) -> None:
+    config = replace(CONFIG, faint_growth=0.0)
+    trainer = Trainer(model_of(scene), stage_data(scene), config)
+    trainer.train_step()
+    state = deepcopy(trainer.state_dict())
+    del state["faint_pruned"]
+    resumed = Trainer(model_of(scene), stage_data(scene), config)
+    resumed.load_state_dict(state)
+    assert resumed.run() and trainer.run()
+    assert same_bits(resumed.gaussians, trainer.gaussians)
+
+
+def test_looking_for_them_can_be_stopped(scene: SfmScene) -> None:
+    with pytest.raises(Stopped):
+        visible_worth(model_of(scene), scene.images, Context(should_stop=lambda: True))
+
+
+def test_a_negative_growth_is_refused() -> None:
+    with pytest.raises(ConfigError, match="faint_growth"):
+        TrainConfig(steps=1, faint_growth=-0.1)
