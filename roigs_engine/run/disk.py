@@ -17,11 +17,11 @@ OUTPUTS = 4  # times a model: whole, without boxes, the boxes' Gaussians, a prev
 
 def disk_space(run: Run, expected: Forecast) -> Message:
     """What the run will write at most; a warning if less is free."""
-    missing = [stage.whole.end for stage in expected.stages if not stage.is_done]
+    missing = [stage.whole for stage in expected.stages if not stage.is_done]
     distorted = missing_in(run.folder / CACHE, run.scene.images)
     needed = PER_PIXEL * sum(image.camera.width * image.camera.height for image in distorted)
     if missing:
-        largest = max(missing)
-        needed += PER_STATE * CHECKPOINTS * largest
-        needed += PER_GAUSSIAN * (sum(missing) + OUTPUTS * largest)
+        ends = [stage.end for stage in missing]
+        needed += PER_STATE * CHECKPOINTS * max(stage.most for stage in missing)
+        needed += PER_GAUSSIAN * (sum(ends) + OUTPUTS * max(ends))
     return disk_message(needed, run.folder)

@@ -42,12 +42,13 @@ class StageEstimate:
     """The estimate of one stage.
 
     Attributes:
-        end: number of Gaussians at the end.
+        end, most: number of Gaussians at the end, and the largest before.
         seconds: training time.
         step_seconds: time of a step at the end.
     """
 
     end: int
+    most: int
     seconds: float
     step_seconds: float
 
@@ -67,22 +68,22 @@ class Estimator:
     def estimate(self, stage: Stage, start: int) -> StageEstimate:
         """The estimate of a stage that starts with `start` Gaussians."""
         counts = expected_counts(stage, start, self._share_in_boxes(stage))
-        end = counts[-1]
-        seconds = small = self._line(stage, stage.images, start, end)
+        end, most = counts[-1], max(counts)
+        seconds = small = self._line(stage, stage.images, start, most)
         if stage.small_images:
-            small = self._line(stage, stage.small_images, start, end)
+            small = self._line(stage, stage.small_images, start, most)
         config = stage.config
         total = sum(
             (small if config.is_small(step) else seconds)(count)
             for step, count in enumerate(counts)
         )
-        return StageEstimate(end=end, seconds=total, step_seconds=seconds(end))
+        return StageEstimate(end=end, most=most, seconds=total, step_seconds=seconds(end))
 
     def _line(
-        self, stage: Stage, images: Sequence[PosedImage], start: int, end: int
+        self, stage: Stage, images: Sequence[PosedImage], start: int, most: int
     ) -> Callable[[int], float]:
         """Number of Gaussians -> seconds of a step on such photos."""
-        few, many = min(start, MOST_MEASURED), min(end, MOST_MEASURED)
+        few, many = min(start, MOST_MEASURED), min(most, MOST_MEASURED)
         low, high = self._step_seconds(stage, images, few, many)
         slope = (high - low) / (many - few) if many > few else high / max(few, 1)
         return lambda count: low + slope * (count - few)
@@ -166,12 +167,13 @@ def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int
         speed = TRAINED * TrainConfig.grad_threshold / outside if outside else 0.0
         rest = 1 - share
         parts.append(_Growing(start * rest, max(1.0, HALF * rest), math.inf, speed))
+    prunes = config.faint_growth and config.densify_from < config.densify_until < config.steps
     for step in range(1, config.steps + 1):
         due = config.densify_from <= step < config.densify_until
         if due and step % config.densify_every == 0:
             for part in parts:
                 part.grow()
-        if config.faint_growth and step == config.densify_until:
+        if prunes and step == config.densify_until:
             for part in parts:
                 part.count *= 1 - FAINT
         counts.append(round(sum(part.count for part in parts)))

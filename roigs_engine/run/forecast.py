@@ -118,7 +118,9 @@ def _forecast(run: Run, plan: Plan, statuses: Sequence[StageStatus], context: Co
         else:
             result = status.result
             each = result.seconds / max(stage.config.steps, 1)
-            whole = StageEstimate(end=result.count, seconds=result.seconds, step_seconds=each)
+            whole = StageEstimate(
+                end=result.count, most=result.count, seconds=result.seconds, step_seconds=each
+            )
         ends[stage.name] = whole.end
         stages.append(StageForecast(stage=stage, status=status, whole=whole))
     return Forecast(

@@ -187,6 +187,10 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return "anti-aliasing was {}, now {} (--antialiased, --no-antialiased)".format(
             *("on" if value else "off" for value in (before, now))
         )
+    if name.endswith(".faint_growth"):
+        return "faint Gaussians were {}, now they are {}".format(
+            *("removed" if value else "kept" for value in (before, now))
+        )
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
 

@@ -9,6 +9,7 @@ many there are: that differs from scene to scene (docs/lab_notebook.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,13 +20,14 @@ from ..cuda.device import CPU
 from ..cuda.library import has_blending_weights
 from ..cuda.sending import sent
 from ..model.gaussians import Gaussians
+from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..rasterize import rasterize
 from ..rasterize.view import rasterize_view
 from .masks import split_mask
 from .photo_views import PhotoViews
 
-PROBES = 24  # photos that are asked, evenly spaced in the stage's
+WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a box
 MOST = 0.9  # share of the Gaussians that may go
 HALVINGS = 5  # of that range: to 3 % of the Gaussians
 
@@ -70,49 +72,78 @@ class PhotoErrors:
 
     Args:
         views: the photos.
-        count: of the photos.
-        backgrounds: (count, 3) colours behind everything; None: black.
+        rois: each box is judged apart, on photos that see it: a small one that few photos show
+            would not be missed in the whole.
+        backgrounds: (photos, 3) colours behind everything; None: black.
         context: checked for cancellation between photos.
     """
 
     def __init__(
-        self, views: PhotoViews, count: int, backgrounds: Tensor | None, context: Context = QUIET
+        self,
+        views: PhotoViews,
+        rois: Sequence[OrientedBox],
+        backgrounds: Tensor | None,
+        context: Context = QUIET,
     ) -> None:
-        self._views, self._backgrounds, self._context = views, backgrounds, context
-        places = np.linspace(0, count - 1, min(PROBES, count)).round()
-        self._photos = [int(place) for place in places]
+        self._views, self._rois = views, rois
+        self._backgrounds, self._context = backgrounds, context
+        self._whole = _spread(range(len(views.images)), WHOLE)
+        self._seeing = [
+            _spread([k for k, image in enumerate(views.images) if _sees(image, roi)], EACH)
+            for roi in rois
+        ]
 
     @torch.no_grad()
     def __call__(self, gaussians: Gaussians) -> Errors:
-        """The error on all pixels that count, and that on the pixels of the boxes' masks.
+        """The error on whole photos, then that on each box's silhouette.
 
-        The second is left out where no photo has a mask.
+        Only pixels that count; what has none is left out.
         """
-        sums = {"whole": [0.0, 0.0], "masks": [0.0, 0.0]}
-        for index in self._photos:
+        sums = np.zeros((1 + len(self._rois), 2))
+        for index in sorted(self._whole.union(*self._seeing)):
             self._context.check_cancelled()
             squares, counted = self._squares(gaussians, index)
-            mask = self._views.mask(index)
-            parts = {"whole": counted}
-            if mask is not None:
-                parts["masks"] = counted & sent(mask.pixels, counted.device)
-            for part, pixels in parts.items():
-                sums[part][0] += float(squares[pixels].sum(dtype=torch.float64))
-                sums[part][1] += float(pixels.sum())
-        return tuple(error / pixels for error, pixels in sums.values() if pixels)
+            parts = [(0, counted)] if index in self._whole else []
+            for box, seeing in enumerate(self._seeing, start=1):
+                if index in seeing:
+                    silhouette = sent(self._silhouette(index, box - 1), counted.device)
+                    parts.append((box, counted & silhouette))
+            for part, pixels in parts:
+                sums[part] += float(squares[pixels].sum(dtype=torch.float64)), float(pixels.sum())
+        return tuple(float(error / pixels) for error, pixels in sums if pixels)
+
+    def _silhouette(self, index: int, box: int) -> Tensor:
+        image = self._views.images[index]
+        return torch.from_numpy(self._rois[box].silhouette(image.camera, image.world_to_camera))
 
     def _squares(self, gaussians: Gaussians, index: int) -> tuple[Tensor, Tensor]:
         """(H, W) squared errors, and (H, W) bool: which pixels count."""
         photo, counted = split_mask(self._views.photo(index))
+        options: dict[str, Any] = self._views.view(index)._asdict()
+        if self._backgrounds is not None:
+            options["background"] = self._backgrounds[index]
         output = rasterize(
-            *gaussians.tensors().values(),
-            **self._views.view(index)._asdict(),
+            gaussians.means,
+            gaussians.quats,
+            gaussians.log_scales,
+            gaussians.logit_opacities,
+            gaussians.sh,
             raw=True,
             antialiased=gaussians.antialiased,
-            background=None if self._backgrounds is None else self._backgrounds[index],
+            **options,
         )
         squares = (output.image[0] - photo / 255.0).square().mean(dim=-1)
         return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
+
+
+def _spread(photos: Sequence[int], most: int) -> frozenset[int]:
+    """At most so many of these photos, evenly spaced."""
+    places = np.linspace(0, len(photos) - 1, min(most, len(photos))).round()
+    return frozenset(photos[int(place)] for place in places)
+
+
+def _sees(image: PosedImage, roi: OrientedBox) -> bool:
+    return roi.projected_area(image.camera, image.world_to_camera) > 0
 
 
 def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -> Tensor:
@@ -120,7 +151,7 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
 
     Args:
         worth: (N,) of each.
-        errors: of the model with some of its rows, (N,) bool.
+        errors: of the model with some of its rows, (N,) bool; where there are none, none go.
         growth: largest growth of any of these errors, as a share of it.
     """
     order = worth.argsort(stable=True)
@@ -132,7 +163,7 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
         return found
 
     before = errors(~least(0.0))
-    few, many = 0.0, MOST
+    few, many = 0.0, MOST if before else 0.0
     for _ in range(HALVINGS):
         share = (few + many) / 2
         after = errors(~least(share))

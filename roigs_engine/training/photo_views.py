@@ -29,6 +29,8 @@ class View(NamedTuple):
 class PhotoViews:
     """The photos of a stage in one size.
 
+    Attributes: `images`: with the cameras of that size.
+
     Args:
         of: the photos, in their size.
         device: that trains.
@@ -36,6 +38,7 @@ class PhotoViews:
     """
 
     def __init__(self, of: StageData | SmallPhotos, device: torch.device, room: int | None) -> None:
+        self.images = of.images
         self._sizes = [(image.camera.width, image.camera.height) for image in of.images]
         self._photos = photos_on(device, of.photos, room)
         self._viewmats, self._intrinsics = camera_tensors(of.images, device)

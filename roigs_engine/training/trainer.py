@@ -89,9 +89,11 @@ class Trainer:
     ) -> bool:
         """Train to the config's last step, then prune floaters; False if stopped earlier.
 
+        Between two steps, when densification has ended, it prunes faint Gaussians.
+
         Args:
             context: receives progress events, at most two per second; checked for cancellation
-                before every step.
+                before every step, and while it prunes.
             stage: the stage's name in progress events.
             callbacks: called between steps to write checkpoints and previews.
         """
@@ -300,18 +302,23 @@ class Trainer:
 
     def _without_faint(self, context: Context) -> bool:
         """Prune the faintest Gaussians if that is due; False if stopped, with nothing changed."""
-        growth, ended = self.config.faint_growth, 0 < self.config.densify_until <= self.step
-        if not growth or not ended or self._faint_pruned or self._taken_back(wait=True):
+        config, data, model = self.config, self.data, self._parameters
+        ended = config.densify_from < config.densify_until <= self.step
+        if not config.faint_growth or not ended or self._faint_pruned:
             return True
-        data, model = self.data, self._parameters
-        errors = PhotoErrors(self._views(self.step), len(data.images), data.backgrounds, context)
+        if self._taken_back(wait=True):
+            return True
+        self._steps_before = self._optimizer.step_count  # if memory is full, nothing has changed
+        rois = () if data.masks is None else data.rois
         try:
+            errors = PhotoErrors(self._views(self.step), rois, data.backgrounds, context)
             worth = visible_worth(model, data.images, context)
-            found = faintest(worth, lambda kept: errors(model.rows(kept)), growth)
+            found = faintest(worth, lambda kept: errors(model.rows(kept)), config.faint_growth)
         except Stopped:
             return False
+        self._steps_before = -1  # from here on, half of the state may have changed
         self._prune(found)
-        self._faint_pruned = True
+        self._faint_pruned, self._steps_before = True, self._optimizer.step_count
         return True
 
     def _prune_floaters(self, context: Context) -> bool:

@@ -232,3 +232,12 @@ def test_manifests_from_before_antialiasing_are_those_without_it() -> None:
     del old["scene"]["antialiased"], old["roi"]["antialiased"]
     told = manifest_difference({"config": old}, {"config": draft})
     assert told == "anti-aliasing was off, now on (--antialiased, --no-antialiased)"
+
+
+def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
+    paper, draft = preset("paper").to_dict(), preset("draft").to_dict()
+    assert "faint_growth" not in paper["scene"] and "faint_growth" not in paper["roi"]
+    old = copy.deepcopy(draft)
+    del old["scene"]["faint_growth"], old["roi"]["faint_growth"]
+    told = manifest_difference({"config": old}, {"config": draft})
+    assert told == "faint Gaussians were kept, now they are removed"

@@ -23,6 +23,7 @@ from roigs_engine.run.dry_run import describe_plan
 from roigs_engine.run.estimate import MOST_MEASURED, Estimator, expected_counts, model_of_size
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.plan import Stage
+from roigs_engine.run.presets import preset
 from roigs_engine.run.strategies import plan_run
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -137,6 +138,24 @@ def test_expected_counts_follow_the_schedule(scene: SfmScene, tmp_path: Path) ->
         assert len(set(counts[ends - 1 :])) == 1
         largest = max(counts)
         assert (counts[-1] < 0.8 * largest) if stage.config.faint_growth else counts[-1] == largest
+
+
+def test_a_stage_that_shrinks_is_timed_at_its_largest(scene: SfmScene, tmp_path: Path) -> None:
+    run = define_run(tmp_path, scene, [BOX], preset("draft"))
+    for stage in plan_run(run, ()).stages:
+        estimator = Estimator(scene)
+        asked = []
+
+        def measured(stage: Stage, images: object, count: int, asked: list[int] = asked) -> float:
+            asked.append(count)
+            return 1e-3 * count
+
+        estimator._measured = measured  # type: ignore[method-assign]
+        found = estimator.estimate(stage, 1000)
+        counts = expected_counts(stage, 1000, estimator._share_in_boxes(stage))
+        assert (found.end, found.most) == (counts[-1], max(counts))
+        assert found.end < found.most == max(asked)
+        assert found.seconds == pytest.approx(1e-3 * sum(counts))
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0, 2.7])

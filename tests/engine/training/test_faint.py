@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 
@@ -14,12 +15,13 @@ from roigs_engine.context import Context
 from roigs_engine.cuda.device import CPU
 from roigs_engine.errors import ConfigError, Stopped
 from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize.view import rasterize_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.faint import PhotoErrors, faintest, visible_worth
+from roigs_engine.training.faint import EACH, WHOLE, PhotoErrors, faintest, visible_worth
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.photo_views import PhotoViews
 from roigs_engine.training.stage_data import StageData
@@ -105,22 +107,42 @@ def test_worth_is_low_for_what_is_faint_or_hidden(scene: SfmScene) -> None:
     assert 0 < idle.median() < 0.01 * solid.median()
 
 
+def errors_of(data: StageData, rois: Sequence[OrientedBox] = ()) -> PhotoErrors:
+    return PhotoErrors(PhotoViews(data, CPU, None), rois, None)
+
+
 def test_errors_are_those_of_the_photos(scene: SfmScene) -> None:
-    """On all pixels, and on those of the boxes' masks alone."""
-    data, model = stage_data(scene), model_of(scene)
-    squares, inside = [], []
-    for index, image in enumerate(scene.images):
+    """On all pixels of some photos, and on each box's in some photos that see it."""
+    some = replace(scene, images=scene.images[: min(WHOLE, EACH)])
+    data, model = stage_data(some), model_of(scene)
+    small = OrientedBox.axis_aligned("small", [-0.1, -0.1, -0.1], [0.1, 0.1, 0.1])
+    behind = OrientedBox.axis_aligned("behind", [1e4, 0, 0], [1e4 + 1, 1, 1])
+    squares: list[list[Tensor]] = [[], [], []]
+    for index, image in enumerate(some.images):
         drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
-        difference = (drawn - data.photos[index] / 255).square().mean(dim=-1)
-        squares.append(difference.flatten())
-        mask = data.masks[index]
-        inside += [difference[mask.pixels]] if mask is not None else []
-    views = PhotoViews(data, CPU, None)
-    whole, masks = PhotoErrors(views, len(data.images), None)(model)
-    assert whole == pytest.approx(float(torch.cat(squares).mean()), rel=1e-4)
-    assert masks == pytest.approx(float(torch.cat(inside).mean()), rel=1e-4)
-    plain = PhotoViews(replace(data, masks=None), CPU, None)
-    assert PhotoErrors(plain, len(data.images), None)(model) == (whole,)
+        difference = (drawn - torch.from_numpy(data.photos[index]) / 255).square().mean(dim=-1)
+        squares[0].append(difference.flatten())
+        for place, box in ((1, BOX), (2, small)):
+            pixels = box.silhouette(image.camera, image.world_to_camera)
+            squares[place].append(difference[torch.from_numpy(pixels)])
+    found = errors_of(data, [BOX, behind, small])(model)
+    assert found == pytest.approx([float(torch.cat(part).mean()) for part in squares], rel=1e-4)
+    assert errors_of(data)(model) == found[:1]
+
+
+def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
+    """Its photos need not be among those that stand for the whole."""
+    images = list(scene.images[:1]) * 60
+    images[31] = scene.images[3]  # looks from the side
+    pose = images[0].world_to_camera
+    beside = np.linalg.inv(pose) @ [40.0, 0.0, 10.0, 1.0]  # out of the first photo's sight
+    there = np.linalg.inv(images[31].world_to_camera) @ [0.0, 0.0, 0.3, 1.0]
+    for place, errors in ((beside, 1), (there, 2)):
+        box = OrientedBox.axis_aligned("box", place[:3] - 0.02, place[:3] + 0.02)
+        seen = [box.projected_area(i.camera, i.world_to_camera) > 0 for i in images]
+        assert sum(seen) == errors - 1
+        data = replace(stage_data(scene), images=images, photos=PhotoCache(images), masks=None)
+        assert len(errors_of(data, [box])(model_of(scene))) == errors
 
 
 def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
@@ -138,8 +160,37 @@ def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
     model = model_of(scene)
     drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
     expected = (drawn[:5] - torch.from_numpy(photo[:5, :, :3]) / 255).square().mean()
-    (error,) = PhotoErrors(PhotoViews(data, CPU, None), 1, None)(model)
-    assert error == pytest.approx(float(expected), rel=1e-4)
+    assert errors_of(data)(model) == pytest.approx((float(expected),), rel=1e-4)
+    photo[..., 3] = 0
+    assert errors_of(data)(model) == ()
+
+
+def test_without_anything_to_judge_by_all_stay() -> None:
+    worth = torch.arange(1, 101, dtype=torch.float64)
+    assert not faintest(worth, lambda kept: (), 0.1).any()
+
+
+def test_nothing_is_pruned_where_nothing_was_added(scene: SfmScene) -> None:
+    """A few steps: the photos can judge nothing yet."""
+    for begin, until in ((40, 40), (50, 40), (0, 0), (10, 60)):
+        config = replace(CONFIG, densify_from=begin, densify_until=until, grad_threshold=1e9)
+        config = replace(config, prune_opacity=0.0, reset_every=0)
+        trainer = Trainer(with_idle(scene), stage_data(scene), config)
+        assert trainer.run()
+        assert len(trainer.gaussians) == len(with_idle(scene))
+
+
+def test_a_full_memory_while_it_looks_has_changed_nothing(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: object) -> Tensor:
+        raise MemoryError
+
+    monkeypatch.setattr("roigs_engine.training.trainer.visible_worth", full)
+    trainer = Trainer(model_of(scene), stage_data(scene), CONFIG)
+    with pytest.raises(MemoryError):
+        trainer.run()
+    assert trainer.step == CONFIG.densify_until and trainer.is_between_steps
 
 
 class Sizes:
