@@ -167,13 +167,12 @@ def expected_counts(stage: Stage, start: int, share_in_boxes: float) -> list[int
         speed = TRAINED * TrainConfig.grad_threshold / outside if outside else 0.0
         rest = 1 - share
         parts.append(_Growing(start * rest, max(1.0, HALF * rest), math.inf, speed))
-    prunes = config.faint_growth and config.densify_from < config.densify_until < config.steps
     for step in range(1, config.steps + 1):
         due = config.densify_from <= step < config.densify_until
         if due and step % config.densify_every == 0:
             for part in parts:
                 part.grow()
-        if prunes and step == config.densify_until:
+        if config.prunes_faint and step == config.densify_until:
             for part in parts:
                 part.count *= 1 - FAINT
         counts.append(round(sum(part.count for part in parts)))

@@ -16,6 +16,8 @@ from .photo_order import is_whole
 # What `miniature` scales beside the steps.
 INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contribution_every")
 
+AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
+
 # Fields that records of settings leave out where they are off: these stages train as before them.
 ADDED = ("antialiased", "faint_growth")
 
@@ -138,6 +140,16 @@ class TrainConfig:
         """Whether a step uses a photo of half the size."""
         whole = is_whole(step, self.full_every)
         return step < (max(self.small_until, self.whole_small_until) if whole else self.small_until)
+
+    @property
+    def prunes_faint(self) -> bool:
+        """Whether the stage removes faint Gaussians: it must have added some before."""
+        first = -(-max(self.densify_from, 1) // self.densify_every) * self.densify_every
+        return self.faint_growth > 0 and first < self.densify_until < self.steps
+
+    def is_averaged(self, step: int) -> bool:
+        """Whether the model after so many steps is one of those that are averaged."""
+        return step > self.steps - self.average_steps and step % AVERAGE_EVERY == 0
 
     def degree(self, step: int) -> int:
         """SH degree in use at a step."""

@@ -26,12 +26,38 @@ from ..rasterize import rasterize
 from ..rasterize.view import rasterize_view
 from .masks import split_mask
 from .photo_views import PhotoViews
+from .stage_data import StageData
 
 WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a box
 MOST = 0.9  # share of the Gaussians that may go
 HALVINGS = 5  # of that range: to 3 % of the Gaussians
 
 Errors = tuple[float, ...]
+
+
+def faint_gaussians(
+    gaussians: Gaussians,
+    data: StageData,
+    views: PhotoViews,
+    growth: float,
+    context: Context = QUIET,
+) -> Tensor:
+    """(N,) bool: the Gaussians that a stage's photos do not miss.
+
+    Args:
+        gaussians: the model, N rows.
+        data: of the stage; with masks, each box is judged apart.
+        views: its photos, in the size to judge by.
+        growth: largest growth of an error, as a share of it.
+        context: checked for cancellation between photos.
+
+    Raises:
+        Stopped: the user stopped.
+    """
+    rois = () if data.masks is None else data.rois
+    errors = PhotoErrors(views, rois, data.backgrounds, context)
+    worth = visible_worth(gaussians, data.images, context)
+    return faintest(worth, lambda kept: errors(gaussians.rows(kept)), growth)
 
 
 @torch.no_grad()

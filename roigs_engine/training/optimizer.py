@@ -25,6 +25,7 @@ from ..cuda.library import has_triton, own_kernels
 from ..cuda.rooms import Room
 from ..errors import EngineError
 from ..kernels import bindings
+from ..model.gaussians import Gaussians
 from .config import TrainConfig
 from .row_copies import chosen_rows
 
@@ -323,6 +324,13 @@ class FusedStep:
     def take(self, kernel: Callable[[Any], int | Tensor]) -> None:
         """Take the step with a kernel, see `VisibleAdam.step_by`."""
         self.optimizer.step_by(kernel)
+
+
+def leaves(gaussians: Gaussians) -> Gaussians:
+    """The same values as contiguous leaf tensors that require gradients."""
+    return gaussians.with_tensors(
+        {n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
+    )
 
 
 def learning_rates(config: TrainConfig, extent: float, bands: int) -> dict[str, float | Tensor]:

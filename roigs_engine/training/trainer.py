@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,13 +26,13 @@ from .config import TrainConfig
 from .cutouts import Cutout
 from .densification import DensityControl, DensityInputs, Edit, density_control
 from .densification.edits import unchanged
-from .faint import PhotoErrors, faintest, visible_worth
+from .faint import faint_gaussians
 from .figures import Figures
 from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
 from .masks import RoiMask, counted_weights, split_mask
-from .optimizer import VisibleAdam, learning_rates
+from .optimizer import VisibleAdam, learning_rates, leaves
 from .photo_order import is_whole
 from .photo_views import PhotoViews
 from .stage_data import StageData
@@ -41,7 +41,6 @@ from .threads import one_torch_thread
 from .z_order import morton_order
 
 REPORT_SECONDS = 0.5
-AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 
 
 class Trainer:
@@ -62,7 +61,7 @@ class Trainer:
         self.seconds = 0.0
         self.cpu_seconds = 0.0  # of the whole process, all its threads
         gaussians = replace(gaussians.to(data.device), antialiased=config.antialiased)
-        self._parameters = _leaves(gaussians.rows(morton_order(gaussians.means)))
+        self._parameters = leaves(gaussians.rows(morton_order(gaussians.means)))
         self._optimizer = self._new_optimizer()
         self._density = self._new_density(len(gaussians))
         self._mean = ModelMean()
@@ -125,7 +124,7 @@ class Trainer:
             cpu_started = time.process_time() - self.cpu_seconds
         if self.step < self.config.steps:
             return False
-        return not self.config.min_views or self._prune_floaters(context)
+        return self._without_floaters(context)
 
     def train_step(self) -> None:
         """Render a photo, compare, take an optimizer step, then densify or prune if it is due."""
@@ -191,7 +190,7 @@ class Trainer:
         self.health.record_loss(self.step, index, loss)
         self.step += 1
         checks = self.step % min(CHECK_EVERY, self.config.densify_every) == 0
-        edits, averages = self._density.is_due(self.step), self._averages()
+        edits, averages = self._density.is_due(self.step), self.config.is_averaged(self.step)
         ends = self.step == self.config.steps
         reads = checks or edits or averages or ends or self._figures.is_new
         if self._taken_back(wait=reads):
@@ -286,67 +285,58 @@ class Trainer:
             seconds_left=seconds_left,
         )
 
-    def _averages(self) -> bool:
-        """Whether the model is averaged after this step."""
-        last = self.step > self.config.steps - self.config.average_steps
-        return last and self.step % AVERAGE_EVERY == 0
-
     def _average(self) -> None:
         """Add the model to the mean; at the last step, the mean becomes the model."""
         config = self.config
-        if self._averages():
+        if self.config.is_averaged(self.step):
             self._mean.add(self._parameters)
         if self.step == config.steps and self._mean.count:
-            self._parameters = _leaves(self._parameters.with_tensors(self._mean.mean()))
+            self._parameters = leaves(self._parameters.with_tensors(self._mean.mean()))
             self._mean.clear()
 
     def _without_faint(self, context: Context) -> bool:
         """Prune the faintest Gaussians if that is due; False if stopped, with nothing changed."""
-        config, data, model = self.config, self.data, self._parameters
-        ended = config.densify_from < config.densify_until <= self.step
-        if not config.faint_growth or not ended or self._faint_pruned:
+        config = self.config
+        due = config.prunes_faint and config.densify_until <= self.step and not self._faint_pruned
+        if not due or self._taken_back(wait=True):
             return True
-        if self._taken_back(wait=True):
-            return True
-        self._steps_before = self._optimizer.step_count  # if memory is full, nothing has changed
-        rois = () if data.masks is None else data.rois
-        try:
-            errors = PhotoErrors(self._views(self.step), rois, data.backgrounds, context)
-            worth = visible_worth(model, data.images, context)
-            found = faintest(worth, lambda kept: errors(model.rows(kept)), config.faint_growth)
-        except Stopped:
-            return False
-        self._steps_before = -1  # from here on, half of the state may have changed
-        self._prune(found)
-        self._faint_pruned, self._steps_before = True, self._optimizer.step_count
-        return True
+        data, views, growth = self.data, self._views(self.step), config.faint_growth
+        self._faint_pruned = self._prune(
+            lambda: faint_gaussians(self._parameters, data, views, growth, context)
+        )
+        return self._faint_pruned
 
-    def _prune_floaters(self, context: Context) -> bool:
-        """Prune floaters; False if stopped, with nothing changed."""
-        began, cpu_began = time.perf_counter(), time.process_time()
+    def _without_floaters(self, context: Context) -> bool:
+        """Prune floaters if the stage does; False if stopped, with nothing changed."""
         data, views = self.data, self.config.min_views
+        return not views or self._prune(
+            lambda: floaters(self._parameters, data.images, data.rois, data.points, views, context)
+        )
+
+    def _prune(self, search: Callable[[], Tensor]) -> bool:
+        """Remove the Gaussians that a search finds, (N,) bool; False if it was stopped."""
+        began, cpu_began = time.perf_counter(), time.process_time()
+        self._steps_before = self._optimizer.step_count  # while it searches, nothing has changed
         try:
-            found = floaters(self._parameters, data.images, data.rois, data.points, views, context)
+            found = search()
         except Stopped:
             return False
-        self._prune(found)
-        self.seconds += time.perf_counter() - began
-        self.cpu_seconds += time.process_time() - cpu_began
-        return True
-
-    def _prune(self, found: Tensor) -> None:
-        """Remove Gaussians, (N,) bool."""
         if bool(found.any()):
+            self._steps_before = -1  # from here on, half of the state may have
             kept = (~found).nonzero()[:, 0]
             self._density.follow(kept)
             self._apply(unchanged(self._parameters).keep(kept))
+            self._steps_before = self._optimizer.step_count
+        self.seconds += time.perf_counter() - began
+        self.cpu_seconds += time.process_time() - cpu_began
+        return True
 
     def _apply(self, edit: Edit) -> None:
         """Continue with the edited Gaussians and their optimizer state."""
         if edit.rows is not None:
             self._ahead.grow(len(self._parameters), len(edit.rows))
             self._mean.clear()
-            self._parameters = _leaves(edit.gaussians)
+            self._parameters = leaves(edit.gaussians)
             self._optimizer.replace(self._parameters.tensors(), edit.rows)
             release_freed_memory()
         if edit.opacity_cap is not None:
@@ -397,17 +387,10 @@ class Trainer:
         self.cpu_seconds = float(state["cpu_seconds"])
         self._figures.loss.fill_(float(state["loss"]))
         self._figures.psnr = float(state["psnr"])
-        self._parameters = _leaves(self._parameters.with_tensors(state["parameters"]))
+        self._parameters = leaves(self._parameters.with_tensors(state["parameters"]))
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
         self._mean.load_state_dict(state["mean"])
         self._density = self._new_density(len(self._parameters))
         self._density.load_state_dict(state["density"])
         self._faint_pruned = bool(state.get("faint_pruned"))  # None: an older checkpoint
-
-
-def _leaves(gaussians: Gaussians) -> Gaussians:
-    """The same values as contiguous leaf tensors that require gradients."""
-    return gaussians.with_tensors(
-        {n: t.detach().contiguous().requires_grad_() for n, t in gaussians.tensors().items()}
-    )

@@ -172,8 +172,9 @@ def test_without_anything_to_judge_by_all_stay() -> None:
 
 def test_nothing_is_pruned_where_nothing_was_added(scene: SfmScene) -> None:
     """A few steps: the photos can judge nothing yet."""
-    for begin, until in ((40, 40), (50, 40), (0, 0), (10, 60)):
-        config = replace(CONFIG, densify_from=begin, densify_until=until, grad_threshold=1e9)
+    for begin, until, every in ((40, 40, 10), (50, 40, 10), (0, 0, 10), (10, 60, 10), (0, 40, 40)):
+        config = replace(CONFIG, densify_from=begin, densify_until=until, densify_every=every)
+        config = replace(config, grad_threshold=1e9)
         config = replace(config, prune_opacity=0.0, reset_every=0)
         trainer = Trainer(with_idle(scene), stage_data(scene), config)
         assert trainer.run()
@@ -186,7 +187,7 @@ def test_a_full_memory_while_it_looks_has_changed_nothing(
     def full(*args: object) -> Tensor:
         raise MemoryError
 
-    monkeypatch.setattr("roigs_engine.training.trainer.visible_worth", full)
+    monkeypatch.setattr("roigs_engine.training.faint.visible_worth", full)
     trainer = Trainer(model_of(scene), stage_data(scene), CONFIG)
     with pytest.raises(MemoryError):
         trainer.run()
