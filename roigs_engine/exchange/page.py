@@ -22,7 +22,8 @@ from ..formats.files import atomic_write
 from ..formats.text import printable
 from ..model.local_frame import LocalFrame
 from ..model.scene import Float64
-from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, MAX_SLOPE, NEAR
+from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, NEAR
+from ..rasterize.limits import PICTURE_LIMITS
 from . import spz
 from .arrays import Arrays, usable
 from .page_views import FIELD, Ball, overview, photographed, viewpoint
@@ -114,7 +115,8 @@ def _description(shown: Arrays, counts: dict[str, int], extras: Extras) -> dict[
         "rules": {
             "near": NEAR / scale,
             "blur": BLUR,
-            "slope": MAX_SLOPE,
+            "slope": PICTURE_LIMITS.max_slope,
+            "sigmas": PICTURE_LIMITS.min_sigmas,
             "margin": FRUSTUM_MARGIN,
         },
     }

@@ -46,6 +46,7 @@ class Camera(ctypes.Structure):
         ("background", ctypes.c_float * 3),
         ("blur", ctypes.c_float * 2),
         ("centre_bounds", ctypes.c_float * 4),
+        ("min_sigmas", ctypes.c_float),
         ("size", ctypes.c_int32 * 2),
         ("tiles", ctypes.c_int32 * 4),
         ("tile_mask", _ADDRESS),

@@ -129,6 +129,16 @@ ROIGS_INLINE void project_shapes(const Gaussians& gaussians, const Camera& camer
     g.yy = y2 + blur;
 }
 
+// The lanes whose Gaussians do not reach behind the camera.
+ROIGS_INLINE Mask in_front(const Geometry& g, const Camera& camera) {
+    Floats along[3];  // the camera's z axis, in units of the Gaussian's own axes
+    for (int k = 0; k < 3; ++k) {
+        const float* axis = camera.world_to_camera[2];
+        along[k] = (axis[0] * g.R[0][k] + axis[1] * g.R[1][k] + axis[2] * g.R[2][k]) * g.scale[k];
+    }
+    return greater(g.t[2], camera.min_sigmas * sqrt(dot3(along, along)));
+}
+
 // A Gaussian that is drawn wider than it is stored is as much fainter: its integral is the same. So
 // it is with anti-aliasing, and where pixels are averages of several of the whole photo's. Elsewhere
 // this is the opacity itself.

@@ -158,7 +158,8 @@ bool project_chunk(View& view, const Gaussians& gaussians, int64_t c, ListBudget
         const Mask drawable = project_centres(gaussians, view.camera, ids, g);
         if (!any(drawable)) continue;
         project_shapes(gaussians, view.camera, ids, g);
-        count += pack_splats(g, both(exists, drawable), bounds, ids, splats + count);
+        const Mask usable = both(exists, both(drawable, in_front(g, view.camera)));
+        count += pack_splats(g, usable, bounds, ids, splats + count);
     }
     if (view.masked) count = keep_wanted(view, splats, count);
     colour_splats(gaussians, view.camera, splats, count);

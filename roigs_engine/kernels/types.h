@@ -50,6 +50,7 @@ struct Camera {
     float blur;         // added to the 2D covariance's diagonal, px^2
     float stored_blur;  // .. with which a Gaussian has its stored opacity
     float left, top, right, bottom;  // px: Gaussians with a centre not inside are left out
+    float min_sigmas;  // .. and those not farther than so many standard deviations along z
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
     const uint8_t* tile_mask;  // of these, the ones to work on, row by row; null: all

@@ -13,7 +13,7 @@ from ..cuda.device import CPU
 from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage
-from ..rasterize.inputs import MAX_SLOPE
+from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import rasterize_view
 from ..training.config import TrainConfig
 from ..training.photo_order import shuffled
@@ -122,7 +122,7 @@ def contributions(
             camera,
             pose,
             sh_degree=0,  # colours do not matter
-            max_slope=MAX_SLOPE,
+            limits=PICTURE_LIMITS,
             with_max_weight=True,
             with_weight_sum=True,
         )

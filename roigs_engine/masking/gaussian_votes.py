@@ -13,7 +13,7 @@ from ..context import QUIET, Context
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.ownership import owners
 from ..model.roi import OrientedBox
-from ..rasterize.inputs import MAX_SLOPE
+from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import rasterize_view
 from ..training.labels import MaskedView, mask_votes, object_rows
 from .grab_cut import Prior, eroded
@@ -91,7 +91,7 @@ class GaussianVotes:
         colours = (groups.T.to(model.means) - 0.5) / SH_C0
         painted = model.with_tensors({"sh": colours[:, None].contiguous()})
         output = rasterize_view(
-            painted, view.camera, view.world_to_camera, max_slope=MAX_SLOPE, background=None
+            painted, view.camera, view.world_to_camera, limits=PICTURE_LIMITS, background=None
         )
         shown: NDArray[np.float32] = output.image[0].clamp(0, 1).permute(2, 0, 1).cpu().numpy()
         return shown

@@ -13,10 +13,9 @@ the camera depth of its centre (3DGS, eq. 3). Pixel centres lie at +0.5. The con
 (near plane, blur, opacity bounds) are in `rasterize.inputs`. A Gaussian with NaN or Inf is culled;
 its gradient is zero.
 
-With `max_slope`, a Gaussian is culled if its centre is beside the image and |x / z| (camera frame)
-is larger, or above or below the image and |y / z| is larger. Out there the EWA approximation fails:
-a needle just before the camera plane would cover the image like fog. `view.render_view` has such a
-limit (`inputs.MAX_SLOPE`), training has none.
+Within `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
+There the EWA approximation fails: a needle just before the camera plane would cover the image like
+fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), training has none.
 
 Gradients: if an input is a leaf with an allocated `.grad`, the cpu and cuda backends add to that
 buffer and touch only the rows of visible Gaussians. So the cost of a training step does not depend
@@ -42,10 +41,10 @@ from .inputs import (
     check_backward_step,
     check_inputs,
     checked_depth,
-    checked_max_slope,
     checked_pixel_weights,
     used_sh_degree,
 )
+from .limits import NO_LIMITS, Limits
 from .tiles import active_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
@@ -66,7 +65,7 @@ def rasterize(
     *,
     sh_degree: int | None = None,  # bands above it are ignored, without gradient; None: no limit
     raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
-    max_slope: float | None = None,  # none farther beside the image; None: all
+    limits: Limits = NO_LIMITS,  # where Gaussians are culled that would be drawn wrong
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
     with_depth: Depth = False,  # also return the mean depth, or the "median" (not gsplat)
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
@@ -101,7 +100,7 @@ def rasterize(
         height=int(height),
         sh_degree=used_sh_degree(sh.shape[1], sh_degree),
         raw=raw,
-        max_slope=checked_max_slope(max_slope),
+        limits=limits,
         background=background_colour(background, means),
         with_depth=checked_depth(with_depth),
         with_max_weight=with_max_weight,

@@ -18,7 +18,8 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .inputs import BackwardStep, Depth, RenderInputs, RenderOutput, centre_bounds
+from .inputs import BackwardStep, Depth, RenderInputs, RenderOutput
+from .limits import centre_bounds
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 
@@ -154,6 +155,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
         camera.background[:] = background
         camera.blur[:] = inputs.blur
         camera.centre_bounds[:] = centre_bounds(inputs, c)
+        camera.min_sigmas = inputs.limits.min_sigmas
         camera.size[:] = [inputs.width, inputs.height]
         camera.tiles[:] = inputs.tiles
         camera.tile_mask = pointer(tile_mask)

@@ -30,7 +30,8 @@ from ..cuda.frame import (
 )
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
-from .inputs import RenderInputs, RenderOutput, centre_bounds
+from .inputs import RenderInputs, RenderOutput
+from .limits import centre_bounds
 
 _MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
 
@@ -150,6 +151,7 @@ def _set_camera(view: View, c: int) -> None:
     assert len(values) == CAMERA_VALUES
     shape.blur[:] = inputs.blur
     shape.centre_bounds[:] = centre_bounds(inputs, c)
+    shape.min_sigmas = inputs.limits.min_sigmas
     shape.size[:] = [inputs.width, inputs.height]
     shape.tiles[:] = inputs.tiles
     view.set(camera_values=values)

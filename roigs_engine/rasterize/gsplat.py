@@ -7,7 +7,7 @@ by 0.3. The differences (docs/cuda.md):
 * A Gaussian is in the list of every tile that its bounding rectangle touches, also if its ellipse
   does not reach the tile: `visible` has a few more Gaussians, with zero gradients.
 * A pixel stops before the Gaussian that would leave a transmittance below 1e-4.
-* gsplat does not check for NaN and Inf, and has no `max_slope`. Here such Gaussians are removed
+* gsplat does not check for NaN and Inf, and has no `limits`. Here such Gaussians are removed
   after the projection, and their gradients set to zero.
 """
 
@@ -28,9 +28,8 @@ from .inputs import (
     Blur,
     RenderInputs,
     RenderOutput,
-    centre_bounds,
-    inside,
 )
+from .limits import NO_LIMITS, within
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,7 +158,7 @@ def _draw(
 
 
 def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussians:
-    """Project and colour all Gaussians; remove those with NaN or Inf, or beyond `max_slope`."""
+    """Project and colour all Gaussians; remove those with NaN or Inf, or beyond the limits."""
     # Views have their own hooks, which zero the gradients of removed Gaussians.
     means, quats, scales, opacities, sh = (p.view_as(p) for p in inputs.parameters)
     small = (means, quats, scales, opacities)
@@ -182,8 +181,8 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
     with torch.no_grad():
         total = means2d.sum(-1) + conics.sum(-1) + depths + opacities
         drawn = (radii > 0).all(-1) & total.isfinite()  # (1, N)
-        if inputs.max_slope is not None:  # the bounds wait for the GPU: not in training
-            drawn &= inside(means2d, centre_bounds(inputs, camera))
+        if inputs.limits != NO_LIMITS:
+            drawn &= within(inputs, camera, means2d)
         pose = view.double()  # differences of large numbers lose digits
         eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)
     colours = gsplat.spherical_harmonics(

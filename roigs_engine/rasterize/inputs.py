@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..cuda.rooms import Room
 from ..errors import EngineError
+from .limits import Limits
 
 TILE = 16
 """Side of a pixel tile; culling, binning and masks work in whole tiles."""
@@ -21,9 +22,6 @@ LONGEST_SIDE = 1 << 16
 
 NEAR = 0.01
 """Gaussians whose centre is nearer to the camera plane than this (scene units) are culled."""
-
-MAX_SLOPE = 3.0
-"""`max_slope` of every picture that is shown or measured. Training draws without a limit."""
 
 BLUR = 0.3
 """Added to the 2D covariance's diagonal, px^2: each Gaussian covers at least about a pixel.
@@ -125,7 +123,7 @@ class RenderInputs:
     height: int
     sh_degree: int
     raw: bool
-    max_slope: float | None
+    limits: Limits
     background: Tensor  # (3,)
     with_depth: Depth
     with_max_weight: bool
@@ -140,25 +138,6 @@ class RenderInputs:
     def means(self) -> Tensor:
         """(N, 3) centres."""
         return self.parameters[0]
-
-
-def centre_bounds(inputs: RenderInputs, camera: int) -> tuple[float, float, float, float]:
-    """Left, top, right, bottom, px: Gaussians with a centre not inside are culled.
-
-    They follow from the camera and the whole image, also where only a part of it is active.
-    """
-    if inputs.max_slope is None:
-        return -math.inf, -math.inf, math.inf, math.inf
-    (fx, _, cx), (_, fy, cy), _ = inputs.Ks[camera].tolist()
-    x, y = inputs.max_slope * fx, inputs.max_slope * fy
-    return min(0, cx - x), min(0, cy - y), max(inputs.width, cx + x), max(inputs.height, cy + y)
-
-
-def inside(means2d: Tensor, bounds: tuple[float, float, float, float]) -> Tensor:
-    """(...) bool: which projected centres (..., 2) lie inside `centre_bounds`."""
-    left, top, right, bottom = bounds
-    x, y = means2d.unbind(-1)
-    return (x > left) & (x < right) & (y > top) & (y < bottom)
 
 
 def check_inputs(
@@ -255,13 +234,6 @@ def blur_of(pixel_size: float, antialiased: bool) -> Blur:
         raise EngineError(f"rasterize: pixel_size {pixel_size} is not a number of 1 or more.")
     photo = BLUR / pixel_size**2
     return Blur(drawn=photo + (1 - 1 / pixel_size**2) / 12, stored=0.0 if antialiased else photo)
-
-
-def checked_max_slope(max_slope: float | None) -> float | None:
-    """The slope; EngineError if it is negative or NaN."""
-    if max_slope is not None and not max_slope >= 0:
-        raise EngineError(f"rasterize: max_slope {max_slope} is not 0 or more.")
-    return max_slope
 
 
 def used_sh_degree(coefficients: int, sh_degree: int | None) -> int:

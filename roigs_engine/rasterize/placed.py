@@ -23,7 +23,8 @@ from ..model.local_frame import LocalFrame
 from ..model.recolour import recoloured
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
-from .inputs import MAX_SLOPE, blur_of
+from .inputs import blur_of
+from .limits import PICTURE_LIMITS
 from .reference import drawn_share, jacobian, sh_basis
 from .view import rasterize_view
 
@@ -104,7 +105,7 @@ def render_placed(
         drawn.to(device),
         camera,
         np.eye(4),
-        max_slope=MAX_SLOPE,
+        limits=PICTURE_LIMITS,
         with_depth="median" if has_median_depth(device) else True,
     )
     assert output.depth is not None

@@ -23,9 +23,8 @@ from .inputs import (
     Blur,
     RenderInputs,
     RenderOutput,
-    centre_bounds,
-    inside,
 )
+from .limits import within
 
 PIXELS_AT_ONCE = 1 << 14
 """Pixels blended at once; limits the size of the (pixels, Gaussians) intermediates."""
@@ -80,7 +79,7 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
         everything = torch.arange(inputs.means.shape[0], device=inputs.means.device)
         fields = project_all(inputs, camera, everything)
         usable = (fields[4] > NEAR) & (fields[2] > ALPHA_MIN)
-        usable &= inside(fields[0], centre_bounds(inputs, camera))
+        usable &= within(inputs, camera, fields[0])
         for field in fields:
             usable &= torch.isfinite(field if field.ndim == 1 else field.sum(dim=1))
         index = usable.nonzero()[:, 0]

@@ -13,7 +13,7 @@ from ..cuda.memory import explain_out_of_memory, smaller_side
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from . import RenderOutput, rasterize
-from .inputs import MAX_SLOPE
+from .limits import PICTURE_LIMITS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +41,7 @@ def render_view(
 ) -> RenderedView:
     """Render the model from one camera, on the model's device, without gradients.
 
-    Gaussians beyond `MAX_SLOPE` are left out, in everything that is shown or measured.
+    `PICTURE_LIMITS` hold, as in everything that is shown or measured.
     """
     size = camera.width, camera.height
 
@@ -56,7 +56,7 @@ def render_view(
             gaussians,
             camera,
             world_to_camera,
-            max_slope=MAX_SLOPE,
+            limits=PICTURE_LIMITS,
             background=background,
             with_depth=with_depth,
         )

@@ -6,7 +6,9 @@
 #define LEAST 0.2            // see roigs_engine/model/faded.py
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
-#define MAX_SLOPE 3.0        // of centres outside the frame; beyond, EWA splatting fails
+// Beyond these limits EWA splatting fails (roigs_engine/rasterize/limits.py):
+#define MAX_SLOPE 3.0        // of centres outside the frame
+#define MIN_SIGMAS 2.0       // of depth, in standard deviations along the camera's axis
 
 #define TEXEL(map, i) texelFetch(map, ivec2(int((i) % ROW), int((i) / ROW)), 0)
 #define OBJECT(i, k) texelFetch(objects, ivec2(k, i), 0)
@@ -97,6 +99,9 @@ void main()
   mat3 rows = transpose(shape);  // its columns: how x, y, z depend on the Gaussian's own axes
   vec3 u, v;                     // the same for the pixel's x and y
   if (perspective) {
+    if (!(depth > MIN_SIGMAS * length(rows[2]))) {
+      return;
+    }
     principal = (1.0 - vec2(projection[2][0], projection[2][1])) * 0.5 * view_size;
     centre = focal * t.xy / depth + principal;
     vec2 low = min(frame.xy, principal - MAX_SLOPE * focal);

@@ -78,7 +78,7 @@ extern "C" __global__ void __launch_bounds__(128) project(const Frame f) {
     const Camera camera = f.camera();
     if (project_centres(f.gaussians, camera, &id, g)) {
         project_shapes(f.gaussians, camera, &id, g);
-        if (make_splat(g, PixelBounds(f.shape), c) &&
+        if (in_front(g, camera) && make_splat(g, PixelBounds(f.shape), c) &&
             colour_splat(f.gaussians, camera, n, g, c))
             for_each_tile(f.shape, c, [&](int) { ++count; });
     }

@@ -7,7 +7,8 @@
  * `antialiased` Gaussian that the blur makes larger is as much fainter.
  */
 function shaders({ degree, antialiased }, rules) {
-  const [blur, slope, margin] = [rules.blur, rules.slope, rules.margin].map((v) => v.toFixed(6));
+  const [blur, slope, sigmas, margin] = [rules.blur, rules.slope, rules.sigmas, rules.margin]
+    .map((v) => v.toFixed(6));
   const head = "#version 300 es\nprecision highp float;\nprecision highp int;\n" +
     "precision highp usampler2D;\n";
   const whole = head + `void main() {
@@ -91,12 +92,14 @@ void main() {
   vec2 slope = clamp(t.xy / t.z, -limit, limit);
   mat3 turn = mat3(view) * turned(shape.y);
   vec3 scale = exp(four(shape.x).xyz / 16.0 - 10.0);
-  vec3 u = vec3(0.0), v = vec3(0.0);
+  vec3 u = vec3(0.0), v = vec3(0.0), along = vec3(0.0);
   for (int k = 0; k < 3; k++) {
     vec3 axis = turn[k] * scale[k];
+    along[k] = axis.z;
     u[k] = focal.x / t.z * (axis.x + slope.x * axis.z); // the view's z is backwards
     v[k] = focal.y / t.z * (axis.y + slope.y * axis.z);
   }
+  if (t.z <= ${sigmas} * length(along)) return; // it reaches behind the camera
   float xx = dot(u, u), yy = dot(v, v), xy = dot(u, v);
   vec3 across = cross(u, v);
   float determinant = dot(across, across) + ${blur} * (xx + yy) + ${blur} * ${blur};

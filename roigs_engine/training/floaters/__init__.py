@@ -1,6 +1,6 @@
 """Floaters: Gaussians that hang in the air, which photos cannot judge (ours).
 
-consistency     before the boxes, but in few photos; or in a box, but in no photo
+consistency     before the boxes or in the air, but in few photos; or in a box, but in no photo
 between_views   fills a view between the photos, but no photo
 among_cameras   hangs near a camera, where no photo looks
 """
@@ -41,7 +41,7 @@ def floaters(
         min_views: see `consistent_across_views`.
         context: checked for cancellation between views.
     """
-    found = ~consistent_across_views(gaussians, images, rois, min_views, context)
+    found = ~consistent_across_views(gaussians, images, rois, points, min_views, context)
     shown = largest_shares(gaussians, photo_views(images), context)
     found |= fills_only_between(gaussians, views_between(images, points), shown, context)
     return found | hangs_among_cameras(gaussians, images, points, shown)

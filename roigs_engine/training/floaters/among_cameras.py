@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ...model.gaussians import Gaussians
 from ...model.scene import Float64, PosedImage
-from .view_shares import LEAST, MORE, reach
+from .view_shares import LEAST, MORE, in_the_air
 
 NEARER = 2.0  # times nearer to a camera than to the scene
 
@@ -37,11 +37,8 @@ def hangs_among_cameras(
         shown: (N,) the largest share of a photo that each fills (`view_shares.py`).
     """
     device = gaussians.means.device
-    if len(points) == 0:
-        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
     means = gaussians.means.detach().cpu().numpy().astype(np.float64)
     distance, nearest = cKDTree([image.centre for image in images]).query(means)
-    in_the_air = NEARER * distance < reach(means, points)
     # the area of a Gaussian that is seen from its broad side is 2 pi s1 s2
     scales = gaussians.log_scales.detach().exp().sort(dim=1).values.cpu().numpy().astype(np.float64)
     opacity = gaussians.logit_opacities.detach().sigmoid().cpu().numpy().astype(np.float64)
@@ -50,8 +47,8 @@ def hangs_among_cameras(
     with np.errstate(divide="ignore"):  # a Gaussian at a camera's very place
         filled = opacity * np.minimum(area / distance**2, 1.0)
     seen = shown.cpu().numpy()
-    hanging = in_the_air & (seen < LEAST) & (filled > LEAST) & (filled > MORE * seen)
-    return torch.from_numpy(hanging).to(device)
+    unseen = (seen < LEAST) & (filled > LEAST) & (filled > MORE * seen)
+    return torch.from_numpy(unseen).to(device) & in_the_air(gaussians, images, points, NEARER)
 
 
 def _zoom(image: PosedImage) -> float:

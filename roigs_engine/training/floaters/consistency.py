@@ -2,9 +2,9 @@
 
 If only one or two photos show a Gaussian, it can lie anywhere along their rays without an error in
 these photos. Close to a camera it hides the object in all views between the photos. So a Gaussian
-nearer than the boxes is kept only if enough photos show it. Farther away it is background, which
-few photos may show. A Gaussian that no photo shows is useless in a box; elsewhere a new view may
-show it.
+nearer than the boxes, or in the air before a camera, is kept only if enough photos show it. Farther
+away it is background, which few photos may show. A Gaussian that no photo shows is useless in a box
+or in the air; elsewhere a new view may show it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ from ...cuda.library import has_blending_weights
 from ...model.gaussians import Gaussians
 from ...model.ownership import owners
 from ...model.roi import OrientedBox
-from ...model.scene import PosedImage
+from ...model.scene import Float64, PosedImage
 from ...rasterize.view import rasterize_view
 from ..densification.adaptive import VISIBLE_WEIGHT
+from .view_shares import in_the_air
+
+NEARER = 1.5  # times nearer to a camera than to the scene: what few photos show floats there
 
 
 @torch.no_grad()
@@ -31,6 +34,7 @@ def consistent_across_views(
     gaussians: Gaussians,
     images: Sequence[PosedImage],
     rois: Sequence[OrientedBox],
+    points: Float64,
     min_views: int,
     context: Context = QUIET,
 ) -> Tensor:
@@ -42,9 +46,10 @@ def consistent_across_views(
         gaussians: the model, N rows.
         images: the training photos; their pixels are not used.
         rois: the boxes.
-        min_views: a Gaussian that is nearer than the nearest box in every photo that shows it
-            needs this number of photos that show it, or all photos if there are fewer. In a photo
-            that sees no box, nothing is nearer than a box.
+        points: (P, 3) of the scene, world units; without any, nothing is in the air.
+        min_views: a Gaussian that is nearer than the nearest box in every photo that shows it, or
+            in the air, needs this number of photos that show it, or all photos if there are fewer.
+            In a photo that sees no box, nothing is nearer than a box.
         context: checked for cancellation between photos.
     """
     device = gaussians.means.device
@@ -68,6 +73,7 @@ def consistent_across_views(
         shown_by += shown
         in_front &= ~shown | (depth < _nearest(rois, image))
     floating = (shown_by > 0) & (shown_by < min_views) & in_front
+    floating |= (shown_by < min_views) & in_the_air(model, images, points, NEARER)
     hidden = (shown_by == 0) & (owners(model, rois) >= 0)
     return ~(floating | hidden).to(device)
 

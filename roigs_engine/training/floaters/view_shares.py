@@ -1,4 +1,4 @@
-"""How much of a view each Gaussian fills, and how far places are from the scene."""
+"""How much of a view each Gaussian fills, and how far it is from the scene and the cameras."""
 
 from __future__ import annotations
 
@@ -67,3 +67,18 @@ def reach(places: Float64, points: Float64) -> Float64:
         return np.full(len(places), np.inf)
     distances, _ = cKDTree(points).query(places, k=[min(POINTS, len(points))])
     return np.asarray(distances[:, 0])
+
+
+def in_the_air(
+    gaussians: Gaussians, images: Sequence[PosedImage], points: Float64, times: float
+) -> Tensor:
+    """(N,) bool: whose centres are so many times nearer to a photo's camera than to the scene.
+
+    Nothing is where there are no points.
+    """
+    device = gaussians.means.device
+    if len(points) == 0:
+        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
+    means = gaussians.means.detach().cpu().numpy().astype(np.float64)
+    distance, _ = cKDTree([image.centre for image in images]).query(means)
+    return torch.from_numpy(times * distance < reach(means, points)).to(device)

@@ -135,9 +135,10 @@ def test_the_viewport_draws_with_anti_aliasing(
 
 
 def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_path: Path) -> None:
-    """Needles whose centre is just before the camera plane and far beside the picture.
+    """Needles just before the camera plane and far beside the picture; balls around the camera.
 
-    Large ones a little beside it must look as in the engine's picture in any window.
+    Large ones a little beside the picture, and the ball that ends before the camera, must look as
+    in the engine's picture in any window.
     """
     pytest.importorskip("torch")
     from roigs_engine.formats.splat_ply import write_ply
@@ -151,6 +152,10 @@ def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_pa
     arrays["means"][:5] = np.array(beside) @ to_world[:3, :3].T + to_world[:3, 3]
     arrays["log_scales"][:5] = np.log([0.27, 0.27, 3.5])
     arrays["logit_opacities"][:5] = 3.0
+    around = [[0.1, 0.1, 0.55], [-0.2, 0.0, 0.59], [0.2, -0.1, 0.61]]  # two of them are left out
+    arrays["means"][5:8] = np.array(around) @ to_world[:3, :3].T + to_world[:3, 3]
+    arrays["log_scales"][5:8] = np.log(0.3)
+    arrays["logit_opacities"][5:8] = 0.0
     write_ply(tmp_path / "splats.ply", arrays)
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
     path = load_camera_path(tmp_path / "cameras.json")

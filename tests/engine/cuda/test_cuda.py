@@ -124,9 +124,9 @@ def test_floaters_are_found_without_triton(
 ) -> None:
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=6)
     model = Gaussians.from_points(scene.points[::3], scene.colors[::3])
-    truth = consistent_across_views(model, scene.images, [BOX], 3)
+    truth = consistent_across_views(model, scene.images, [BOX], scene.points, 3)
     monkeypatch.setattr(library, "has_triton", lambda: False)
-    found = consistent_across_views(model.to(CARD), scene.images, [BOX], 3)
+    found = consistent_across_views(model.to(CARD), scene.images, [BOX], scene.points, 3)
     assert found.device.type == "cuda" and torch.equal(found.cpu(), truth)
 
 

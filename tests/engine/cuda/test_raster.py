@@ -10,6 +10,7 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.rasterize import RenderOutput, cuda, rasterize
+from roigs_engine.rasterize.limits import Limits
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize.test_gsplat import ring
 from tests.engine.rasterize_cases import (
@@ -57,7 +58,7 @@ CASES: dict[str, dict[str, Any]] = {
     "lower degree": {"sh_degree": 1},
     "rectangle": {"mask": (20, 20, 40, 30), "background": BACKGROUND, **OUTPUTS},
     "mask": {"mask": ring(), "background": BACKGROUND, **OUTPUTS},
-    "slope": {"max_slope": 0.6},
+    "limits": {"limits": Limits(max_slope=0.6, min_sigmas=2.0)},
     "pixel size": {"pixel_size": 2.0, **OUTPUTS},
     "raw, pixel size": {"pixel_size": 2.0, "raw": True},
 }

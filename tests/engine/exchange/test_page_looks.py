@@ -116,6 +116,24 @@ def test_large_gaussians_reach_in_from_beside_the_picture(tmp_path: Path) -> Non
 
 
 @browser
+def test_what_reaches_behind_the_camera_is_not_smeared(tmp_path: Path) -> None:
+    """A ball about the middle is drawn from outside, and gone at twice its standard deviation."""
+    values = arrays(300)
+    values["means"][0], values["log_scales"][0] = 0.0, np.log(0.4)
+    values["logit_opacities"][0] = 1.0
+    rest = {name: column[1:] for name, column in values.items()}
+    formats.write(tmp_path / "a.html", values)
+    with opened(tmp_path / "a.html") as shown:
+        for distance, alike in ((0.9, values), (0.7, rest)):
+            shown.run(
+                "ready.then(({ orbit, renderer }) => {"
+                f" orbit.look([0, 0, {distance}], [0, 0, 0]); renderer.move(); }})"
+            )
+            picture = bare(shown)
+            assert psnr(picture, ours(alike, shown)) > 36
+
+
+@browser
 def test_texts_and_buttons_do_not_overlap_on_a_phone(tmp_path: Path) -> None:
     extras = page.Extras(title="A long title " * 8, places=BOX.places, before=arrays(seed=1))
     formats.write(tmp_path / "a.html", arrays(), extras=extras)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
-from roigs_engine.rasterize.inputs import MAX_SLOPE
+from roigs_engine.rasterize.limits import PICTURE_LIMITS
 from roigs_engine.rasterize.placed import NOTHING, Layer, PlacedModel, render_placed
 from roigs_engine.rasterize.view import rasterize_view, render_view
 
@@ -57,7 +57,7 @@ def test_where_it_was_trained_it_is_the_usual_picture() -> None:
     assert usual.image.std() > 0.05
     torch.testing.assert_close(on_black(layer), usual.image, atol=2e-3, rtol=0)
     covered = layer.alpha > 0
-    depth = rasterize_view(cloud(), CAMERA, POSE, max_slope=MAX_SLOPE, with_depth="median").depth
+    depth = rasterize_view(cloud(), CAMERA, POSE, limits=PICTURE_LIMITS, with_depth="median").depth
     assert depth is not None
     torch.testing.assert_close(layer.depth[covered], depth[0][covered], atol=1e-3, rtol=0)
     assert (layer.depth[~covered] == NOTHING).all()

@@ -20,6 +20,7 @@ from tests.engine.synthetic_scene import BOX, CAMERA
 from tests.poses import look_at
 
 DISTANCE = 4.0
+NO_POINTS = np.zeros((0, 3))
 
 
 def ring(count: int) -> list[PosedImage]:
@@ -63,9 +64,13 @@ def balls(*places: object, opacity: float = 0.9) -> Gaussians:
 
 
 def kept(
-    model: Gaussians, min_views: int = 3, images: list[PosedImage] | None = None
+    model: Gaussians,
+    min_views: int = 3,
+    images: list[PosedImage] | None = None,
+    points: np.ndarray = NO_POINTS,
+    rois: tuple[OrientedBox, ...] = (BOX,),
 ) -> list[bool]:
-    return consistent_across_views(model, images or SIDE, [BOX], min_views).tolist()
+    return consistent_across_views(model, images or SIDE, rois, points, min_views).tolist()
 
 
 def test_a_floater_before_one_camera_goes_and_background_stays() -> None:
@@ -119,8 +124,39 @@ def test_every_box_counts() -> None:
     near = OrientedBox.axis_aligned("near", eye(0) * 2.9 - 0.2, eye(0) * 2.9 + 0.2)
     model = balls(eye(0) * 2.8)
     one_sees_it = [SIDE[0], *ring(20)[4:6]]
-    assert consistent_across_views(model, one_sees_it, [BOX], 3).tolist() == [False]
-    assert consistent_across_views(model, one_sees_it, [BOX, near], 3).tolist() == [True]
+    assert kept(model, 3, one_sees_it) == [False]
+    assert kept(model, 3, one_sees_it, rois=(BOX, near)) == [True]
+
+
+def turned_away(image: PosedImage) -> PosedImage:
+    return replace(image, world_to_camera=look_at(image.centre, 2 * image.centre))
+
+
+def test_in_the_air_before_a_camera_few_photos_do_not_suffice() -> None:
+    """Also where photos see no box, or show it behind one."""
+    wall = eye(0) * 2 * DISTANCE + np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
+    floater, standing = balls(eye(0) * 1.2 * DISTANCE), balls(eye(0) * 1.8 * DISTANCE)
+    no_box_in_sight = [turned_away(image) for image in (SIDE[0], *SIDE[3:])]
+    assert kept(floater, 3, no_box_in_sight, wall) == [False]
+    assert kept(standing, 3, no_box_in_sight, wall) == [True]
+    assert kept(floater, 3, no_box_in_sight, NO_POINTS) == [True]
+    assert kept(floater, 1, no_box_in_sight, wall) == [True]
+    one_point = np.repeat(eye(0)[None] * 1.2 * DISTANCE, 10, axis=0)
+    assert kept(floater, 3, no_box_in_sight, np.concatenate([wall, one_point])) == [True]
+
+
+def test_in_the_air_what_no_photo_shows_goes() -> None:
+    wall = np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
+    beside = balls(eye(0) * 1.1 * DISTANCE, eye(10) * DISTANCE)  # behind a camera, and far away
+    assert kept(beside, 3, SIDE, wall) == [False, True]
+
+
+def test_in_the_air_enough_photos_suffice() -> None:
+    wall = np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
+    images = [*ring(400)[:3], *map(turned_away, SIDE[3:])]
+    model = balls(eye(1, 400) * 0.7 * DISTANCE)
+    assert kept(model, 3, images, wall) == [True]
+    assert kept(model, 4, images, wall) == [False]
 
 
 def test_gsplat_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,4 +176,4 @@ def test_gsplat_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPa
 def test_it_can_be_stopped() -> None:
     stopping = Context(should_stop=lambda: True)
     with pytest.raises(Stopped):
-        consistent_across_views(balls((0, 0, 0)), SIDE, [BOX], 3, stopping)
+        consistent_across_views(balls((0, 0, 0)), SIDE, [BOX], NO_POINTS, 3, stopping)

@@ -1,4 +1,4 @@
-"""`max_slope`: Gaussians whose centre lies far beside the image are not drawn."""
+"""`limits`: Gaussians far beside the image, or that reach behind the camera, are not drawn."""
 
 from __future__ import annotations
 
@@ -17,9 +17,17 @@ from roigs_engine.cuda import library
 from roigs_engine.errors import EngineError
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
+from roigs_engine.model.rotations import rotation_matrices
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize import RenderOutput, rasterize, view
-from roigs_engine.rasterize.inputs import MAX_SLOPE, NEAR
+from roigs_engine.rasterize.inputs import NEAR
+from roigs_engine.rasterize.limits import (
+    MAX_SLOPE,
+    MIN_SIGMAS,
+    NO_LIMITS,
+    PICTURE_LIMITS,
+    Limits,
+)
 from roigs_engine.rasterize.view import rasterize_view, render_view
 from roigs_engine.training.floaters.consistency import consistent_across_views
 from tests.engine import fake_gsplat
@@ -35,6 +43,8 @@ from tests.engine.rasterize_cases import (
 SIZE = (64, 48)
 FOCAL = 60.0
 BACKENDS = ["reference", "cpu", "gsplat"]
+BESIDE = Limits(max_slope=MAX_SLOPE)
+BEHIND = Limits(min_sigmas=MIN_SIGMAS)
 
 
 @pytest.fixture(autouse=True)
@@ -65,15 +75,16 @@ def draw(
     backend: str, parameters: list[Tensor], pinhole: Tensor | None = None, **options: Any
 ) -> RenderOutput:
     pinhole = intrinsics() if pinhole is None else pinhole
-    options = {"max_slope": MAX_SLOPE, **options}
+    options = {"limits": BESIDE, **options}
     return rasterize(*parameters, torch.eye(4)[None], pinhole, *SIZE, backend=backend, **options)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_needle_beside_the_camera_is_no_fog(backend: str) -> None:
+@pytest.mark.parametrize("limits", [BESIDE, BEHIND], ids=["beside", "behind"])
+def test_a_needle_beside_the_camera_is_no_fog(backend: str, limits: Limits) -> None:
     """The EWA approximation draws it over the whole image."""
-    assert draw(backend, needle(), max_slope=None).alpha.min() > 0.15
-    output = draw(backend, needle())
+    assert draw(backend, needle(), limits=NO_LIMITS).alpha.min() > 0.15
+    output = draw(backend, needle(), limits=limits)
     assert not output.visible.any()
     assert not output.alpha.any() and not output.image.any()
 
@@ -89,7 +100,7 @@ def test_it_limits_each_side(backend: str, focal: float, side: str, inside: bool
     output = draw(backend, ball, intrinsics(focal))
     assert bool(output.visible.any()) == inside
     assert bool(output.alpha.any()) == inside
-    assert draw(backend, ball, intrinsics(focal), max_slope=None).visible.any()
+    assert draw(backend, ball, intrinsics(focal), limits=NO_LIMITS).visible.any()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -97,7 +108,9 @@ def test_it_limits_each_side(backend: str, focal: float, side: str, inside: bool
 def test_what_is_inside_the_image_is_drawn_at_any_slope(backend: str, max_slope: float) -> None:
     pinhole = intrinsics(8.0)  # 152 degrees: slopes to 4.25
     for x, seen in ((4.0, True), (4.4, False)):
-        output = draw(backend, at_slope(x, 0.0, 2.0, 1.0), pinhole, max_slope=max_slope)
+        output = draw(
+            backend, at_slope(x, 0.0, 2.0, 1.0), pinhole, limits=Limits(max_slope=max_slope)
+        )
         assert bool(output.visible.any()) == seen
 
 
@@ -106,7 +119,7 @@ def test_a_zoomed_camera_draws_the_same_gaussians(backend: str) -> None:
     """Four times the focal length: its picture is the crop of the whole one at that resolution."""
     width, height = SIZE
     camera = torch.eye(4)[None]
-    options = {"max_slope": MAX_SLOPE, "backend": backend}
+    options = {"limits": BESIDE, "backend": backend}
     zoomed = intrinsics(4 * FOCAL, 4 * 30.0, 4 * 27.0)
     moved = intrinsics(4 * FOCAL, 4 * 30.0 - 96, 4 * 27.0 - 64)
     sight = at_slope(0.0, 0.0, 2.0, 0.02)
@@ -141,12 +154,12 @@ def test_each_camera_has_its_own_limit(backend: str) -> None:
     pinholes = intrinsics().repeat(2, 1, 1)
     dtype = torch.float64 if backend == "reference" else torch.float32
     output, gradients = differentiate(
-        backend, dtype, parameters, views, pinholes, *SIZE, max_slope=MAX_SLOPE
+        backend, dtype, parameters, views, pinholes, *SIZE, limits=BESIDE
     )
     assert output.visible.tolist() == [[False, True], [True, True]]
     assert torch.equal(output.grad2d > 0, output.visible)
     leaves = [p.to(dtype).requires_grad_() for p in parameters]
-    options = {"max_slope": MAX_SLOPE, "backend": backend}
+    options = {"limits": BESIDE, "backend": backend}
     alone = rasterize(*leaves, views[1:].to(dtype), pinholes[1:].to(dtype), *SIZE, **options)
     weights = torch.randn(output.image.shape, generator=torch.Generator().manual_seed(1))[1]
     (alone.image[0] * weights.to(dtype)).sum().backward()
@@ -165,7 +178,7 @@ def test_nothing_overflows_at_the_near_plane(backend: str) -> None:
     parameters[0] = means
     scene = (parameters, torch.eye(4)[None], intrinsics(), *SIZE)
     dtype = torch.float64 if backend == "reference" else torch.float32
-    output, gradients = differentiate(backend, dtype, *scene, max_slope=MAX_SLOPE)
+    output, gradients = differentiate(backend, dtype, *scene, limits=BESIDE)
     seen = (means[:, 2] > NEAR) & (means[:, 0].abs() < NEAR)
     assert torch.equal(output.visible[0], seen) and bool(seen.any())
     assert torch.isfinite(output.image).all()
@@ -173,23 +186,76 @@ def test_nothing_overflows_at_the_near_plane(backend: str) -> None:
         assert torch.isfinite(gradient).all() and not gradient[~seen].any()
 
 
-@pytest.mark.parametrize("max_slope", [-1.0, float("nan")])
-def test_it_is_not_negative(max_slope: float) -> None:
-    with pytest.raises(EngineError, match="max_slope"):
-        draw("reference", needle(), max_slope=max_slope)
+def turned_disc(degrees: float, depth: float) -> list[Tensor]:
+    """A disc before the camera, 0.01 thick and 0.5 wide, turned about y: at 90 it points at it."""
+    half = np.radians(degrees) / 2
+    quats = torch.tensor([[np.cos(half), 0.0, np.sin(half), 0.0]], dtype=torch.float32) * 3
+    colour = torch.full((1, 1, 3), 1.0)
+    means = torch.tensor([[0.0, 0.0, depth]])
+    return [means, quats, torch.tensor([[0.5, 0.5, 0.01]]), torch.tensor([0.9]), colour]
 
 
-def test_a_limit_beyond_everything_changes_no_bit() -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0])
+def test_what_reaches_behind_the_camera_is_left_out(
+    backend: str, raw: bool, degrees: float
+) -> None:
+    """Standard deviations along the camera's axis count: a wall may be as near as it is thin."""
+    turn = np.radians(degrees)
+    sigma = float(np.hypot(0.01 * np.cos(turn), 0.5 * np.sin(turn)))
+    for factor, seen in ((0.99, False), (1.01, True)):
+        disc = turned_disc(degrees, factor * MIN_SIGMAS * sigma)
+        if raw:
+            disc[2], disc[3] = disc[2].log(), disc[3].logit()
+        output = draw(backend, disc, limits=PICTURE_LIMITS, raw=raw)
+        assert bool(output.visible.any()) == bool(output.alpha.any()) == seen
+        assert draw(backend, disc, limits=NO_LIMITS, raw=raw).visible.any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_axis_is_the_cameras(backend: str) -> None:
+    """A camera that looks along the world's x, at a disc that is wide in x and y."""
+    disc = turned_disc(0.0, 0.0)
+    view = torch.eye(4)[None].clone()
+    view[0, :3, :3] = torch.tensor([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    for depth, seen in ((0.99, False), (1.01, True)):
+        disc[0] = torch.tensor([[depth, 0.0, 0.0]])
+        output = rasterize(*disc, view, intrinsics(), *SIZE, limits=BEHIND, backend=backend)
+        assert bool(output.visible.any()) == seen
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_what_is_left_out_has_no_gradient(backend: str) -> None:
+    both = zip(turned_disc(90.0, 0.5), turned_disc(10.0, 0.5), strict=True)
+    parameters = [torch.cat(pair) for pair in both]
+    dtype = torch.float64 if backend == "reference" else torch.float32
+    scene = (parameters, torch.eye(4)[None], intrinsics(), *SIZE)
+    output, gradients = differentiate(backend, dtype, *scene, limits=BEHIND)
+    assert output.visible.tolist() == [[False, True]]
+    for gradient in gradients:
+        assert not gradient[0].any() and gradient[1].any()
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan")])
+@pytest.mark.parametrize("name", ["max_slope", "min_sigmas"])
+def test_limits_are_not_negative(name: str, value: float) -> None:
+    with pytest.raises(EngineError, match=name):
+        Limits(**{name: value})
+
+
+def test_limits_beyond_everything_change_no_bit() -> None:
     scene = (gaussians(300), torch.eye(4)[None], intrinsics(), *SIZE)
+    wide = Limits(max_slope=1e9, min_sigmas=1e-9)
     outputs = [
-        differentiate("cpu", torch.float32, *scene, max_slope=slope) for slope in (None, 1e9)
+        differentiate("cpu", torch.float32, *scene, limits=limits) for limits in (NO_LIMITS, wide)
     ]
     (plain, gradients), (limited, same) = outputs
     assert torch.equal(plain.image, limited.image) and torch.equal(plain.visible, limited.visible)
     assert all(torch.equal(a, b) for a, b in zip(gradients, same, strict=True))
 
 
-def test_pictures_have_the_limit_and_consistency_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_have_limits_and_consistency_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a training photo shows is decided as training draws it."""
     means, quats, scales, opacities, sh = needle()
     raw = Gaussians(
@@ -211,9 +277,9 @@ def test_pictures_have_the_limit_and_consistency_has_none(monkeypatch: pytest.Mo
         point_indices=np.zeros(0, dtype=np.int64),
     )
     around = OrientedBox(name="box", world_to_box=np.eye(4), half_extents=np.full(3, 9.0))
-    assert consistent_across_views(raw, [image], [around], min_views=1).all()
-    monkeypatch.setattr(view, "rasterize", partial(rasterize, max_slope=MAX_SLOPE))
-    assert not consistent_across_views(raw, [image], [around], min_views=1).any()
+    assert consistent_across_views(raw, [image], [around], np.zeros((0, 3)), 1).all()
+    monkeypatch.setattr(view, "rasterize", partial(rasterize, limits=BESIDE))
+    assert not consistent_across_views(raw, [image], [around], np.zeros((0, 3)), 1).any()
 
 
 @settings(
@@ -250,7 +316,7 @@ def test_kernels_and_reference_leave_out_the_same(
     views = torch.eye(4).repeat(2, 1, 1)
     views[1, :3, 3] = torch.tensor([0.3, -0.2, 0.1])
     scene = (parameters, views, pinhole.repeat(2, 1, 1), *size)
-    options = {"background": BACKGROUND, "max_slope": MAX_SLOPE}
+    options = {"background": BACKGROUND, "limits": PICTURE_LIMITS}
     ours, truth, errors = render_both(*scene, **options)
 
     t = parameters[0] @ views[:, :3, :3].mT + views[:, None, :3, 3]
@@ -258,6 +324,9 @@ def test_kernels_and_reference_leave_out_the_same(
     x = slope * pinhole[0, 0, 0] + pinhole[0, :2, 2]
     beside = (x < -0.01) | (x > torch.tensor(size) + 0.01)
     outside = (beside & (slope.abs() > 1.001 * MAX_SLOPE)).any(-1)
+    axes = rotation_matrices(torch.nn.functional.normalize(parameters[1], dim=-1))
+    along = (views[:, None, 2:3, :3] @ axes)[..., 0, :] * parameters[2]
+    outside |= t[..., 2] < 0.999 * MIN_SIGMAS * along.norm(dim=-1)
     assert not (ours.visible & outside).any()
     assert torch.equal(ours.visible, truth.visible)
     assert largest_difference(ours.image, truth.image) < 1e-3
@@ -267,6 +336,6 @@ def test_kernels_and_reference_leave_out_the_same(
     for name, error in errors.items():
         assert error <= max(1e-4, 3 * limits[name]), (name, errors, limits)
     leaves = [p.clone().requires_grad_() for p in parameters]
-    rasterize(*leaves, *scene[1:], max_slope=MAX_SLOPE, backend="cpu").image.sum().backward()
+    rasterize(*leaves, *scene[1:], limits=PICTURE_LIMITS, backend="cpu").image.sum().backward()
     for leaf in leaves:
         assert leaf.grad is not None and not leaf.grad[outside.all(0)].any()
