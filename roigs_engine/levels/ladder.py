@@ -10,16 +10,15 @@ from torch import Tensor
 
 from ..context import QUIET, Context
 from ..cuda.device import CPU
-from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage
 from ..rasterize.limits import PICTURE_LIMITS
-from ..rasterize.view import rasterize_view
+from ..rasterize.weights import View, blending_weights
 from ..training.config import TrainConfig
 from ..training.photo_order import shuffled
 from ..training.stage_data import StageData
 from ..training.trainer import Trainer
-from .parts import Part, View
+from .parts import Part
 from .teacher import BLACK, WHITE, TeacherPictures, views_at
 
 STEPS = 500
@@ -112,23 +111,11 @@ def contributions(
     The product of its largest blending weight and the root of their sum: what is bright in one view
     counts, and what fills many. The share is the mean over the Gaussians.
     """
-    device = torch.device(context.device)
-    model = gaussians.to(device if has_blending_weights(device) else CPU)
+    model = gaussians.to(torch.device(context.device))
     most, total, shown = (model.means.new_zeros(len(model)) for _ in range(3))
-    for camera, pose in views:
-        context.check_cancelled()
-        output = rasterize_view(
-            model,
-            camera,
-            pose,
-            sh_degree=0,  # colours do not matter
-            limits=PICTURE_LIMITS,
-            with_max_weight=True,
-            with_weight_sum=True,
-        )
-        assert output.weight_sum is not None and output.max_weight is not None
-        most, total = torch.maximum(most, output.max_weight), total + output.weight_sum
-        shown += output.max_weight > FAINTEST
+    for weights in blending_weights(model, views, context, limits=PICTURE_LIMITS):
+        most, total = torch.maximum(most, weights.largest), total + weights.total
+        shown += weights.largest > FAINTEST
     return (most * total.sqrt()).cpu(), float(shown.mean()) / max(len(views), 1)
 
 

@@ -19,10 +19,11 @@ from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.scene import PosedImage
 from ..photos.headers import content_digest
+from ..rasterize.weights import View
 from ..training.floaters.between_views import poses_between
 from .ladder import LEAST, STEPS, make_level
 from .measure import farther, measure, spaced
-from .parts import Part, View, parts_of_run
+from .parts import Part, parts_of_run
 
 LEVELS = 5
 """How many, with the whole one."""

@@ -19,7 +19,8 @@ from ..context import QUIET, Context
 from ..evaluation.metrics import psnr_from_mse
 from ..formats.levels import FADE
 from ..model.gaussians import Gaussians
-from .parts import Part, View
+from ..rasterize.weights import View
+from .parts import Part
 from .teacher import samples_for, small_picture, views_at
 
 GREY = 0.5

@@ -17,15 +17,13 @@ from ..formats.levels import rate_in_view
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.scene import Camera, Float64, PosedImage
+from ..rasterize.weights import View
 
 PROBES = 256
 FARTHEST = 1e9  # of a probe, units of the frame
 LEAST_WEIGHT = -80.0  # of a Gaussian among the probes, as a logarithm
 CAPTURE = 0.75
 """A part's rate is this quantile of its photos' rates: nearer photos hold what the others lack."""
-
-View = tuple[Camera, Float64]
-"""A camera and its world_to_camera."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,8 @@ from ..context import QUIET, Context
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from ..rasterize.view import render_view
-from .parts import Part, View, rate_of
+from ..rasterize.weights import View
+from .parts import Part, rate_of
 
 MARGIN = 0.06  # around what the part covers, of its size
 SMALLEST = 12  # pixels; smaller pictures of a part teach little

@@ -16,16 +16,15 @@ import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.device import CPU
-from ..cuda.library import has_blending_weights
 from ..cuda.sending import sent
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..rasterize import rasterize
-from ..rasterize.view import rasterize_view
+from ..rasterize.weights import blending_weights
 from .masks import split_mask
 from .photo_views import PhotoViews
+from .spread import spread
 from .stage_data import StageData
 
 WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a box
@@ -74,23 +73,17 @@ def visible_worth(
         images: the training photos; their pixels are not used.
         context: checked for cancellation between photos.
     """
-    device = gaussians.means.device
-    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
-    worth = torch.zeros(len(model), dtype=torch.float64, device=model.means.device)
-    for image in images:
-        context.check_cancelled()
-        camera = image.camera.thumbnail(max(image.camera.width, image.camera.height) // 2)
-        output = rasterize_view(
-            model,
-            camera,
+    worth = torch.zeros(len(gaussians), dtype=torch.float64, device=gaussians.means.device)
+    half = [
+        (
+            image.camera.thumbnail(max(image.camera.width, image.camera.height) // 2),
             image.world_to_camera,
-            sh_degree=0,  # colours do not matter
-            with_max_weight=True,
-            with_weight_sum=True,
         )
-        assert output.weight_sum is not None and output.max_weight is not None
-        worth += output.weight_sum * output.max_weight
-    return worth.to(device)
+        for image in images
+    ]
+    for weights in blending_weights(gaussians, half, context):
+        worth += weights.total * weights.largest
+    return worth
 
 
 class PhotoErrors:
@@ -113,9 +106,9 @@ class PhotoErrors:
     ) -> None:
         self._views, self._rois = views, rois
         self._backgrounds, self._context = backgrounds, context
-        self._whole = _spread(range(len(views.images)), WHOLE)
+        self._whole = frozenset(spread(range(len(views.images)), WHOLE))
         self._seeing = [
-            _spread([k for k, image in enumerate(views.images) if _sees(image, roi)], EACH)
+            spread([k for k, image in enumerate(views.images) if _sees(image, roi)], EACH)
             for roi in rois
         ]
 
@@ -162,12 +155,6 @@ class PhotoErrors:
         return squares, torch.ones_like(squares, dtype=torch.bool) if counted is None else counted
 
 
-def _spread(photos: Sequence[int], most: int) -> frozenset[int]:
-    """At most so many of these photos, evenly spaced."""
-    places = np.linspace(0, len(photos) - 1, min(most, len(photos))).round()
-    return frozenset(photos[int(place)] for place in places)
-
-
 def _sees(image: PosedImage, roi: OrientedBox) -> bool:
     return roi.projected_area(image.camera, image.world_to_camera) > 0
 
@@ -189,7 +176,9 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
         return found
 
     before = errors(~least(0.0))
-    few, many = 0.0, MOST if before else 0.0
+    if not before:
+        return least(0.0)
+    few, many = 0.0, MOST
     for _ in range(HALVINGS):
         share = (few + many) / 2
         after = errors(~least(share))

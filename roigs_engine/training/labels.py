@@ -18,14 +18,12 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.device import CPU
-from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
 from ..model.ownership import owners
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.masks import load_mask, load_object_mask
-from ..rasterize.view import rasterize_view
+from ..rasterize.weights import blending_weights
 
 
 class MaskedView(NamedTuple):
@@ -58,22 +56,15 @@ def mask_votes(
         views: the masked photos.
         context: checked for cancellation between views.
     """
-    device = gaussians.means.device
-    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
-    inside, everywhere = (torch.zeros(len(model), device=model.means.device) for _ in range(2))
+    means = gaussians.means
+    inside, everywhere = (torch.zeros(len(gaussians), device=means.device) for _ in range(2))
     for camera, pose, mask, counted in views:
-        voting = None if counted is None else counted.to(model.means)[None]
-        yes = mask.to(model.means)[None]
-        yes = yes if voting is None else yes * voting
-        for total, pixels in ((inside, yes), (everywhere, voting)):
-            context.check_cancelled()
-            # colours do not matter
-            output = rasterize_view(
-                model, camera, pose, sh_degree=0, with_weight_sum=True, pixel_weights=pixels
-            )
-            assert output.weight_sum is not None
-            total += output.weight_sum
-    return inside.to(device), (everywhere - inside).clamp(min=0).to(device)
+        yes = mask if counted is None else mask & counted
+        twice, pixels = [(camera, pose)] * 2, (yes, counted)
+        shares = blending_weights(gaussians, twice, context, pixels=pixels)
+        for total, weights in zip((inside, everywhere), shares, strict=True):
+            total += weights.total
+    return inside, (everywhere - inside).clamp(min=0)
 
 
 def object_rows(gaussians: Gaussians, votes: tuple[Tensor, Tensor], candidates: Tensor) -> Tensor:

@@ -21,7 +21,9 @@ from torch import Tensor
 from ...context import QUIET, Context
 from ...model.gaussians import Gaussians
 from ...model.scene import Float64, PosedImage
-from .view_shares import LEAST, MORE, NEAREST, SIDE, View, largest_shares, reach
+from ...rasterize.weights import View
+from ..spread import spread
+from .view_shares import LEAST, MORE, NEAREST, SIDE, largest_shares, reach
 
 Poses = list[tuple[tuple[int, ...], Float64]]
 """Positions of the photos that a view lies between or beside, and its world_to_camera."""
@@ -45,7 +47,10 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
     Returns:
         At most `MOST_VIEWS` of each kind, evenly spread; none for a photo alone.
     """
-    poses = [*_spread(poses_between(images)), *_spread(_poses_beside(images))]
+    poses = [
+        *spread(poses_between(images), MOST_VIEWS),
+        *spread(_poses_beside(images), MOST_VIEWS),
+    ]
     centres = [image.centre for image in images]
     centres += [-pose[:3, :3].T @ pose[:3, 3] for _, pose in poses]
     far = reach(np.array(centres), points)
@@ -54,12 +59,6 @@ def views_between(images: Sequence[PosedImage], points: Float64) -> tuple[View, 
         for (photos, pose), distance in zip(poses, far[len(images) :], strict=True)
         if distance >= NEAREST * min(far[photo] for photo in photos)
     )
-
-
-def _spread(poses: Poses) -> Poses:
-    """At most `MOST_VIEWS` of them, evenly spread."""
-    kept = np.linspace(0, len(poses) - 1, min(len(poses), MOST_VIEWS)).round().astype(int)
-    return [poses[k] for k in kept]
 
 
 def fills_only_between(

@@ -16,13 +16,11 @@ import torch
 from torch import Tensor
 
 from ...context import QUIET, Context
-from ...cuda.device import CPU
-from ...cuda.library import has_blending_weights
 from ...model.gaussians import Gaussians
 from ...model.ownership import owners
 from ...model.roi import OrientedBox
 from ...model.scene import Float64, PosedImage
-from ...rasterize.view import rasterize_view
+from ...rasterize.weights import blending_weights
 from ..densification.adaptive import VISIBLE_WEIGHT
 from .view_shares import in_the_air
 
@@ -52,30 +50,21 @@ def consistent_across_views(
             In a photo that sees no box, nothing is nearer than a box.
         context: checked for cancellation between photos.
     """
-    device = gaussians.means.device
-    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
-    shown_by = torch.zeros(len(model), dtype=torch.int32, device=model.means.device)
+    means = gaussians.means
+    shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=means.device)
     in_front = torch.ones_like(shown_by, dtype=torch.bool)
     min_views = min(min_views, len(images))
-    for image in images:
-        context.check_cancelled()
-        pose = torch.from_numpy(image.world_to_camera).to(model.means)
-        output = rasterize_view(
-            model,
-            image.camera,
-            image.world_to_camera,
-            sh_degree=0,  # colours do not matter
-            with_max_weight=True,
-        )
-        assert output.max_weight is not None
-        shown = output.max_weight >= VISIBLE_WEIGHT
-        depth = model.means @ pose[2, :3] + pose[2, 3]
+    views = [(image.camera, image.world_to_camera) for image in images]
+    for image, weights in zip(images, blending_weights(gaussians, views, context), strict=True):
+        pose = torch.from_numpy(image.world_to_camera).to(means)
+        shown = weights.largest >= VISIBLE_WEIGHT
+        depth = means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
         in_front &= ~shown | (depth < _nearest(rois, image))
     floating = (shown_by > 0) & (shown_by < min_views) & in_front
-    floating |= (shown_by < min_views) & in_the_air(model, images, points, NEARER)
-    hidden = (shown_by == 0) & (owners(model, rois) >= 0)
-    return ~(floating | hidden).to(device)
+    floating |= (shown_by < min_views) & in_the_air(gaussians, images, points, NEARER)
+    hidden = (shown_by == 0) & (owners(gaussians, rois) >= 0)
+    return ~(floating | hidden)
 
 
 def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:

@@ -10,14 +10,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...context import QUIET, Context
-from ...cuda.device import CPU
-from ...cuda.library import has_blending_weights
 from ...model.gaussians import Gaussians
-from ...model.scene import Camera, Float64, PosedImage
-from ...rasterize.view import rasterize_view
-
-View = tuple[Camera, Float64]
-"""A camera and its world_to_camera."""
+from ...model.scene import Float64, PosedImage
+from ...rasterize.weights import View, blending_weights
 
 SIDE = 256  # pixels; shares of a view need no more
 NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it
@@ -36,16 +31,13 @@ def largest_shares(gaussians: Gaussians, views: Iterable[View], context: Context
         views: to look from.
         context: checked for cancellation between views.
     """
-    device = gaussians.means.device
-    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
-    largest = torch.zeros(len(model), device=model.means.device)
-    for camera, pose in views:
-        context.check_cancelled()
-        # colours do not matter
-        output = rasterize_view(model, camera, pose, sh_degree=0, with_weight_sum=True)
-        assert output.weight_sum is not None
-        torch.maximum(largest, output.weight_sum / (camera.width * camera.height), out=largest)
-    return largest.to(device)
+    views = list(views)
+    largest = torch.zeros(len(gaussians), device=gaussians.means.device)
+    for (camera, _), weights in zip(
+        views, blending_weights(gaussians, views, context), strict=True
+    ):
+        torch.maximum(largest, weights.total / (camera.width * camera.height), out=largest)
+    return largest
 
 
 def photo_views(images: Sequence[PosedImage]) -> list[View]:
