@@ -5,7 +5,7 @@ The engine's presets decide (roigs_engine/run/presets.py); a test compares.
 
 from __future__ import annotations
 
-PRESET_STEPS = {"draft": (2000, 3000), "standard": (6000, 9000), "paper": (20_000, 30_000)}
+PRESET_STEPS = {"draft": (2000, 3000), "standard": (4000, 4500), "paper": (20_000, 30_000)}
 """Of the scene, and of the boxes."""
 REFINE_SHARE = 0.2
 """Of the boxes' steps, for the joint stage after boxes that were trained one by one."""

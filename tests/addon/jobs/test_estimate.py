@@ -30,7 +30,7 @@ def test_steps_and_minutes(
     assert "5,000 steps, about" in shown
     assert not status(scene).done and not status(scene).unfinished
     scene.roigs.preset = "standard"  # the time is of other settings
-    assert estimate_job.known(scene) == "" and "15,000 steps" in said(bpy, TrainPanel)
+    assert estimate_job.known(scene) == "" and "8,500 steps" in said(bpy, TrainPanel)
     scene.roigs.preset = "draft"
     assert estimate_job.known(scene) == time
     scene.roigs.active_roi.scale.x *= 2
