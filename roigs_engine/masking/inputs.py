@@ -22,7 +22,7 @@ from ..photos.headers import content_digest, unreadable
 from .grab_cut import fenced
 from .views import View
 
-VERSION = 1  # increase it if masks of the same inputs become others
+VERSION = 2  # increase it if masks of the same inputs become others
 Strokes = Mapping[str, tuple[Stroke, ...]]
 
 

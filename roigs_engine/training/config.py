@@ -62,8 +62,8 @@ class TrainConfig:
             photos' squared error grows by no more than this share (`faint.py`); 0: none are.
         contribution_every: shortest window, in steps. At the end of a window, Gaussians are removed
             if their alpha x T stayed below 1/255 on all its training pixels; 0: never.
-        min_views: at its end, the stage removes floaters (`floaters/`); of these, Gaussians in
-            front of the boxes that fewer training photos show; 0: none.
+        min_views: at its end, the stage removes floaters (`floaters/`); of these, Gaussians
+            before the boxes or the scene that fewer training photos show; 0: none.
         small_until: steps before this one use photos of half the size: coarse to fine, ours. They
             take half the time, and what they lack is learned after them.
         whole_small_until: steps before this one that use a whole photo have it at half the size

@@ -1,6 +1,6 @@
 """Floaters: Gaussians that hang in the air, which photos cannot judge (ours).
 
-consistency     before the boxes or in the air, but in few photos; or in a box, but in no photo
+consistency     before the boxes or the scene, but in few photos; or in a box, but in no photo
 between_views   fills a view between the photos, but no photo
 among_cameras   hangs near a camera, where no photo looks
 """

@@ -37,6 +37,8 @@ def hangs_among_cameras(
         shown: (N,) the largest share of a photo that each fills (`view_shares.py`).
     """
     device = gaussians.means.device
+    if len(points) == 0:
+        return torch.zeros(len(gaussians), dtype=torch.bool, device=device)
     means = gaussians.means.detach().cpu().numpy().astype(np.float64)
     distance, nearest = cKDTree([image.centre for image in images]).query(means)
     # the area of a Gaussian that is seen from its broad side is 2 pi s1 s2

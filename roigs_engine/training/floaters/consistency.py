@@ -2,9 +2,9 @@
 
 If only one or two photos show a Gaussian, it can lie anywhere along their rays without an error in
 these photos. Close to a camera it hides the object in all views between the photos. So a Gaussian
-nearer than the boxes, or in the air before a camera, is kept only if enough photos show it. Farther
-away it is background, which few photos may show. A Gaussian that no photo shows is useless in a box
-or in the air; elsewhere a new view may show it.
+nearer than the boxes, or in the air before the scene, is kept only if enough photos show it.
+Farther away it is background, which few photos may show. A Gaussian that no photo shows is useless
+in a box; elsewhere a new view may show it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ...rasterize.weights import blending_weights
 from ..densification.adaptive import VISIBLE_WEIGHT
 from .view_shares import in_the_air
 
-NEARER = 1.5  # times nearer to a camera than to the scene: what few photos show floats there
+NEARER = 1.5  # times nearer to a camera than to the scene is in the air
 
 
 @torch.no_grad()
@@ -44,15 +44,17 @@ def consistent_across_views(
         gaussians: the model, N rows.
         images: the training photos; their pixels are not used.
         rois: the boxes.
-        points: (P, 3) of the scene, world units; without any, nothing is in the air.
-        min_views: a Gaussian that is nearer than the nearest box in every photo that shows it, or
-            in the air, needs this number of photos that show it, or all photos if there are fewer.
-            In a photo that sees no box, nothing is nearer than a box.
+        points: (P, 3) of the scene, world units; the photos' `point_indices` are rows of it.
+        min_views: a Gaussian needs this number of photos that show it, or all photos if there are
+            fewer, if it is nearer than the nearest box in each of them; or if it is in the air, and
+            nearer than half of the points that the photo observes in each of them. In a photo that
+            sees no box, or has no points, nothing is nearer.
         context: checked for cancellation between photos.
     """
     means = gaussians.means
     shown_by = torch.zeros(len(gaussians), dtype=torch.int32, device=means.device)
-    in_front = torch.ones_like(shown_by, dtype=torch.bool)
+    before_boxes = torch.ones_like(shown_by, dtype=torch.bool)
+    before_scene = before_boxes.clone()
     min_views = min(min_views, len(images))
     views = [(image.camera, image.world_to_camera) for image in images]
     for image, weights in zip(images, blending_weights(gaussians, views, context), strict=True):
@@ -60,9 +62,10 @@ def consistent_across_views(
         shown = weights.largest >= VISIBLE_WEIGHT
         depth = means @ pose[2, :3] + pose[2, 3]
         shown_by += shown
-        in_front &= ~shown | (depth < _nearest(rois, image))
+        before_boxes &= ~shown | (depth < _nearest(rois, image))
+        before_scene &= ~shown | (depth < _middle(points, image))
+    in_front = before_boxes | (before_scene & in_the_air(gaussians, images, points, NEARER))
     floating = (shown_by > 0) & (shown_by < min_views) & in_front
-    floating |= (shown_by < min_views) & in_the_air(gaussians, images, points, NEARER)
     hidden = (shown_by == 0) & (owners(gaussians, rois) >= 0)
     return ~(floating | hidden)
 
@@ -77,3 +80,11 @@ def _nearest(rois: Sequence[OrientedBox], image: PosedImage) -> float:
         return -np.inf
     corners = np.concatenate([roi.corners() for roi in rois])
     return float((corners @ pose[2, :3] + pose[2, 3]).min())
+
+
+def _middle(points: Float64, image: PosedImage) -> float:
+    """Median depth of the points that the photo observes; minus infinity without any."""
+    if len(points) == 0 or len(image.point_indices) == 0:
+        return -np.inf
+    pose = image.world_to_camera
+    return float(np.median(points[image.point_indices] @ pose[2, :3] + pose[2, 3]))

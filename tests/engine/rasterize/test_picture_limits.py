@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.rotations import rotation_matrices
 from roigs_engine.model.scene import Camera, PosedImage
-from roigs_engine.rasterize import RenderOutput, rasterize, view
+from roigs_engine.rasterize import RenderOutput, rasterize
 from roigs_engine.rasterize.inputs import NEAR
 from roigs_engine.rasterize.limits import (
     MAX_SLOPE,
@@ -29,6 +28,7 @@ from roigs_engine.rasterize.limits import (
     Limits,
 )
 from roigs_engine.rasterize.view import rasterize_view, render_view
+from roigs_engine.rasterize.weights import blending_weights
 from roigs_engine.training.floaters.consistency import consistent_across_views
 from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
@@ -255,7 +255,7 @@ def test_limits_beyond_everything_change_no_bit() -> None:
     assert all(torch.equal(a, b) for a, b in zip(gradients, same, strict=True))
 
 
-def test_pictures_have_limits_and_consistency_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_have_limits_and_consistency_has_none() -> None:
     """What a training photo shows is decided as training draws it."""
     means, quats, scales, opacities, sh = needle()
     raw = Gaussians(
@@ -278,8 +278,9 @@ def test_pictures_have_limits_and_consistency_has_none(monkeypatch: pytest.Monke
     )
     around = OrientedBox(name="box", world_to_box=np.eye(4), half_extents=np.full(3, 9.0))
     assert consistent_across_views(raw, [image], [around], np.zeros((0, 3)), 1).all()
-    monkeypatch.setattr(view, "rasterize", partial(rasterize, limits=BESIDE))
-    assert not consistent_across_views(raw, [image], [around], np.zeros((0, 3)), 1).any()
+    (shown,) = blending_weights(raw, [(camera, np.eye(4))])
+    (limited,) = blending_weights(raw, [(camera, np.eye(4))], limits=PICTURE_LIMITS)
+    assert shown.total.any() and not limited.total.any()
 
 
 @settings(

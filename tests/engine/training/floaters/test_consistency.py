@@ -129,34 +129,51 @@ def test_every_box_counts() -> None:
 
 
 def turned_away(image: PosedImage) -> PosedImage:
-    return replace(image, world_to_camera=look_at(image.centre, 2 * image.centre))
+    """To the other side, where it observes 50 points."""
+    pose = look_at(image.centre, 2 * image.centre)
+    return replace(image, world_to_camera=pose, point_indices=np.arange(50))
 
 
-def test_in_the_air_before_a_camera_few_photos_do_not_suffice() -> None:
-    """Also where photos see no box, or show it behind one."""
-    wall = eye(0) * 2 * DISTANCE + np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
+WALL = eye(0) * 2 * DISTANCE + np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
+NO_BOX_IN_SIGHT = [turned_away(image) for image in (SIDE[0], *SIDE[3:])]
+"""The first photo looks at the wall; what stands before it is shown by no other one."""
+
+
+def test_in_the_air_before_the_scene_few_photos_do_not_suffice() -> None:
     floater, standing = balls(eye(0) * 1.2 * DISTANCE), balls(eye(0) * 1.8 * DISTANCE)
-    no_box_in_sight = [turned_away(image) for image in (SIDE[0], *SIDE[3:])]
-    assert kept(floater, 3, no_box_in_sight, wall) == [False]
-    assert kept(standing, 3, no_box_in_sight, wall) == [True]
-    assert kept(floater, 3, no_box_in_sight, NO_POINTS) == [True]
-    assert kept(floater, 1, no_box_in_sight, wall) == [True]
-    one_point = np.repeat(eye(0)[None] * 1.2 * DISTANCE, 10, axis=0)
-    assert kept(floater, 3, no_box_in_sight, np.concatenate([wall, one_point])) == [True]
+    assert kept(floater, 3, NO_BOX_IN_SIGHT, WALL) == [False]
+    assert kept(standing, 3, NO_BOX_IN_SIGHT, WALL) == [True]
+    assert kept(floater, 1, NO_BOX_IN_SIGHT, WALL) == [True]
+    something = np.repeat(eye(0)[None] * 1.2 * DISTANCE, 10, axis=0)
+    assert kept(floater, 3, NO_BOX_IN_SIGHT, np.concatenate([WALL, something])) == [True]
 
 
-def test_in_the_air_what_no_photo_shows_goes() -> None:
-    wall = np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
-    beside = balls(eye(0) * 1.1 * DISTANCE, eye(10) * DISTANCE)  # behind a camera, and far away
-    assert kept(beside, 3, SIDE, wall) == [False, True]
+def test_without_points_nothing_is_in_the_air() -> None:
+    floater = balls(eye(0) * 1.2 * DISTANCE)
+    blind = [replace(i, point_indices=np.zeros(0, dtype=np.int64)) for i in NO_BOX_IN_SIGHT]
+    assert kept(floater, 3, blind, WALL) == [True]
+    assert kept(floater, 3, blind, NO_POINTS) == [True]
+
+
+def test_background_without_points_behind_the_scene_stays() -> None:
+    """As a bare wall that few photos show; it is nearer to cameras than to any point."""
+    near = eye(0) * 0.9 * DISTANCE + np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
+    images = [replace(image, point_indices=np.arange(50)) for image in (SIDE[0], *SIDE[3:])]
+    wall = balls(eye(0) * -1.4 * DISTANCE + np.array([0.0, 0.0, 0.4]))
+    assert kept(wall, 3, [*images, *ring(20)[9:12]], near)[0]
+
+
+def test_what_no_photo_shows_in_the_air_stays() -> None:
+    """A model that was moved there, or what a new view needs."""
+    beside = balls(eye(0) * 1.1 * DISTANCE + np.array([0.0, 0.0, 2.0]))
+    assert kept(beside, 3, NO_BOX_IN_SIGHT, WALL) == [True]
 
 
 def test_in_the_air_enough_photos_suffice() -> None:
-    wall = np.random.default_rng(0).normal(scale=0.1, size=(50, 3))
-    images = [*ring(400)[:3], *map(turned_away, SIDE[3:])]
-    model = balls(eye(1, 400) * 0.7 * DISTANCE)
-    assert kept(model, 3, images, wall) == [True]
-    assert kept(model, 4, images, wall) == [False]
+    images = [*map(turned_away, ring(400)[:3]), *NO_BOX_IN_SIGHT[1:]]
+    model = balls(eye(1, 400) * 1.2 * DISTANCE)
+    assert kept(model, 3, images, WALL) == [True]
+    assert kept(model, 4, images, WALL) == [False]
 
 
 def test_gsplat_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
