@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=integer(1),
         default=preset("draft").roi.min_views,
         metavar="N",
-        help="photos that must show a Gaussian before the boxes or the scene (default: %(default)s)",
+        help="photos that must show what is before the boxes or the scene (default: %(default)s)",
     )
     parser.add_argument(
         "--out",
