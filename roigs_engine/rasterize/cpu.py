@@ -18,8 +18,8 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
+from .culling import centre_bounds
 from .inputs import BackwardStep, Depth, RenderInputs, RenderOutput
-from .limits import centre_bounds
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 

@@ -30,8 +30,8 @@ from ..cuda.frame import (
 )
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
+from .culling import centre_bounds
 from .inputs import RenderInputs, RenderOutput
-from .limits import centre_bounds
 
 _MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
 

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ..cuda import library
 from ..errors import KernelError
+from .culling import within
 from .inputs import (
     FAINTEST,
     NEAR,
@@ -29,7 +30,7 @@ from .inputs import (
     RenderInputs,
     RenderOutput,
 )
-from .limits import NO_LIMITS, within
+from .limits import NO_LIMITS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

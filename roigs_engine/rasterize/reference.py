@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ..model.rotations import rotation_matrices
+from .culling import within
 from .inputs import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -24,7 +25,6 @@ from .inputs import (
     RenderInputs,
     RenderOutput,
 )
-from .limits import within
 
 PIXELS_AT_ONCE = 1 << 14
 """Pixels blended at once; limits the size of the (pixels, Gaussians) intermediates."""

@@ -232,14 +232,14 @@ def test_a_mesh_behind_an_object_stays_behind_it(blender: ModuleType, run, shot)
     camera = scene.camera.matrix_world
     to_model = scene.objects["Background"].matrix_world.inverted() @ camera
     distances = np.array([2.0, 90.0])
-    balls = {
+    discs = {  # upright before the camera: a ball as large would reach behind it
         "means": np.array([to_model @ bpy_vector(0, 0, -d) for d in distances]),
-        "quats": np.array([[1.0, 0, 0, 0]] * 2),
-        "log_scales": np.repeat(np.log(2 * distances)[:, None], 3, axis=1),
+        "quats": np.array([to_model.to_quaternion()] * 2),
+        "log_scales": np.log(distances[:, None] * [2.0, 2.0, 0.1]),
         "logit_opacities": np.log([9.0, 999.0]),
         "sh": np.array([[[1.0, 0, 0]], [[0, 0, 1.0]]]),
     }
-    write_ply(run[1] / "background.ply", {name: a.astype(np.float32) for name, a in balls.items()})
+    write_ply(run[1] / "background.ply", {name: a.astype(np.float32) for name, a in discs.items()})
     bpy.ops.roigs.load_results()
     only(scene, "Background")
     alone = f12("alone")

@@ -77,7 +77,7 @@ def test_several_settings(trained) -> None:
     scene.roigs.preset, scene.roigs.seed = "standard", 3
     assert words(scene) == (
         "Trained with Draft, seed 0; the settings now say Standard, seed 3:"
-        " Train starts again (about 30 min)"
+        " Train starts again (about 17 min)"
     )
 
 
