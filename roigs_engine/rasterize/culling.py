@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import torch
 from torch import Tensor
 
 from ..model.rotations import rotation_matrices
@@ -24,9 +23,11 @@ def centre_bounds(inputs: RenderInputs, camera: int) -> tuple[float, float, floa
     return min(0, cx - x), min(0, cy - y), max(inputs.width, cx + x), max(inputs.height, cy + y)
 
 
-@torch.no_grad()
 def within(inputs: RenderInputs, camera: int, means2d: Tensor) -> Tensor:
-    """(..., N) bool: which Gaussians, whose projected centres are (..., N, 2), the limits keep."""
+    """(..., N) bool: which Gaussians, whose projected centres are (..., N, 2), the limits keep.
+
+    Call it without gradients.
+    """
     left, top, right, bottom = centre_bounds(inputs, camera)
     x, y = means2d.unbind(-1)
     inside = (x > left) & (x < right) & (y > top) & (y < bottom)

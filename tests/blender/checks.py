@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
 from math import radians
 from pathlib import Path
+from typing import Any
 
 import bpy
 import gpu
@@ -23,8 +23,6 @@ SIDE = 96
 DISTANCE = 4.0
 FOLDER = Path(sys.argv[-1])
 TURN = Matrix.Rotation(radians(40), 4, "Y") @ Matrix.Rotation(radians(25), 4, "X")
-
-Check = Callable[[bpy.types.Object, bpy.types.Object], None]
 
 
 def splats(name: str, path: Path) -> bpy.types.Object:
@@ -52,12 +50,15 @@ def glance(item: bpy.types.Object, size: float, painter: Painter, **how: bool) -
     return np.array(data).reshape(SIDE, SIDE, 4)
 
 
-def run_checks(checks: Sequence[Check]) -> None:
-    """Do all checks with the folder's two objects, each on its own, and leave Blender."""
+def run_checks(names: dict[str, Any]) -> None:
+    """Do a script's checks with the folder's two objects, each on its own, and leave Blender.
+
+    `names` are the script's globals; those that begin with `check_` are its checks.
+    """
 
     def all_pass() -> bool:
         a, b = splats("a", FOLDER / "a.ply"), splats("b", FOLDER / "b.ply")
-        for check in checks:
+        for check in (value for name, value in names.items() if name.startswith("check_")):
             check(a, b)
             print(check.__name__, "passed", flush=True)
         return True
@@ -71,8 +72,3 @@ def run_checks(checks: Sequence[Check]) -> None:
         points.unregister()
         properties.unregister()
     sys.exit(0 if passed else 1)
-
-
-def named(names: dict[str, object]) -> list[Check]:
-    """The checks among a script's names, in their order."""
-    return [check for name, check in names.items() if name.startswith("check_")]  # type: ignore[misc]

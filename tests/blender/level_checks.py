@@ -15,7 +15,7 @@ from roigs_addon.viewport import painter as drawing
 from roigs_addon.viewport.painter import Painter
 from roigs_engine.formats.levels import FADE
 from tests.addon.levels_cases import make_levels
-from tests.blender.checks import FOLDER, SIDE, glance, named, run_checks, splats
+from tests.blender.checks import FOLDER, SIDE, glance, run_checks, splats
 from tests.blender.gpu_pictures import psnr
 
 
@@ -101,4 +101,4 @@ def check_levels_that_do_not_fit(_a: bpy.types.Object, _b: bpy.types.Object) -> 
 
 
 if __name__ == "__main__":
-    run_checks(named(globals()))
+    run_checks(globals())

@@ -26,7 +26,7 @@ from roigs_addon.viewport.painter import Painter
 from roigs_addon.viewport.view import View
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.addon.splat_cases import fine_ply, recoloured
-from tests.blender.checks import DISTANCE, FOLDER, SIDE, TURN, glance, named, run_checks, splats
+from tests.blender.checks import DISTANCE, FOLDER, SIDE, TURN, glance, run_checks, splats
 from tests.blender.gpu_pictures import perspective, picture, psnr
 
 
@@ -343,4 +343,4 @@ def check_freed(a: bpy.types.Object, _b: bpy.types.Object) -> None:
 
 
 if __name__ == "__main__":
-    run_checks(named(globals()))
+    run_checks(globals())

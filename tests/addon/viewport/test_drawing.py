@@ -197,13 +197,8 @@ def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
     run(blender, "viewport_parity.py", tmp_path)
 
 
-def test_the_viewport_draws_objects_as_they_lie(blender: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("script", ["viewport_checks.py", "level_checks.py"])
+def test_the_viewport_draws_objects_as_they_lie(blender: str, tmp_path: Path, script: str) -> None:
     random_ply(tmp_path / "a.ply", 600, seed=1)
     random_ply(tmp_path / "b.ply", 400, seed=2, coefficients=4)
-    run(blender, "viewport_checks.py", tmp_path)
-
-
-def test_the_viewport_draws_levels_of_detail(blender: str, tmp_path: Path) -> None:
-    random_ply(tmp_path / "a.ply", 600, seed=1)
-    random_ply(tmp_path / "b.ply", 400, seed=2, coefficients=4)
-    run(blender, "level_checks.py", tmp_path)
+    run(blender, script, tmp_path)
