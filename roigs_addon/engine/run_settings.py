@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ class RunSettings:
     Attributes:
         preset, strategy, method, count, seed, test_every: as the engine's options.
         max_side, steps_factor, antialiased: likewise.
+        steps: of the scene and the boxes: those of a preset may change between versions.
         exclude: names of the photos that are left out.
         scene, images: names of the folders. Their paths change when a project is moved.
     """
@@ -30,6 +31,7 @@ class RunSettings:
     preset: str | None = None
     max_side: int | None = None
     steps_factor: float | None = None
+    steps: int | None = None
     strategy: str | None = None
     antialiased: bool | None = None
     method: str | None = None
@@ -71,8 +73,22 @@ class RunSettings:
 
 def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:
     """What a manifest says of the stages. Before there was anti-aliasing, none had it."""
-    stage = config.get("roi")
-    return {"antialiased": bool(stage.get("antialiased"))} if isinstance(stage, dict) else {}
+    scene, boxes = config.get("scene"), config.get("roi")
+    found: dict[str, Any] = {}
+    if isinstance(boxes, dict):
+        found["antialiased"] = bool(boxes.get("antialiased"))
+    if isinstance(scene, dict) and isinstance(boxes, dict):
+        steps = scene.get("steps"), boxes.get("steps")
+        found["steps"] = sum(steps) if all(isinstance(count, int) for count in steps) else None
+    return found
+
+
+def with_steps(settings: RunSettings) -> RunSettings:
+    """The settings of a training to come, with the steps that its preset has now."""
+    stages = PRESET_STEPS.get(settings.preset or "")
+    factor = settings.steps_factor or 1.0
+    steps = sum(max(1, round(count * factor)) for count in stages) if stages else None
+    return replace(settings, steps=steps)
 
 
 def _plain(value: Any) -> Any:
@@ -89,9 +105,12 @@ def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:
 
 
 def differing(before: RunSettings, now: RunSettings) -> list[str]:
-    """Names of the settings that differ, of those that both know."""
+    """Names of the settings that differ, of those that both know; steps if nothing else says so."""
     pairs = {f.name: (getattr(before, f.name), getattr(now, f.name)) for f in fields(RunSettings)}
-    return [name for name, (a, b) in pairs.items() if a != b and None not in (a, b)]
+    names = [name for name, (a, b) in pairs.items() if a != b and None not in (a, b)]
+    if "preset" in names or "steps_factor" in names:
+        names = [name for name in names if name != "steps"]
+    return names
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -102,6 +121,7 @@ IN_WORDS: dict[str, Callable[[Any], str]] = {
     "preset": lambda value: str(value).capitalize(),
     "max_side": lambda value: f"{value} px",
     "steps_factor": lambda value: f"{value:g} x steps",
+    "steps": lambda value: f"{value:,} steps",
     "strategy": lambda value: "boxes together" if value == "joint" else "boxes one by one",
     "antialiased": lambda value: "anti-aliased" if value else "not anti-aliased",
     "method": lambda value: f"method {value}",
@@ -131,7 +151,7 @@ def title(settings: RunSettings) -> str:
 
 def work(settings: RunSettings) -> float | None:
     """The work of a training, in pixels times steps; None if it is not known."""
-    steps = PRESET_STEPS.get(settings.preset or "")
+    steps = settings.steps or with_steps(settings).steps
     if steps is None or settings.max_side is None:
         return None
-    return sum(steps) * (settings.steps_factor or 1.0) * settings.max_side**2
+    return float(steps * settings.max_side**2)

@@ -33,6 +33,19 @@ def test_only_what_is_known_differs() -> None:
     assert run_settings.differing(then, now) == ["steps_factor", "seed", "exclude", "scene"]
 
 
+def test_a_preset_with_other_steps_differs() -> None:
+    """As after an update of the add-on that changes a preset."""
+    stages = {"scene": {"steps": 6000}, "roi": {"steps": 9000}}
+    then = RunSettings.from_options(OPTIONS | {"preset": "standard"}, stages)
+    now = run_settings.with_steps(RunSettings.from_options(OPTIONS | {"preset": "standard"}))
+    assert run_settings.differing(then, now) == ["steps"]
+    assert run_settings.in_words(then, ["steps"]) == "15,000 steps"
+    before, after = run_settings.work(then), run_settings.work(now)
+    assert before and after and before / after == pytest.approx(15_000 / 8500)
+    other = run_settings.with_steps(RunSettings.from_options(OPTIONS))
+    assert run_settings.differing(then, other) == ["preset"]
+
+
 def test_what_the_options_leave_out_is_in_the_manifest(tmp_path: Path) -> None:
     config = {"preset": "paper", "scene": {}, "strategy": "independent", "seed": 0}
     config |= {"selection": {"method": "gp9", "count": None, "seed": 3}, "test_every": 8}
