@@ -191,6 +191,8 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return "faint Gaussians were {}, now they are {}".format(
             *("removed" if value else "kept" for value in (before, now))
         )
+    if name.endswith(".restarts"):
+        return f"Adam was restarted {before or 0} times, now {now or 0} times"
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
 

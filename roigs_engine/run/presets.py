@@ -87,6 +87,7 @@ def joint_recipe(
             reset_every=0,
             faint_growth=0.05,
             min_views=4,
+            restarts=3,
             average_steps=roi_steps // 10,
             antialiased=True,
         ),

@@ -19,7 +19,7 @@ INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contri
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 
 # Fields that records of settings leave out where they are off: these stages train as before them.
-ADDED = ("antialiased", "faint_growth")
+ADDED = ("antialiased", "faint_growth", "restarts")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +68,9 @@ class TrainConfig:
             take half the time, and what they lack is learned after them.
         whole_small_until: steps before this one that use a whole photo have it at half the size
             too: what is beside the boxes needs no more.
+        restarts: so many times, the first when densification ends, Adam forgets its moments of all
+            but colours: warm restarts, ours. Steps are several times as large then, and shrink
+            within some hundred steps.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
         antialiased: draw Gaussians below a pixel's size fainter instead of larger, so that near and
@@ -108,6 +111,7 @@ class TrainConfig:
     min_views: int = 0
     small_until: int = 0
     whole_small_until: int = 0
+    restarts: int = 0
     average_steps: int = 0
     antialiased: bool = False
 
@@ -150,6 +154,12 @@ class TrainConfig:
     def is_averaged(self, step: int) -> bool:
         """Whether the model after so many steps is one of those that are averaged."""
         return step > self.steps - self.average_steps and step % AVERAGE_EVERY == 0
+
+    def is_restarted(self, step: int) -> bool:
+        """Whether Adam starts anew after so many steps: at even distances, twice that to the end."""
+        first, count = self.densify_until, self.restarts
+        rest = self.steps - first
+        return any(step == first + k * rest // (count + 1) for k in range(count))
 
     def degree(self, step: int) -> int:
         """SH degree in use at a step."""

@@ -262,10 +262,15 @@ class VisibleAdam:
         self.skipped_rows += part.skipped_rows
 
     @torch.no_grad()
-    def zero_moments(self, name: str) -> None:
-        """Zero a parameter's moments."""
-        for moments in (self.exp_avg[name], self.exp_avg_sq[name]):
-            moments.zero_()
+    def zero_moments(self, *names: str) -> None:
+        """Zero the moments of parameters.
+
+        The second moment grows more slowly than the first, and nothing corrects for that any more:
+        the next some hundred steps are up to six times as large as usual.
+        """
+        for name in names:
+            self.exp_avg[name].zero_()
+            self.exp_avg_sq[name].zero_()
 
     def state_dict(self) -> dict[str, Any]:
         """Step count, moments and learning rates; tensors are shared, not copied."""

@@ -191,8 +191,8 @@ class Trainer:
         self.step += 1
         checks = self.step % min(CHECK_EVERY, self.config.densify_every) == 0
         edits, averages = self._density.is_due(self.step), self.config.is_averaged(self.step)
-        ends = self.step == self.config.steps
-        reads = checks or edits or averages or ends or self._figures.is_new
+        restarts, ends = self.config.is_restarted(self.step), self.step == self.config.steps
+        reads = checks or edits or averages or restarts or ends or self._figures.is_new
         if self._taken_back(wait=reads):
             return
         self._figures.read()
@@ -201,6 +201,8 @@ class Trainer:
         edit = self._density.edit(self._parameters, self.step) if edits else None
         if edit is not None:
             self._apply(edit)
+        if restarts:
+            self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
         self._average()
 
     def _taken_back(self, *, wait: bool) -> bool:

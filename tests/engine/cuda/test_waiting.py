@@ -171,6 +171,7 @@ def test_a_view_without_room_is_drawn_again(
         reset_every=7,
         full_every=2 if inputs is boxes else 1,
         contribution_every=0 if inputs is boxes else 4,
+        restarts=1,
         average_steps=10,
     )
     states, steps = [], 0

@@ -70,7 +70,7 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
     ours = preset("standard").roi
     for field in ("lr_shN", "lr_shN_spacing", "lr_scales", "lr_means", "sh_start", "min_views"):
         assert getattr(fine, field) == getattr(ours, field)
-    assert fine.average_steps == fine.steps // 10
+    assert (fine.restarts, fine.average_steps) == (3, fine.steps // 10)
     densify = coarse.densify_until + fine.densify_until
     assert densify == max(plain.densify_until, coarse.densify_until + fine.steps // 3)
     if name != "paper":

@@ -243,6 +243,23 @@ def test_zero_moments() -> None:
     assert not optimizer.exp_avg_sq["means"].any()
 
 
+def test_steps_are_large_after_moments_were_zeroed() -> None:
+    """With gradients of one size, a step is as long as the learning rate; then several times."""
+    value = torch.zeros(1, 3)
+    optimizer = VisibleAdam({"means": (value, 1.0)})
+    lengths = []
+    for step in range(3000):
+        if step == 1500:
+            optimizer.zero_moments("means")
+        before = value.detach().clone()
+        optimizer.parameters["means"].grad = torch.ones(1, 3)
+        optimizer.step(torch.ones(1, dtype=torch.bool))
+        lengths.append(float((value.detach() - before).abs().max()))
+    assert lengths[1499] == pytest.approx(1, rel=0.01)
+    assert 4 < max(lengths[1500:1600]) < 7
+    assert lengths[1500] > 2 and lengths[-1] < 1.3
+
+
 def test_resumed_is_uninterrupted() -> None:
     count = 64
     visible = torch.arange(count) % 3 != 0

@@ -40,6 +40,8 @@ RESTING = TrainConfig(steps=20, densify_until=0)
 SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, small_until=25)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
 
+RESTARTED = replace(SHORT, densify_until=25, restarts=2)
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
@@ -160,6 +162,7 @@ def test_the_first_steps_draw_half_the_size(
         *((SHORT, stop) for stop in (1, 10, 29, 33, 59)),
         *((AVERAGED, stop) for stop in (35, 52)),
         *((SMALL_FIRST, stop) for stop in (24, 25, 26)),
+        *((RESTARTED, stop) for stop in (24, 25, 26)),
     ],
 )
 def test_resuming_equals_never_stopping(
@@ -195,6 +198,31 @@ def test_a_stage_ends_with_the_mean_of_its_last_models(scene: SfmScene) -> None:
         mean = torch.stack([getattr(model, name) for model in seen]).mean(dim=0)
         torch.testing.assert_close(getattr(trainer.gaussians, name).detach(), mean)
     assert not same_bits(trainer.gaussians, plain.gaussians)
+
+
+def test_a_warm_restart_forgets_all_but_colours(scene: SfmScene) -> None:
+    plain = replace(RESTARTED, restarts=0)
+    first, other = (
+        Trainer(first_model(scene), stage_data(scene), config) for config in (RESTARTED, plain)
+    )
+    for _ in range(RESTARTED.densify_until):
+        first.train_step()
+        other.train_step()
+    assert same_bits(first.gaussians, other.gaussians)
+    state, usual = (each.state_dict()["optimizer"] for each in (first, other))
+    for key in ("exp_avg", "exp_avg_sq"):
+        for name in NAMES:
+            assert usual[key][name].any()
+            assert bool(state[key][name].any()) == (name == "sh")
+    first.train_step()
+    other.train_step()
+    assert not same_bits(first.gaussians, other.gaussians)
+
+
+def test_restarts_leave_time_to_settle() -> None:
+    config = TrainConfig(steps=3000, densify_until=1000, restarts=3)
+    assert [s for s in range(3001) if config.is_restarted(s)] == [1000, 1500, 2000]
+    assert not any(replace(config, restarts=0).is_restarted(s) for s in range(3001))
 
 
 def test_models_with_other_rows_are_not_averaged(scene: SfmScene) -> None:
