@@ -156,7 +156,7 @@ class TrainConfig:
         return step > self.steps - self.average_steps and step % AVERAGE_EVERY == 0
 
     def is_restarted(self, step: int) -> bool:
-        """Whether Adam starts anew after so many steps: at even distances, twice that to the end."""
+        """Whether Adam starts anew after so many steps: as often as `restarts`, evenly."""
         first, count = self.densify_until, self.restarts
         rest = self.steps - first
         return any(step == first + k * rest // (count + 1) for k in range(count))
