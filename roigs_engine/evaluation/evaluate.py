@@ -213,6 +213,7 @@ def _row(
         worst_view=gains.worst_view,
         won_share=gains.won,
         mask_psnr=mean([v.mask_psnr for v in views if v.mask_psnr is not None]),
+        antialiased=model.gaussians.antialiased,
     )
 
 

@@ -169,6 +169,9 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
         if flagged:
             notes.append(f"{what}: {', '.join(flagged)}.")
     notes += _photo_notes(scores.rows, evaluation.baseline)
+    plain = [row.model for row in scores.rows if row.antialiased is False]
+    if plain and any(row.antialiased for row in scores.rows):
+        notes.append(f"Drawn without anti-aliasing, as trained: {', '.join(plain)}.")
     stages = [
         f"{row.model} = " + " + ".join(f"{name} {spent:,.0f}" for name, spent in row.stages.items())
         for row in scores.rows

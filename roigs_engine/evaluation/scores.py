@@ -53,6 +53,7 @@ class ModelScore:
         seconds: training time.
         stages: stage -> its training time, seconds.
         ply_bytes: size of the model's PLY.
+        antialiased: whether its Gaussians are drawn with anti-aliasing.
         views: scores of each view of the box.
         image_views: test view -> PSNR over the whole image, dB.
     """
@@ -79,6 +80,7 @@ class ModelScore:
     worst_view: str | None = None
     won_share: float | None = None
     mask_psnr: float | None = None
+    antialiased: bool | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -74,12 +74,25 @@ def test_a_report_says_validation_photos() -> None:
     assert text.count("validation photo") == 3 and "test photo" not in text
 
 
+def test_a_report_says_which_rows_are_not_anti_aliased() -> None:
+    scores = by_hand().rois[0]
+    for drawn, said in (((False, True), True), ((True, True), False), ((False, False), False)):
+        rows = tuple(
+            dataclasses.replace(row, antialiased=value)
+            for row, value in zip(scores.rows, drawn, strict=True)
+        )
+        report = dataclasses.replace(by_hand(), rois=(dataclasses.replace(scores, rows=rows),))
+        text = format_markdown(Evaluation.from_dict(report.to_dict()))
+        assert ("without anti-aliasing, as trained: plain." in text) == said
+
+
 def test_a_report_of_version_0_1_0_is_read() -> None:
     record = by_hand().to_dict()
     del record["photos"]
     for row in record["rois"][0]["rows"]:
         for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
             del row[name]
+        del row["antialiased"]
         for view in row["views"]:
             del view["distance"], view["roi_flip"]
     old = Evaluation.from_dict(record)
