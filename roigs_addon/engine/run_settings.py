@@ -10,6 +10,12 @@ from typing import Any
 from ..shared import EngineError, files, run_files, text
 from .training_steps import PRESET_STEPS
 
+THIS, EARLIER = "this version's settings", "an earlier version's settings"
+OURS = ("faint_growth", "restarts")
+"""Settings of the box stage that boxes trained together have, and that came with new versions."""
+LATER = ("exclude", "count", "steps", "recipe")
+"""Not taken as they are."""
+MOST_STEPS, MOST_FACTOR = 10**9, 1e6
 NAMED = 2
 """Photos that are named."""
 BOX_SETTINGS = ("method", "count")
@@ -23,7 +29,8 @@ class RunSettings:
     Attributes:
         preset, strategy, method, count, seed, test_every: as the engine's options.
         max_side, steps_factor, antialiased: likewise.
-        steps: of the scene and the boxes: those of a preset may change between versions.
+        steps: of the scene and the boxes; not compared.
+        recipe: whether a preset's settings are those of this version.
         exclude: names of the photos that are left out.
         scene, images: names of the folders. Their paths change when a project is moved.
     """
@@ -32,6 +39,7 @@ class RunSettings:
     max_side: int | None = None
     steps_factor: float | None = None
     steps: int | None = None
+    recipe: str | None = None
     strategy: str | None = None
     antialiased: bool | None = None
     method: str | None = None
@@ -56,7 +64,7 @@ class RunSettings:
         selection = config.get("selection")
         chosen = selection if isinstance(selection, dict) else {}
         known = {**chosen, **_of_stages(config), **config, **values}
-        names = [field.name for field in fields(cls) if field.name not in ("exclude", "count")]
+        names = [field.name for field in fields(cls) if field.name not in LATER]
         found = {name: _plain(known.get(name)) for name in names}
         if values:
             found["steps_factor"] = found["steps_factor"] or 1.0
@@ -68,27 +76,40 @@ class RunSettings:
             **found,
             exclude=tuple(sorted(map(str, listed))) if values else None,
             count=(count if isinstance(count, int) else 0) if known else None,
-        )
+        )._with_recipe(config)
+
+    def _with_recipe(self, config: Mapping[str, Any]) -> RunSettings:
+        """With what a manifest says of steps, and of settings that this version's presets have."""
+        scene, boxes = config.get("scene"), config.get("roi")
+        if not isinstance(scene, dict) or not isinstance(boxes, dict):
+            return self
+        stages = _count(scene.get("steps")), _count(boxes.get("steps"))
+        usual = self.of_this_version().steps
+        if None in stages or usual is None:
+            return self
+        steps = sum(count or 0 for count in stages)
+        ours = self.strategy == "joint"
+        same = steps == usual and all(bool(boxes.get(name)) == ours for name in OURS)
+        return replace(self, steps=steps, recipe=THIS if same else EARLIER)
+
+    def of_this_version(self) -> RunSettings:
+        """The settings of a training to come: with what its preset is now."""
+        stages, factor = PRESET_STEPS.get(str(self.preset)), self.steps_factor or 1.0
+        if stages is None or isinstance(factor, str) or not 0 < factor < MOST_FACTOR:
+            return replace(self, steps=None, recipe=THIS)
+        return replace(self, steps=sum(max(1, round(n * factor)) for n in stages), recipe=THIS)
 
 
 def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:
     """What a manifest says of the stages. Before there was anti-aliasing, none had it."""
-    scene, boxes = config.get("scene"), config.get("roi")
-    found: dict[str, Any] = {}
-    if isinstance(boxes, dict):
-        found["antialiased"] = bool(boxes.get("antialiased"))
-    if isinstance(scene, dict) and isinstance(boxes, dict):
-        steps = scene.get("steps"), boxes.get("steps")
-        found["steps"] = sum(steps) if all(isinstance(count, int) for count in steps) else None
-    return found
+    stage = config.get("roi")
+    return {"antialiased": bool(stage.get("antialiased"))} if isinstance(stage, dict) else {}
 
 
-def with_steps(settings: RunSettings) -> RunSettings:
-    """The settings of a training to come, with the steps that its preset has now."""
-    stages = PRESET_STEPS.get(settings.preset or "")
-    factor = settings.steps_factor or 1.0
-    steps = sum(max(1, round(count * factor)) for count in stages) if stages else None
-    return replace(settings, steps=steps)
+def _count(value: Any) -> int | None:
+    """A number of steps."""
+    good = isinstance(value, int) and not isinstance(value, bool) and 0 < value < MOST_STEPS
+    return value if good else None
 
 
 def _plain(value: Any) -> Any:
@@ -105,12 +126,10 @@ def read(folder: Path, config: Mapping[str, Any] | None = None) -> RunSettings:
 
 
 def differing(before: RunSettings, now: RunSettings) -> list[str]:
-    """Names of the settings that differ, of those that both know; steps if nothing else says so."""
-    pairs = {f.name: (getattr(before, f.name), getattr(now, f.name)) for f in fields(RunSettings)}
+    """Names of the settings that differ, of those that both know; `recipe` if no other says why."""
+    pairs = {name: (getattr(before, name), getattr(now, name)) for name in IN_WORDS}
     names = [name for name, (a, b) in pairs.items() if a != b and None not in (a, b)]
-    if "preset" in names or "steps_factor" in names:
-        names = [name for name in names if name != "steps"]
-    return names
+    return [name for name in names if name != "recipe"] or names
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -121,7 +140,7 @@ IN_WORDS: dict[str, Callable[[Any], str]] = {
     "preset": lambda value: str(value).capitalize(),
     "max_side": lambda value: f"{value} px",
     "steps_factor": lambda value: f"{value:g} x steps",
-    "steps": lambda value: f"{value:,} steps",
+    "recipe": str,
     "strategy": lambda value: "boxes together" if value == "joint" else "boxes one by one",
     "antialiased": lambda value: "anti-aliased" if value else "not anti-aliased",
     "method": lambda value: f"method {value}",
@@ -151,7 +170,7 @@ def title(settings: RunSettings) -> str:
 
 def work(settings: RunSettings) -> float | None:
     """The work of a training, in pixels times steps; None if it is not known."""
-    steps = settings.steps or with_steps(settings).steps
+    steps = settings.steps or settings.of_this_version().steps
     if steps is None or settings.max_side is None:
         return None
     return float(steps * settings.max_side**2)

@@ -23,6 +23,8 @@ def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
     parts = []
     if names == ["max_side"]:
         parts.append(f"Trained at {then.max_side} px; the settings now say {now.max_side} px")
+    elif names == ["recipe"]:
+        parts.append("Trained by an earlier version, whose preset had other settings")
     elif names:
         told = run_settings.in_words(then, names), run_settings.in_words(now, names)
         parts.append("Trained with {}; the settings now say {}".format(*told))
@@ -33,7 +35,7 @@ def in_words(scene: bpy.types.Scene, status: RunStatus) -> str:
     if not parts:
         return ""
     whole = any(name not in BOX_SETTINGS for name in names)
-    if whole and _is_known(scene, now):
+    if whole and names != ["recipe"] and _is_known(scene, now):
         return f"{'. '.join(parts)}: Train uses the earlier result where it still fits"
     whole = whole or bool(then.test_every) or then.strategy != "joint"
     what = "Train starts again" if whole else "Train repeats the boxes"

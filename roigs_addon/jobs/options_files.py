@@ -10,7 +10,7 @@ import bpy
 
 from .. import settings
 from ..engine import own_files
-from ..engine.run_settings import RunSettings, with_steps
+from ..engine.run_settings import RunSettings
 from ..engine.writing import made_folder, writing
 from ..errors import AddonError
 from ..properties import object_props, scene_props
@@ -62,7 +62,7 @@ def _training_settings(scene: bpy.types.Scene) -> dict[str, Any]:
 def settings_now(scene: bpy.types.Scene, exclude: list[str]) -> RunSettings:
     """What a training would be asked for now; `exclude` are the photos that are left out."""
     values = _selection_settings(scene) | _training_settings(scene)
-    return with_steps(RunSettings.from_options(values | {"exclude": exclude}))
+    return RunSettings.from_options(values | {"exclude": exclude}).of_this_version()
 
 
 def excluded(scene: bpy.types.Scene) -> list[str]:

@@ -82,18 +82,22 @@ class Models:
         self._read: dict[str, tuple[tuple[int, int], Gaussians, LocalFrame]] = {}
 
     def get(self, paths: list[str]) -> list[tuple[Gaussians, LocalFrame]]:
-        """The models, and the frames that they are in.
+        """The models, without what cannot be drawn, and the frames that they are in.
 
         Raises:
             EngineError: a file is missing or damaged.
         """
+        from ..exchange.arrays import usable
+        from ..formats.splat_ply import is_antialiased, read_ply
         from ..model.gaussians import Gaussians
 
         known, self._read = self._read, {}
         for path in dict.fromkeys(paths):
             key, entry = _state(path), known.get(path)
             if entry is None or entry[0] != key:
-                entry = key, *Gaussians.load_framed(Path(path))
+                file = Path(path)
+                arrays, smooth = usable(read_ply(file)), is_antialiased(file)
+                entry = key, *Gaussians.framed(arrays, antialiased=smooth)
             self._read[path] = entry
         return [self._read[path][1:] for path in paths]
 

@@ -171,7 +171,7 @@ def box_notes(scores: RoiScores, evaluation: Evaluation) -> list[str]:
     notes += _photo_notes(scores.rows, evaluation.baseline)
     plain = [row.model for row in scores.rows if row.antialiased is False]
     if plain and any(row.antialiased for row in scores.rows):
-        notes.append(f"Drawn without anti-aliasing, as trained: {', '.join(plain)}.")
+        notes.append(f"Drawn without anti-aliasing: {', '.join(plain)}.")
     stages = [
         f"{row.model} = " + " + ".join(f"{name} {spent:,.0f}" for name, spent in row.stages.items())
         for row in scores.rows

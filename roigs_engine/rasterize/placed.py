@@ -166,10 +166,7 @@ def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
     if scales[0] <= (1 + SIMILAR) * scales[2]:
         # A reflection has the same ellipsoids as the rotation that reverses all axes with it.
         rotation = linear / np.cbrt(np.linalg.det(linear))
-        wxyz = gaussians.quats.numpy()
-        none = (wxyz == 0).all(axis=1)  # is drawn without a rotation; scipy would refuse it
-        wxyz = np.where(none[:, None], (1, 0, 0, 0), wxyz)
-        old = Rotation.from_quat(np.roll(wxyz, -1, axis=1))  # scipy has xyzw
+        old = Rotation.from_quat(np.roll(gaussians.quats.numpy(), -1, axis=1))  # scipy has xyzw
         quats = _quats(Rotation.from_matrix(rotation) * old)
         return quats, gaussians.log_scales + float(np.log(scales.mean()))
     axes = rotation_matrices(torch.nn.functional.normalize(gaussians.quats, dim=1))

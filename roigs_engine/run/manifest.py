@@ -192,7 +192,7 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
             *("removed" if value else "kept" for value in (before, now))
         )
     if name.endswith(".restarts"):
-        return f"Adam was restarted {before or 0} times, now {now or 0} times"
+        return f"warm restarts of Adam: {before or 0} before, now {now or 0}"
     text = f"{name} was {before}, now {now}"
     return text if len(text) <= MOST_TEXT else f"{name} changed"
 

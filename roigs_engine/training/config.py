@@ -68,9 +68,9 @@ class TrainConfig:
             take half the time, and what they lack is learned after them.
         whole_small_until: steps before this one that use a whole photo have it at half the size
             too: what is beside the boxes needs no more.
-        restarts: so many times, the first when densification ends, Adam forgets its moments of all
-            but colours: warm restarts, ours. Steps are several times as large then, and shrink
-            within some hundred steps.
+        restarts: so many times, at even distances and first when densification ends, Adam forgets
+            its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
+            several times as large, and shrink while photos show it some hundred times.
         average_steps: the result is the mean of the models of the last `average_steps` steps; 0:
             the last model, as in 3DGS.
         antialiased: draw Gaussians below a pixel's size fainter instead of larger, so that near and
@@ -123,6 +123,8 @@ class TrainConfig:
                 "contribution_every needs steps that use whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
+        if self.restarts < 0:
+            raise ConfigError(f"restarts is {self.restarts}.", "Use 0 or more.")
         if self.faint_growth < 0:
             raise ConfigError(f"faint_growth is {self.faint_growth:g}.", "Use 0 or more.")
         if not 0 <= self.view_weighting <= 2:
@@ -156,10 +158,12 @@ class TrainConfig:
         return step > self.steps - self.average_steps and step % AVERAGE_EVERY == 0
 
     def is_restarted(self, step: int) -> bool:
-        """Whether Adam starts anew after so many steps: as often as `restarts`, evenly."""
+        """Whether Adam forgets moments after so many steps; never if the stage does not densify."""
         first, count = self.densify_until, self.restarts
         rest = self.steps - first
-        return any(step == first + k * rest // (count + 1) for k in range(count))
+        return 0 < first < self.steps and any(
+            step == first + k * rest // (count + 1) for k in range(count)
+        )
 
     def degree(self, step: int) -> int:
         """SH degree in use at a step."""

@@ -265,8 +265,9 @@ class VisibleAdam:
     def zero_moments(self, *names: str) -> None:
         """Zero the moments of parameters.
 
-        The second moment grows more slowly than the first, and nothing corrects for that any more:
-        the next some hundred steps are up to six times as large as usual.
+        The second moment grows more slowly than the first, and the correction for that counts the
+        optimizer's steps, not these: late in a stage, the steps that follow grow to six times
+        their size, and shrink within some hundred.
         """
         for name in names:
             self.exp_avg[name].zero_()

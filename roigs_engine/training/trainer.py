@@ -186,7 +186,7 @@ class Trainer:
         self._end_step(cutout.photo, loss.loss.detach())
 
     def _end_step(self, index: int, loss: Tensor) -> None:
-        """Count a step on a photo, look for NaN, edit the model if it is due."""
+        """Count a step on a photo, look for NaN; edit the model and restart Adam if it is due."""
         self.health.record_loss(self.step, index, loss)
         self.step += 1
         checks = self.step % min(CHECK_EVERY, self.config.densify_every) == 0

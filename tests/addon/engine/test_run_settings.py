@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from roigs_addon.engine import report, run_settings
 from roigs_addon.engine.run_settings import IN_WORDS, RunSettings
+from roigs_addon.engine.training_steps import PRESET_STEPS
+from roigs_engine.run.presets import in_strategy, preset
 
 OPTIONS = {"scene": "/a/garden", "preset": "draft", "max_side": 640, "seed": 1, "count": 8}
 
 
 def test_every_setting_has_words() -> None:
     settings = RunSettings.from_options(OPTIONS)
-    assert set(IN_WORDS) == set(vars(settings))
+    assert set(IN_WORDS) == set(vars(settings)) - {"steps"}
     assert run_settings.in_words(settings, ["preset", "max_side", "count", "exclude"]) == (
         "Draft, 640 px, 8 photos a box, all photos"
     )
@@ -33,17 +36,46 @@ def test_only_what_is_known_differs() -> None:
     assert run_settings.differing(then, now) == ["steps_factor", "seed", "exclude", "scene"]
 
 
-def test_a_preset_with_other_steps_differs() -> None:
-    """As after an update of the add-on that changes a preset."""
-    stages = {"scene": {"steps": 6000}, "roi": {"steps": 9000}}
-    then = RunSettings.from_options(OPTIONS | {"preset": "standard"}, stages)
-    now = run_settings.with_steps(RunSettings.from_options(OPTIONS | {"preset": "standard"}))
-    assert run_settings.differing(then, now) == ["steps"]
-    assert run_settings.in_words(then, ["steps"]) == "15,000 steps"
+STANDARD = OPTIONS | {"preset": "standard", "strategy": "joint"}
+STAGES = {"scene": {"steps": 4000}, "roi": {"steps": 4500, "faint_growth": 0.05, "restarts": 3}}
+
+
+@pytest.mark.parametrize(
+    ("stages", "steps"),
+    [
+        ({"scene": {"steps": 6000}, "roi": {"steps": 9000}}, 15_000),
+        (STAGES | {"roi": {"steps": 4500, "faint_growth": 0.05}}, 8500),
+    ],
+)
+def test_a_preset_of_an_earlier_version_differs(stages: dict[str, Any], steps: int) -> None:
+    then = RunSettings.from_options(STANDARD, stages)
+    now = RunSettings.from_options(STANDARD).of_this_version()
+    assert run_settings.differing(then, now) == ["recipe"]
     before, after = run_settings.work(then), run_settings.work(now)
-    assert before and after and before / after == pytest.approx(15_000 / 8500)
-    other = run_settings.with_steps(RunSettings.from_options(OPTIONS))
+    assert before and after and before / after == pytest.approx(steps / 8500)
+    other = RunSettings.from_options(OPTIONS | {"strategy": "joint"}).of_this_version()
     assert run_settings.differing(then, other) == ["preset"]
+
+
+@pytest.mark.parametrize("factor", [1, 0.5, 0.001])
+@pytest.mark.parametrize("strategy", ["joint", "independent"])
+@pytest.mark.parametrize("name", sorted(PRESET_STEPS))
+def test_the_engines_presets_are_of_this_version(name: str, strategy: str, factor: float) -> None:
+    config = in_strategy(preset(name), strategy).scaled(factor).to_dict()
+    options = OPTIONS | {"preset": name, "strategy": strategy, "steps_factor": factor}
+    then = RunSettings.from_options(options, config)
+    assert run_settings.differing(then, RunSettings.from_options(options).of_this_version()) == []
+    assert then.steps and then.recipe == run_settings.THIS
+
+
+@pytest.mark.parametrize("steps", ["x", True, 0, -3, 10**400, None, [1]])
+@pytest.mark.parametrize("factor", [float("inf"), float("nan"), 1e308, "a", -1, 0])
+def test_odd_records_say_nothing_of_steps(steps: Any, factor: Any) -> None:
+    config = {"scene": {"steps": 4000}, "roi": {"steps": steps}, "steps": 7}
+    then = RunSettings.from_options(STANDARD | {"steps": "abc", "steps_factor": factor}, config)
+    assert then.steps is None and then.recipe is None
+    run_settings.work(then)
+    assert "recipe" not in run_settings.differing(then, then.of_this_version())
 
 
 def test_what_the_options_leave_out_is_in_the_manifest(tmp_path: Path) -> None:

@@ -101,6 +101,20 @@ def test_every_setting_that_decides(trained, name: str, value: object, expected:
     )
 
 
+def test_a_training_by_an_earlier_version(trained) -> None:
+    scene, folder = trained
+    manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
+    manifest["config"] |= {"scene": {"steps": 2000}, "roi": {"steps": 3000, "antialiased": True}}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert words(scene) == (
+        "Trained by an earlier version, whose preset had other settings: Train starts again"
+        " (about 10 min)"
+    )
+    manifest["config"]["roi"] |= {"faint_growth": 0.05, "restarts": 3}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert words(scene) == ""
+
+
 def test_a_training_before_there_was_anti_aliasing(trained) -> None:
     scene, folder = trained
     settings = json.loads((folder / "settings.json").read_text("utf-8"))

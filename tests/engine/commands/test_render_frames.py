@@ -12,7 +12,7 @@ from PIL import Image
 
 from roigs_engine.cli import main
 from roigs_engine.formats.frame_requests import colour_file, depth_file, write_nothing
-from roigs_engine.formats.splat_ply import write_ply
+from roigs_engine.formats.splat_ply import read_ply, write_ply
 
 CAMERA = {"name": "1", "width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
 POSE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
@@ -63,6 +63,24 @@ def test_requests_are_answered_and_deleted(folder: Path) -> None:
         assert colour.shape == (24, 32, 4) and depth.dtype == np.float32
         assert colour[12, 16, 3] > 250 and colour[0, 0, 3] < 50
         assert depth[12, 16] == pytest.approx(4, abs=0.05)
+
+
+@pytest.mark.parametrize("rotation", [0.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("stretch", [1.0, 2.0])
+def test_what_cannot_be_drawn_is_left_out(folder: Path, rotation: float, stretch: float) -> None:
+    path = folder.parent / "ball.ply"
+    arrays = {name: np.repeat(a, 2, axis=0) for name, a in read_ply(path).items()}
+    arrays["means"][1] = arrays["means"][0] + (1, 0, 0)
+    arrays["quats"][1] = rotation
+    write_ply(folder.parent / "two.ply", arrays)
+    matrix = np.diag([stretch, 1.0, 1.0, 1.0]).tolist()
+    answers = [
+        ask(folder, name, models=[{"ply": str(folder.parent / name), "matrix": matrix}])
+        for name in ("ball.ply", "two.ply")
+    ]
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    one, two = (np.asarray(Image.open(colour_file(out))).astype(int) for out in answers)
+    assert one.max() > 0 and np.abs(one - two).max() <= 1
 
 
 def test_gains_change_the_colours(folder: Path) -> None:

@@ -150,7 +150,7 @@ def test_a_view_without_room_is_drawn_again(
     scene: SfmScene, card: PretendCard, monkeypatch: pytest.MonkeyPatch, inputs: Inputs
 ) -> None:
     """Steps that came after it as well: the bits are those of a training that waits each time."""
-    real_room, small = Rooms.room, {5, 8, 9}
+    real_room, small = Rooms.room, {5, 8, 9, 11}
 
     def room(self: Rooms, step: int, view: Hashable) -> Room:
         made = real_room(self, step, view)
@@ -169,6 +169,7 @@ def test_a_view_without_room_is_drawn_again(
         densify_every=5,
         grad_threshold=1e-5,
         reset_every=7,
+        prune_size=100.0,
         full_every=2 if inputs is boxes else 1,
         contribution_every=0 if inputs is boxes else 4,
         restarts=1,
@@ -190,6 +191,7 @@ def test_a_view_without_room_is_drawn_again(
             assert trainer.run()
             losses = {photo: list(last) for photo, last in trainer.health._recent.items()}
             states.append({**trainer.state_dict(), "losses": losses})
+            assert len(trainer.gaussians)
     assert not small and steps > 2 * config.steps + 3  # those after them were done again as well
     first, second = (dict(leaves(state)) for state in states)
     assert first.keys() == second.keys()

@@ -83,7 +83,7 @@ def test_a_report_says_which_rows_are_not_anti_aliased() -> None:
         )
         report = dataclasses.replace(by_hand(), rois=(dataclasses.replace(scores, rows=rows),))
         text = format_markdown(Evaluation.from_dict(report.to_dict()))
-        assert ("without anti-aliasing, as trained: plain." in text) == said
+        assert ("without anti-aliasing: plain." in text) == said
 
 
 def test_a_report_of_version_0_1_0_is_read() -> None:

@@ -39,7 +39,6 @@ SHORT = TrainConfig(
 RESTING = TrainConfig(steps=20, densify_until=0)
 SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, small_until=25)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
-
 RESTARTED = replace(SHORT, densify_until=25, restarts=2)
 
 
@@ -222,7 +221,8 @@ def test_a_warm_restart_forgets_all_but_colours(scene: SfmScene) -> None:
 def test_restarts_leave_time_to_settle() -> None:
     config = TrainConfig(steps=3000, densify_until=1000, restarts=3)
     assert [s for s in range(3001) if config.is_restarted(s)] == [1000, 1500, 2000]
-    assert not any(replace(config, restarts=0).is_restarted(s) for s in range(3001))
+    for changed in ({"restarts": 0}, {"densify_until": 0}, {"densify_until": 3000}):
+        assert not any(replace(config, **changed).is_restarted(s) for s in range(3001))
 
 
 def test_models_with_other_rows_are_not_averaged(scene: SfmScene) -> None:
