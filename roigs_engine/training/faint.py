@@ -4,6 +4,9 @@ Densification leaves many Gaussians behind others, or nearly transparent; some s
 many as they need. When it ends, the faintest are removed, as many as the photos do not miss: their
 squared error may grow by a share, which the steps that follow make up for. Nothing else says how
 many there are: that differs from scene to scene (docs/lab_notebook.md).
+
+Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog
+covers would decide: without the fog its error falls to a fraction, and most Gaussians could go.
 """
 
 from __future__ import annotations
@@ -11,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,7 +33,8 @@ WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a bo
 MOST = 0.9  # share of the Gaussians that may go
 HALVINGS = 5  # of that range: to 3 % of the Gaussians
 
-Errors = tuple[float, ...]
+Errors = tuple[Tensor, ...]
+"""Squared errors of a model on single photos: on whole photos, then in each box."""
 
 
 def faint_gaussians(
@@ -47,7 +50,7 @@ def faint_gaussians(
         gaussians: the model, N rows.
         data: of the stage; with masks, each box is judged apart.
         views: its photos, in the size to judge by.
-        growth: largest growth of an error, as a share of it.
+        growth: largest mean growth of the photos' errors, as a share of them.
         context: checked for cancellation between photos.
 
     Raises:
@@ -114,11 +117,11 @@ class PhotoErrors:
 
     @torch.no_grad()
     def __call__(self, gaussians: Gaussians) -> Errors:
-        """The error on whole photos, then that on each box's silhouette.
+        """The error on each whole photo, then on each box's silhouette in each of its photos.
 
         Only pixels that count; what has none is left out.
         """
-        sums = np.zeros((1 + len(self._rois), 2))
+        found: list[list[float]] = [[] for _ in range(1 + len(self._rois))]
         for index in sorted(self._whole.union(*self._seeing)):
             self._context.check_cancelled()
             squares, counted = self._squares(gaussians, index)
@@ -128,8 +131,9 @@ class PhotoErrors:
                     silhouette = sent(self._silhouette(index, box - 1), counted.device)
                     parts.append((box, counted & silhouette))
             for part, pixels in parts:
-                sums[part] += float(squares[pixels].sum(dtype=torch.float64)), float(pixels.sum())
-        return tuple(float(error / pixels) for error, pixels in sums if pixels)
+                if pixels.any():
+                    found[part].append(float(squares[pixels].mean(dtype=torch.float64)))
+        return tuple(torch.tensor(errors, dtype=torch.float64) for errors in found if errors)
 
     def _silhouette(self, index: int, box: int) -> Tensor:
         image = self._views.images[index]
@@ -165,7 +169,7 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
     Args:
         worth: (N,) of each.
         errors: of the model with some of its rows, (N,) bool; where there are none, none go.
-        growth: largest growth of any of these errors, as a share of it.
+        growth: largest mean growth of the photos' errors, in any of these parts.
     """
     order = worth.argsort(stable=True)
     order = order[worth[order] > 0]  # what no photo shows, the photos cannot judge
@@ -182,6 +186,11 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
     for _ in range(HALVINGS):
         share = (few + many) / 2
         after = errors(~least(share))
-        holds = all(b <= (1 + growth) * a for a, b in zip(before, after, strict=True))
+        holds = all(grown(a, b) <= growth for a, b in zip(before, after, strict=True))
         few, many = (share, many) if holds else (few, share)
     return least(few)
+
+
+def grown(before: Tensor, after: Tensor) -> float:
+    """By which share (P,) errors of photos have grown, in the mean; those that fell count as 0."""
+    return float((after / before.clamp(min=1e-12) - 1).clamp(min=0).mean())

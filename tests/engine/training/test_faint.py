@@ -66,9 +66,14 @@ def same_bits(a: Gaussians, b: Gaussians) -> bool:
     return all(torch.equal(x, b.tensors()[name]) for name, x in a.tensors().items())
 
 
-def squares(dropped: Tensor) -> tuple[float, ...]:
+def photo(*errors: float) -> Tensor:
+    """The errors of a part, photo by photo."""
+    return torch.tensor(errors, dtype=torch.float64)
+
+
+def squares(dropped: Tensor) -> tuple[Tensor, ...]:
     """An error that grows by the dropped worth, from 100."""
-    return (100.0 + float(dropped),)
+    return (photo(100.0 + float(dropped)),)
 
 
 @pytest.mark.parametrize("growth", [0.01, 0.1, 0.5])
@@ -85,15 +90,27 @@ def test_as_many_go_as_the_error_allows(growth: float) -> None:
 def test_each_error_counts() -> None:
     worth = torch.arange(1, 101, dtype=torch.float64)
 
-    def errors(kept: Tensor) -> tuple[float, ...]:
-        return 1.0, 1.0 if bool(kept[:20].all()) else 2.0
+    def errors(kept: Tensor) -> tuple[Tensor, ...]:
+        return photo(1.0), photo(1.0 if bool(kept[:20].all()) else 2.0)
 
     assert not faintest(worth, errors, 0.1).any()
 
 
+def test_a_photo_that_gains_does_not_pay_for_others() -> None:
+    """As one does that fog covers, which goes with the faint."""
+    worth = torch.rand(2000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    usual = faintest(worth, lambda kept: (photo(100 + float(worth[~kept].sum())),), 0.1)
+
+    def fogged(kept: Tensor) -> tuple[Tensor, ...]:
+        lost = float(worth[~kept].sum())
+        return (photo(100 + 2 * lost, 5000 if bool(kept.all()) else 50),)
+
+    assert torch.equal(faintest(worth, fogged, 0.1), usual)
+
+
 def test_what_no_photo_shows_stays() -> None:
     worth = torch.tensor([0.0, 0.0, 1.0, 2.0, 3.0, 0.0], dtype=torch.float64)
-    found = faintest(worth, lambda kept: (1.0,), 0.1)
+    found = faintest(worth, lambda kept: (photo(1.0),), 0.1)
     assert found.tolist() == [False, False, True, True, False, False]
 
 
@@ -117,17 +134,19 @@ def test_errors_are_those_of_the_photos(scene: SfmScene) -> None:
     data, model = stage_data(some), model_of(scene)
     small = OrientedBox.axis_aligned("small", [-0.1, -0.1, -0.1], [0.1, 0.1, 0.1])
     behind = OrientedBox.axis_aligned("behind", [1e4, 0, 0], [1e4 + 1, 1, 1])
-    squares: list[list[Tensor]] = [[], [], []]
+    squares: list[list[float]] = [[], [], []]
     for index, image in enumerate(some.images):
         drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
         difference = (drawn - torch.from_numpy(data.photos[index]) / 255).square().mean(dim=-1)
-        squares[0].append(difference.flatten())
+        squares[0].append(float(difference.mean()))
         for place, box in ((1, BOX), (2, small)):
             pixels = box.silhouette(image.camera, image.world_to_camera)
-            squares[place].append(difference[torch.from_numpy(pixels)])
+            if pixels.any():
+                squares[place].append(float(difference[torch.from_numpy(pixels)].mean()))
     found = errors_of(data, [BOX, behind, small])(model)
-    assert found == pytest.approx([float(torch.cat(part).mean()) for part in squares], rel=1e-4)
-    assert errors_of(data)(model) == found[:1]
+    assert [part.tolist() for part in found] == [pytest.approx(p, rel=1e-4) for p in squares]
+    (whole,) = errors_of(data)(model)
+    assert torch.equal(whole, found[0])
 
 
 def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
@@ -148,20 +167,21 @@ def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
 def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
     image = scene.images[0]
     width, height = image.camera.width, image.camera.height
-    photo = np.random.default_rng(0).integers(0, 255, (height, width, 4), dtype=np.uint8)
-    photo[..., 3] = 0
-    photo[:5, :, 3] = 255
+    pixels = np.random.default_rng(0).integers(0, 255, (height, width, 4), dtype=np.uint8)
+    pixels[..., 3] = 0
+    pixels[:5, :, 3] = 255
 
     class Photos:
         def __getitem__(self, index: int) -> np.ndarray:
-            return photo
+            return pixels
 
     data = replace(stage_data(scene), images=[image], photos=Photos(), masks=None)
     model = model_of(scene)
     drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
-    expected = (drawn[:5] - torch.from_numpy(photo[:5, :, :3]) / 255).square().mean()
-    assert errors_of(data)(model) == pytest.approx((float(expected),), rel=1e-4)
-    photo[..., 3] = 0
+    expected = (drawn[:5] - torch.from_numpy(pixels[:5, :, :3]) / 255).square().mean()
+    (found,) = errors_of(data)(model)
+    assert found.tolist() == pytest.approx([float(expected)], rel=1e-4)
+    pixels[..., 3] = 0
     assert errors_of(data)(model) == ()
 
 
