@@ -214,6 +214,7 @@ def _row(
         won_share=gains.won,
         mask_psnr=mean([v.mask_psnr for v in views if v.mask_psnr is not None]),
         antialiased=model.gaussians.antialiased,
+        corrected_psnr=mean([v.corrected_psnr for v in views if v.corrected_psnr is not None]),
     )
 
 
@@ -229,6 +230,7 @@ def _view(name: str, sample: Sample, index: int, best: int | None) -> ViewScore:
         object_psnr=psnr,
         roi_flip=sample.flip[index],
         distance=sample.distance,
+        corrected_psnr=sample.corrected[index],
         mask_psnr=(
             metrics.psnr_from_mse(sample.mask_mse[index])
             if sample.mask_pixels >= MIN_OBJECT

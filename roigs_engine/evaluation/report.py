@@ -17,10 +17,12 @@ Key = Callable[[ModelScore], float | None]
 Column = tuple[str, Key, str, int]
 FLIP: Column = ("ROI FLIP", lambda row: row.roi_flip, ".4f", -1)
 MASK: Column = ("mask PSNR (dB)", lambda row: row.mask_psnr, ".2f", 1)
-OPTIONAL = (FLIP, MASK)
+CORRECTED: Column = ("corrected (dB)", lambda row: row.corrected_psnr, ".2f", 1)
+OPTIONAL = (FLIP, MASK, CORRECTED)
 """Columns that are there if they have a number."""
 COLUMNS: tuple[Column, ...] = (
     ("ROI PSNR (dB)", lambda row: row.roi_psnr, ".2f", 1),
+    CORRECTED,
     ("object PSNR (dB)", lambda row: row.object_psnr, ".2f", 1),
     MASK,
     ("ROI SSIM", lambda row: row.roi_ssim, ".4f", 1),
@@ -41,6 +43,10 @@ PHOTO_COLUMNS: tuple[Column, ...] = (
 FLIP_MEASURED = (
     "FLIP: Andersson et al. 2020, 67 pixels per degree, the mean error over the silhouette's "
     "pixels; 0 is best."
+)
+CORRECTED_MEANS = (
+    "Corrected: ROI PSNR after each channel of the render is multiplied, in the silhouette, by the "
+    "factor that fits the photo best, so that another exposure or white balance is no error. "
 )
 FLIP_MISSING = "No FLIP: `pip install flip-evaluator` adds this column."
 
@@ -67,7 +73,9 @@ def format_markdown(evaluation: Evaluation) -> str:
     missing = bool(seen) and not has_number(seen, FLIP)
     lines += [
         "PSNR: mean squared error over the mask's pixels and 3 channels, in dB, for each photo, "
-        "then the mean over photos. SSIM: Wang et al. 2004, 11 x 11 Gaussian window, sigma 1.5, "
+        "then the mean over photos. "
+        + (CORRECTED_MEANS if has_number(seen, CORRECTED) else "")
+        + "SSIM: Wang et al. 2004, 11 x 11 Gaussian window, sigma 1.5, "
         "on RGB in [0, 1], computed on the full images, mean over the channels and the "
         "silhouette's pixels. "
         + (FLIP_MISSING if missing else FLIP_MEASURED)

@@ -25,6 +25,8 @@ class ViewScore:
             of version 0.1.0.
         mask_psnr: on the pixels that the photo's mask shows as the box's object; None: the photo
             has no such mask, or it shows fewer than `MIN_OBJECT`.
+        corrected_psnr: on the silhouette, after the colours' correction (`metrics`); None in
+            earlier reports.
     """
 
     view: str
@@ -34,6 +36,7 @@ class ViewScore:
     roi_flip: float | None = None
     distance: float | None = None
     mask_psnr: float | None = None
+    corrected_psnr: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +52,7 @@ class ModelScore:
         worst_gain, worst_view: the least gain, and its view.
         won_share: share of the views with a gain above 0.
         mask_psnr: mean over the views with a mask of the object, dB.
+        corrected_psnr: mean over the box's views, dB.
         gaussians, gaussians_in_box: numbers of Gaussians.
         seconds: training time.
         stages: stage -> its training time, seconds.
@@ -81,6 +85,7 @@ class ModelScore:
     won_share: float | None = None
     mask_psnr: float | None = None
     antialiased: bool | None = None
+    corrected_psnr: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,6 +86,7 @@ class Sample:
     Attributes:
         distance: of the camera from the box's centre, in diagonals of the box.
         psnr, ssim: (M,) inside the silhouette; PSNR in dB.
+        corrected: (M,) the same PSNR after a correction of the colours.
         flip: (M,) FLIP error inside the silhouette; None: the package is missing.
         pixels: (M,) size of the object's mask from each model's depth.
         object_mse: (M, M) error of each model (row) in each model's mask (column); NaN if empty.
@@ -95,6 +96,7 @@ class Sample:
 
     distance: float
     psnr: list[float]
+    corrected: list[float]
     ssim: list[float]
     flip: list[float | None]
     pixels: list[int]
@@ -226,6 +228,7 @@ def measure_view(
         for box in wanted:
             assert view.depth is not None
             box.errors.append(error[box.mask])
+            box.corrected.append(metrics.corrected_error(picture, target, box.mask))
             box.ssim.append(metrics.ssim(picture, photo, box.mask, counted))
             box.flip.append(flip(picture, target, box.mask))
             box.objects.append(box.inside(view.depth.to(device)))
@@ -239,7 +242,7 @@ class _Box:
         plan, mask: of the box; (H, W) bool, its P `measured_pixels`.
         shown: (P,) bool, those that the photo's mask shows as the object; none without one.
         errors, objects: of each model: (P,) squared errors; (P,) bool, the object's mask.
-        ssim, flip: of each model.
+        corrected, ssim, flip: of each model; `corrected` is `metrics.corrected_error`.
     """
 
     def __init__(self, plan: BoxPlan, image: PosedImage, device: torch.device) -> None:
@@ -250,6 +253,7 @@ class _Box:
         self.shown = torch.from_numpy(shown[pixels]).to(device)
         self.errors: list[Tensor] = []
         self.objects: list[Tensor] = []
+        self.corrected: list[float] = []
         self.ssim: list[float] = []
         self.flip: list[float | None] = []
 
@@ -264,6 +268,7 @@ class _Box:
         return Sample(
             distance=float(np.linalg.norm(self.image.centre - roi.centre)) / roi.diagonal,
             psnr=[metrics.psnr_from_mse(metrics.mean_in(error)) for error in self.errors],
+            corrected=[metrics.psnr_from_mse(error) for error in self.corrected],
             ssim=self.ssim,
             flip=self.flip,
             pixels=[int(inside.sum()) for inside in self.objects],

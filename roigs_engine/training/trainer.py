@@ -198,8 +198,7 @@ class Trainer:
         self._figures.read()
         if checks:
             self.check()
-        edit = self._density.edit(self._parameters, self.step) if edits else None
-        if edit is not None:
+        if edits and (edit := self._density.edit(self._parameters, self.step)) is not None:
             self._apply(edit)
         if restarts:
             self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
@@ -289,10 +288,9 @@ class Trainer:
 
     def _average(self) -> None:
         """Add the model to the mean; at the last step, the mean becomes the model."""
-        config = self.config
         if self.config.is_averaged(self.step):
             self._mean.add(self._parameters)
-        if self.step == config.steps and self._mean.count:
+        if self.step == self.config.steps and self._mean.count:
             self._parameters = leaves(self._parameters.with_tensors(self._mean.mean()))
             self._mean.clear()
 

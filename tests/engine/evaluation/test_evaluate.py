@@ -24,7 +24,7 @@ from roigs_engine.evaluation.scores import (
 )
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.formats.events import Event, Message, Progress, StageStarted
-from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.gaussians import SH_C0, Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.decode import load_photo
@@ -274,8 +274,26 @@ def test_flip_is_measured_if_the_package_is_there(
     text = format_markdown(result)
     assert "Andersson" in text and "No FLIP" not in text
     header, _, *rows = next(b for b in text.split("\n\n") if "| Method" in b).splitlines()
-    assert cells(header)[4] == "ROI FLIP"
-    assert [cells(row)[4].startswith("**") for row in rows] == [False, True]  # the lower one
+    assert cells(header)[5] == "ROI FLIP"
+    assert [cells(row)[5].startswith("**") for row in rows] == [False, True]  # the lower one
+
+
+def test_a_picture_in_other_light_is_right_when_corrected(scene: SfmScene) -> None:
+    tinted = truth()
+    tinted.sh[:, 0] += (tinted.sh[:, 0] + 0.5 / SH_C0) * torch.tensor([0.2, -0.1, -0.3])
+    tinted.sh[:, 1:] *= torch.tensor([1.2, 0.9, 0.7])
+    models = [
+        EvaluatedModel(name=name, gaussians=gaussians, seconds=1.0)
+        for name, gaussians in (("Full Scene", truth()), ("Joint", tinted))
+    ]
+    right, other = evaluate(models, scene, TEST, [BOX]).roi("thing").rows
+    assert right.roi_psnr and other.roi_psnr and right.roi_psnr > other.roi_psnr + 5
+    assert right.corrected_psnr and other.corrected_psnr
+    assert right.corrected_psnr >= right.roi_psnr
+    assert other.corrected_psnr > other.roi_psnr + 4
+    assert other.corrected_psnr == pytest.approx(
+        np.mean([view.corrected_psnr for view in other.views])
+    )
 
 
 def test_refusals(scene: SfmScene, models: list[EvaluatedModel]) -> None:
@@ -302,7 +320,7 @@ def test_markdown_table(result: Evaluation) -> None:
     assert len(tables) == 4
     for table, scores in zip(tables[::2], result.rois, strict=True):
         header, rule, *rows = table
-        assert len(cells(header)) == 9
+        assert len(cells(header)) == 10
         assert all(set(cell) <= set("-:") for cell in cells(rule))
         assert [cells(row)[0] for row in rows] == [row.model for row in scores.rows]
         assert len({len(line) for line in table}) == 1
@@ -311,7 +329,7 @@ def test_markdown_table(result: Evaluation) -> None:
         assert values == pytest.approx([row.roi_psnr for row in scores.rows], abs=0.005)
         bold = [cell.startswith("**") for cell in psnr]
         assert bold == [value == max(values) for value in values]
-        seconds = [cells(row)[7] for row in rows]
+        seconds = [cells(row)[8] for row in rows]
         assert seconds[1] in ("**40**", "**41**")
     assert "scene 60 + object 40" in text
     assert "sigma 1.5" in text

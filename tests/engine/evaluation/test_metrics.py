@@ -105,3 +105,17 @@ def test_bounding_box_stays_in_the_image() -> None:
     mask = block()
     assert metrics.bounding_box(mask) == (slice(12, 25), slice(20, 41))
     assert metrics.bounding_box(mask, 10) == (slice(2, 35), slice(10, 50))
+
+
+def test_a_correction_multiplies_channels() -> None:
+    random = torch.Generator().manual_seed(0)
+    target = torch.rand(6, 8, 3, generator=random) * 0.8
+    mask = torch.zeros(6, 8, dtype=torch.bool)
+    mask[1:4, 2:7] = True
+    image = target / torch.tensor([2.0, 1.0, 0.9])
+    image[~mask] = 0  # does not matter
+    assert metrics.corrected_error(image, target, mask) == pytest.approx(0, abs=1e-10)
+    noise = torch.where(torch.rand(6, 8, 1, generator=random) < 0.5, 0.1, -0.1)
+    assert metrics.corrected_error(image + noise, target, mask) > 1e-3
+    assert metrics.corrected_error(torch.zeros_like(image), target, mask) > 0.01
+    assert math.isnan(metrics.corrected_error(image, target, torch.zeros_like(mask)))
