@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..shared import EngineError, files, run_files, text
-from .training_steps import PRESET_STEPS
+from .training_steps import PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
 OURS = ("faint_growth", "restarts")
@@ -94,10 +94,10 @@ class RunSettings:
 
     def of_this_version(self) -> RunSettings:
         """The settings of a training to come: with what its preset is now."""
-        stages, factor = PRESET_STEPS.get(str(self.preset)), self.steps_factor or 1.0
-        if stages is None or isinstance(factor, str) or not 0 < factor < MOST_FACTOR:
-            return replace(self, steps=None, recipe=THIS)
-        return replace(self, steps=sum(max(1, round(n * factor)) for n in stages), recipe=THIS)
+        name, factor, steps = str(self.preset), self.steps_factor or 1.0, None
+        if name in PRESET_STEPS and not isinstance(factor, str) and 0 < factor < MOST_FACTOR:
+            steps = sum(stage_steps(name, factor))
+        return replace(self, steps=steps, recipe=THIS)
 
 
 def _of_stages(config: Mapping[str, Any]) -> dict[str, Any]:

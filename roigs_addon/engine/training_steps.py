@@ -14,11 +14,17 @@ CUTOUT_SHARE = 0.6
 PAPER = "paper"
 
 
+def stage_steps(preset: str, factor: float) -> tuple[int, int]:
+    """The steps of the scene, and of the boxes, when a preset's are multiplied."""
+    scene, roi = (max(1, round(steps * factor)) for steps in PRESET_STEPS[preset])
+    return scene, roi
+
+
 def training_steps(
     preset: str, strategy: str, factor: float, boxes: int, *, masks: bool = False
 ) -> int:
     """The steps of all stages; `masks`: whether there are masks of objects."""
-    scene, roi = (max(1, round(steps * factor)) for steps in PRESET_STEPS[preset])
+    scene, roi = stage_steps(preset, factor)
     if strategy == "joint":
         return scene + roi + (max(1, round(CUTOUT_SHARE * roi)) if masks else 0)
     refine = 0 if preset == PAPER else round(REFINE_SHARE * roi)
