@@ -215,6 +215,9 @@ def _row(
         mask_psnr=mean([v.mask_psnr for v in views if v.mask_psnr is not None]),
         antialiased=model.gaussians.antialiased,
         corrected_psnr=mean([v.corrected_psnr for v in views if v.corrected_psnr is not None]),
+        near_object_psnr=mean(
+            [v.object_psnr for v in views if v.view in near and v.object_psnr is not None]
+        ),
     )
 
 

@@ -35,6 +35,7 @@ COLUMNS: tuple[Column, ...] = (
 )
 PHOTO_COLUMNS: tuple[Column, ...] = (
     ("near third (dB)", lambda row: row.near_psnr, ".2f", 1),
+    ("near third, object (dB)", lambda row: row.near_object_psnr, ".2f", 1),
     ("far third (dB)", lambda row: row.far_psnr, ".2f", 1),
     ("peak gain (dB)", lambda row: row.peak_gain, "+.2f", 1),
     ("worst gain (dB)", lambda row: row.worst_gain, "+.2f", 1),

@@ -47,6 +47,7 @@ class ModelScore:
         model: the row's name.
         roi_psnr, object_psnr, roi_ssim, roi_flip: means over the box's views; PSNR in dB.
         near_psnr, far_psnr: means of ROI PSNR over the near and the far third of the views, dB.
+        near_object_psnr: mean of object PSNR over the near third, dB.
         image_psnr: mean over all test views, dB.
         peak_gain, peak_view: largest gain in ROI PSNR over the baseline, dB, and its view.
         worst_gain, worst_view: the least gain, and its view.
@@ -86,6 +87,7 @@ class ModelScore:
     mask_psnr: float | None = None
     antialiased: bool | None = None
     corrected_psnr: float | None = None
+    near_object_psnr: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

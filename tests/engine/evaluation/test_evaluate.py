@@ -165,6 +165,7 @@ def test_numbers_are_those_of_a_plain_computation(
         order = np.lexsort((TEST, [v.distance for v in row.views]))
         assert row.near_psnr == pytest.approx(numbers["roi"][order[0]], abs=1e-3)
         assert row.far_psnr == pytest.approx(numbers["roi"][order[-1]], abs=1e-3)
+        assert row.near_object_psnr == row.views[order[0]].object_psnr is not None
         assert row.roi_flip is None
 
 

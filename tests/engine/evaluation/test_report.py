@@ -29,6 +29,7 @@ def by_hand() -> Evaluation:
     ours = row(
         *("ours", [19.5, 21, 22, 23]),
         near_psnr=23.0,
+        near_object_psnr=24.0,
         far_psnr=19.5,
         won_share=0.75,
         peak_gain=3.0,
@@ -55,11 +56,11 @@ def test_markdown_table_of_single_photos() -> None:
     table = text.split("Near and far, and single photos:\n\n")[1].split("\n\n")[0].splitlines()
     header, _, base, ours = (cells(line) for line in table)
     assert header[1:] == [
-        *("near third (dB)", "far third (dB)", "peak gain (dB)"),
-        *("worst gain (dB)", "photos won"),
+        *("near third (dB)", "near third, object (dB)", "far third (dB)"),
+        *("peak gain (dB)", "worst gain (dB)", "photos won"),
     ]
-    assert base[1:] == ["20.00", "**20.00**", "–", "–", "–"]
-    assert ours[1:] == ["**23.00**", "19.50", "+3.00", "-0.50", "75%"]
+    assert base[1:] == ["20.00", "–", "**20.00**", "–", "–", "–"]
+    assert ours[1:] == ["**23.00**", "24.00", "19.50", "+3.00", "-0.50", "75%"]
     assert "on the 1 of 4 photos nearest to the box (1.0 box diagonals from its centre)" in text
     assert "on the 1 farthest (4.0)" in text
     assert "over 'plain'" in text
@@ -92,7 +93,7 @@ def test_a_report_of_version_0_1_0_is_read() -> None:
     for row in record["rois"][0]["rows"]:
         for name in ("near_psnr", "far_psnr", "roi_flip", "worst_gain", "worst_view", "won_share"):
             del row[name]
-        del row["antialiased"]
+        del row["antialiased"], row["near_object_psnr"]
         for view in row["views"]:
             del view["distance"], view["roi_flip"]
     old = Evaluation.from_dict(record)
