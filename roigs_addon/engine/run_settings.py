@@ -12,7 +12,7 @@ from .training_steps import PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
 OURS = ("faint_growth", "restarts")
-"""Settings of the box stage that boxes trained together have, and that came with new versions."""
+"""Settings of stages that boxes trained together have, and that came with new versions."""
 LATER = ("exclude", "count", "steps", "recipe")
 """Not taken as they are."""
 MOST_STEPS, MOST_FACTOR = 10**9, 1e6
@@ -89,7 +89,8 @@ class RunSettings:
             return self
         steps = sum(count or 0 for count in stages)
         ours = self.strategy == "joint"
-        same = steps == usual and all(bool(boxes.get(name)) == ours for name in OURS)
+        found = {bool(stage.get(name)) for stage in (scene, boxes) for name in OURS}
+        same = steps == usual and found == {ours}
         return replace(self, steps=steps, recipe=THIS if same else EARLIER)
 
     def of_this_version(self) -> RunSettings:

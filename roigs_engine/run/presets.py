@@ -63,6 +63,7 @@ def joint_recipe(
             lr_means_final=middle,
             reset_every=0,  # a short stage does not recover from a reset: haze would stay
             faint_growth=0.05,
+            restarts=3,
             antialiased=True,
         ),
         roi=TrainConfig(
@@ -75,7 +76,7 @@ def joint_recipe(
             lr_scales=0.01,
             densify_from=0,
             densify_until=roi_steps // 3,
-            small_until=roi_steps // 2,  # what densification adds is coarse at first
+            small_until=roi_steps // 3,  # what densification adds is coarse at first
             whole_small_until=roi_steps * 2 // 3,
             densify_in_boxes=True,
             grad_threshold=6e-5,

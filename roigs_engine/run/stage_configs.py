@@ -43,6 +43,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         grad_threshold=TrainConfig.grad_threshold,
         reset_every=config.scene.reset_every or TrainConfig.reset_every,
         faint_growth=0.0,
+        restarts=0,
         antialiased=False,
     )
 

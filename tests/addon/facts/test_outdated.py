@@ -110,7 +110,8 @@ def test_a_training_by_an_earlier_version(trained) -> None:
         "Trained by an earlier version, whose preset had other settings: Train starts again"
         " (about 10 min)"
     )
-    manifest["config"]["roi"] |= {"faint_growth": 0.05, "restarts": 3}
+    for stage in ("scene", "roi"):
+        manifest["config"][stage] |= {"faint_growth": 0.05, "restarts": 3}
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     assert words(scene) == ""
 

@@ -65,7 +65,7 @@ def test_settings_are_ours_without_the_boxes(name: str) -> None:
     assert {field: getattr(fine, field) for field in PLAIN} == PLAIN
     assert coarse.reset_every == 0
     assert fine.grad_threshold == 2e-4
-    assert not plain.antialiased  # 3DGS's way
+    assert not plain.antialiased and not plain.restarts  # 3DGS's way
     assert coarse.antialiased == fine.antialiased == config.roi.antialiased
     ours = preset("standard").roi
     for field in ("lr_shN", "lr_shN_spacing", "lr_scales", "lr_means", "sh_start", "min_views"):
