@@ -300,27 +300,25 @@ class Trainer:
         due = config.prunes_faint and config.densify_until <= self.step and not self._faint_pruned
         if not due or self._taken_back(wait=True):
             return True
-        data, views, growth = self.data, self._views(self.step), config.faint_growth
-        self._faint_pruned = self._prune(
-            lambda: faint_gaussians(self._parameters, data, views, growth, context)
-        )
+        asked = self.data, self._views(self.step), config.faint_growth
+        self._faint_pruned = self._prune(context, faint_gaussians, *asked)
         return self._faint_pruned
 
     def _without_floaters(self, context: Context) -> bool:
         """Prune floaters if the stage does; False if stopped, with nothing changed."""
         data, views = self.data, self.config.min_views
-        return not views or self._prune(
-            lambda: floaters(self._parameters, data.images, data.rois, data.points, views, context)
-        )
+        asked = data.images, data.rois, data.points, views
+        return not views or self._prune(context, floaters, *asked)
 
-    def _prune(self, search: Callable[[], Tensor]) -> bool:
+    def _prune(self, context: Context, search: Callable[..., Tensor], *asked: Any) -> bool:
         """Remove the Gaussians that a search finds, (N,) bool; False if it was stopped."""
         began, cpu_began = time.perf_counter(), time.process_time()
         self._steps_before = self._optimizer.step_count  # while it searches, nothing has changed
         try:
-            found = search()
+            found = search(self._parameters, *asked, context)
         except Stopped:
             return False
+        context.info(f"Removed {int(found.sum()):,} of {len(found):,} Gaussians.")
         if bool(found.any()):
             self._steps_before = -1  # from here on, half of the state may have
             kept = (~found).nonzero()[:, 0]

@@ -14,6 +14,7 @@ from torch import Tensor
 from roigs_engine.context import Context
 from roigs_engine.cuda.device import CPU
 from roigs_engine.errors import ConfigError, Stopped
+from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
@@ -231,12 +232,20 @@ def test_a_stage_prunes_once_when_densification_ends(scene: SfmScene) -> None:
     for growth in (0.0, 0.1):
         config = replace(CONFIG, faint_growth=growth)
         trainer = Trainer(with_idle(scene), stage_data(scene), config)
+        said: list[Event] = []
         sizes = Sizes(trainer)
-        trainer.run(callbacks=[sizes])
+        trainer.run(Context(emit=said.append), callbacks=[sizes])
+        texts = [event.text for event in said if isinstance(event, Message)]
+        assert bool(texts) == bool(growth)
         assert len({size for step, size in sizes.after.items() if step > ends}) == 1
         left[growth] = sizes.after
     assert left[0.0][ends] == left[0.1][ends]
     assert left[0.1][ends + 1] < 0.95 * left[0.0][ends + 1]
+    whole, removed = left[0.1][ends], left[0.1][ends] - left[0.1][ends + 1]
+    assert texts == [
+        "Looking for Gaussians that the photos hardly show.",
+        f"Removed {removed:,} of {whole:,} Gaussians.",
+    ]
 
 
 def test_stopped_meanwhile_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
