@@ -67,6 +67,13 @@ class OrientedBox(RoiRecord):
         inside: NDArray[np.bool_] = np.logical_and.reduce(within, axis=1)
         return inside
 
+    def distance(self, points: Float64) -> Float64:
+        """(N, 3) world positions -> (N,) distance of each from the box, 0 inside, world units."""
+        with np.errstate(all="ignore"):
+            beyond = np.maximum(np.abs(self.to_box(points)) - 1, 0) * self.half_extents
+            away: Float64 = np.linalg.norm(beyond, axis=1)
+        return away
+
     def corners(self) -> Float64:
         """(8, 3) world positions; corner k has the sign bits of k."""
         bits = (np.arange(8)[:, None] >> np.arange(3)) & 1

@@ -191,6 +191,10 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return "faint Gaussians were {}, now they are {}".format(
             *("removed" if value else "kept" for value in (before, now))
         )
+    if name.endswith(".near_grad_threshold"):
+        return "near the boxes, Gaussians were densified {}, now {}".format(
+            *("more than elsewhere" if value else "as elsewhere" for value in (before, now))
+        )
     if name.endswith(".restarts"):
         return f"warm restarts of Adam: {before or 0} before, now {now or 0}"
     text = f"{name} was {before}, now {now}"

@@ -80,8 +80,9 @@ def joint_recipe(
             whole_small_until=roi_steps * 2 // 3,
             densify_in_boxes=True,
             grad_threshold=6e-5,
-            # 4 x 3DGS's: what shows behind the objects must not stay as coarse as the Scene-GS.
+            # 4 x 3DGS's; as in 3DGS beside the objects, which people look at from as near.
             outside_grad_threshold=8e-4,
+            near_grad_threshold=2e-4,
             box_budget=32.0,
             full_every=3,
             view_weighting=1.5,

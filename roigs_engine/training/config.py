@@ -19,7 +19,7 @@ INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contri
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 
 # Fields that records of settings leave out where they are off: these stages train as before them.
-ADDED = ("antialiased", "faint_growth", "restarts")
+ADDED = ("antialiased", "faint_growth", "near_grad_threshold", "restarts")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +44,8 @@ class TrainConfig:
             sec. II-B), with min(scene extent, box diagonal) as the size reference.
         outside_grad_threshold: with `densify_in_boxes`, Gaussians outside the boxes above this
             gradient are densified too; 0: none (paper).
+        near_grad_threshold: that threshold at the boxes' sides; it rises evenly to
+            `outside_grad_threshold` over two diagonals of a box. 0: it is the same everywhere.
         box_margin: factor on the sides of the boxes for densification, budgets and masks, because
             things close to an object fill much of its silhouette.
         box_budget: factor of the Gaussian budget of a box (`budget.py`); 0: no limit.
@@ -98,6 +100,7 @@ class TrainConfig:
     split_fraction: float = 0.01
     densify_in_boxes: bool = False
     outside_grad_threshold: float = 0.0
+    near_grad_threshold: float = 0.0
     box_margin: float = 1.0
     box_budget: float = 0.0
     box_grad_threshold: float = 0.0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ...model.gaussians import Gaussians
 from ...model.ownership import owners
 from .adaptive import AdaptiveDensity
+
+NEAR = 2.0  # diagonals of a box; what is as near is seen with its object, and from as near
 
 
 class InBoxDensity(AdaptiveDensity):
@@ -21,8 +24,7 @@ class InBoxDensity(AdaptiveDensity):
         if config.box_grad_threshold:
             mask = torch.where(owner >= 0, gradient > config.box_grad_threshold, mask)
         if config.densify_in_boxes:
-            outside = config.outside_grad_threshold or torch.inf
-            mask = torch.where(owner >= 0, mask, gradient > outside)
+            mask = torch.where(owner >= 0, mask, gradient > self._outside_thresholds(gaussians))
         progress = step / config.densify_until
         for index, budget in enumerate(self.inputs.budgets or ()):
             mine = torch.nonzero(mask & (owner == index)).flatten()
@@ -31,6 +33,18 @@ class InBoxDensity(AdaptiveDensity):
                 order = torch.argsort(gradient[mine], descending=True, stable=True)
                 mask[mine[order[room:]]] = False
         return mask
+
+    def _outside_thresholds(self, gaussians: Gaussians) -> Tensor:
+        """(N,) gradient thresholds outside the boxes, by the distance from the nearest box."""
+        far = self.config.outside_grad_threshold or np.inf
+        near = self.config.near_grad_threshold or far
+        thresholds = np.full(len(gaussians), far)
+        if near < far < np.inf:
+            centres = gaussians.means.detach().cpu().double().numpy()  # as in `owners`
+            for roi in self.inputs.rois:
+                share = roi.distance(centres) / (NEAR * roi.diagonal)
+                thresholds = np.fmin(thresholds, near + (far - near) * share)
+        return torch.from_numpy(thresholds.astype(np.float32)).to(gaussians.means.device)
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
         """(N,) the scene's extent; in a box at most the box's diagonal, world units.

@@ -82,6 +82,23 @@ def test_contains_follows_the_rotation(seed: int) -> None:
 
 
 @given(SEEDS)
+def test_the_distance_is_that_of_the_nearest_point_of_the_box(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    box = random_box(rng)
+    local = rng.uniform(-3, 3, (50, 3))
+
+    def placed(local: np.ndarray) -> np.ndarray:
+        return (local * box.half_extents - box.world_to_box[:3, 3]) @ box.world_to_box[:3, :3]
+
+    points, nearest = placed(local), placed(np.clip(local, -1, 1))
+    distance = box.distance(points)
+    assert np.allclose(distance, np.linalg.norm(points - nearest, axis=1), atol=1e-9)
+    assert ((distance == 0) == box.contains(points)).all()
+    for inside in placed(rng.uniform(-1, 1, (20, 3))):
+        assert (np.linalg.norm(points - inside, axis=1) >= distance - 1e-9).all()
+
+
+@given(SEEDS)
 def test_moving_box_and_points_together_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     box, motion = random_box(rng), random_pose(rng, 5.0)

@@ -241,3 +241,14 @@ def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
     del old["scene"]["faint_growth"], old["roi"]["faint_growth"]
     told = manifest_difference({"config": old}, {"config": draft})
     assert told == "faint Gaussians were kept, now they are removed"
+
+
+def test_manifests_from_before_near_thresholds_say_so() -> None:
+    draft = preset("draft")
+    assert "near_grad_threshold" not in in_strategy(draft, "independent").to_dict()["roi"]
+    old, now = draft.to_dict(), draft.to_dict()
+    del old["roi"]["near_grad_threshold"]
+    told = manifest_difference({"config": old}, {"config": now})
+    assert told == (
+        "near the boxes, Gaussians were densified as elsewhere, now more than elsewhere"
+    )

@@ -20,7 +20,7 @@ TURNS = [np.linalg.matrix_power(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), k)
 RECORDED = {
     "draft": {
         "scene": "bf46540c",
-        "joint": "71a33c04",
+        "joint": "47dc87f7",
         "compare-independent/scene": "bb801c16",
         "compare-independent/object-vase": "ee8606ea",
         "compare-independent/object-tin": "e9e01d89",
@@ -37,7 +37,7 @@ RECORDED = {
         "object-vase": "1b128121",
         "object-tin": "0d914ac2",
         "compare-joint/scene": "65d4f235",
-        "compare-joint/joint": "4ce9c8ac",
+        "compare-joint/joint": "92347619",
         "full-scene": "0f27950c",
         "tuned-coarse-scene": "65d4f235",
         "tuned-scene": "3aa32c91",
