@@ -38,7 +38,7 @@ def test_equal_time_lengthens_the_box_stage_alone() -> None:
     longer = measure.longer_box_stage(draft, 1.5)
     assert longer.scene == draft.scene
     assert (longer.roi.steps, longer.roi.densify_until) == (4500, 1000)
-    assert (longer.roi.small_until, longer.roi.average_steps) == (1500, 450)
+    assert (longer.roi.small_until, longer.roi.average_steps) == (1000, 450)
     assert measure.longer_box_stage(draft, 0.1).roi.densify_until == 100
 
 

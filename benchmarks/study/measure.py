@@ -235,13 +235,14 @@ def equal_time_factor(theirs: float, ours: float) -> float:
 
 
 def longer_box_stage(config: RunConfig, factor: float) -> RunConfig:
-    """The config with the box stage's steps multiplied, not those that densify.
+    """The config with the box stage's steps multiplied, not those that densify on small photos.
 
     So it learns for longer, with as many Gaussians.
     """
     roi = with_steps(config.roi, max(1, round(factor * config.roi.steps)))
     until = min(roi.densify_until, config.roi.densify_until)
-    return replace(config, roi=replace(roi, densify_until=until))
+    small = min(roi.small_until, config.roi.small_until)
+    return replace(config, roi=replace(roi, densify_until=until, small_until=small))
 
 
 def _seconds(model: TrainedModel) -> dict[str, float]:

@@ -11,8 +11,11 @@ from ..shared import EngineError, files, run_files, text
 from .training_steps import PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
-OURS = ("faint_growth", "restarts")
-"""Settings of stages that boxes trained together have, and that came with new versions."""
+OURS = {
+    "scene": ("faint_growth", "restarts"),
+    "roi": ("faint_growth", "near_grad_threshold", "restarts"),
+}
+"""Settings of each stage that came with new versions, for boxes that are trained together."""
 LATER = ("exclude", "count", "steps", "recipe")
 """Not taken as they are."""
 MOST_STEPS, MOST_FACTOR = 10**9, 1e6
@@ -89,7 +92,7 @@ class RunSettings:
             return self
         steps = sum(count or 0 for count in stages)
         ours = self.strategy == "joint"
-        found = {bool(stage.get(name)) for stage in (scene, boxes) for name in OURS}
+        found = {bool(config[stage].get(name)) for stage, names in OURS.items() for name in names}
         same = steps == usual and found == {ours}
         return replace(self, steps=steps, recipe=THIS if same else EARLIER)
 

@@ -200,8 +200,8 @@ def _photo_notes(rows: Sequence[ModelScore], baseline: str) -> list[str]:
         near, far = (" to ".join(_ends([distances[name] for name in third])) for third in thirds)
         notes.append(
             f"Near third: mean ROI PSNR on the {len(thirds[0])} of {len(distances)} photos nearest "
-            f"to the box ({near} box diagonals from its centre). Far third: on the "
-            f"{len(thirds[1])} farthest ({far})."
+            f"to the box ({near} box diagonals from its centre); object: the same of object PSNR. "
+            f"Far third: on the {len(thirds[1])} farthest ({far})."
         )
     photos = [
         f"{row.model} {row.peak_view}, {row.worst_view}"

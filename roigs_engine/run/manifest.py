@@ -191,7 +191,7 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return "faint Gaussians were {}, now they are {}".format(
             *("removed" if value else "kept" for value in (before, now))
         )
-    if name.endswith(".near_grad_threshold"):
+    if name.endswith(".near_grad_threshold") and not (before and now):
         return "near the boxes, Gaussians were densified {}, now {}".format(
             *("more than elsewhere" if value else "as elsewhere" for value in (before, now))
         )

@@ -80,7 +80,7 @@ def joint_recipe(
             whole_small_until=roi_steps * 2 // 3,
             densify_in_boxes=True,
             grad_threshold=6e-5,
-            # 4 x 3DGS's; as in 3DGS beside the objects, which people look at from as near.
+            # Far away 4 x 3DGS's; at the boxes' sides 3DGS's: people look at both from near.
             outside_grad_threshold=8e-4,
             near_grad_threshold=2e-4,
             box_budget=32.0,

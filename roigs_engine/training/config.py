@@ -45,7 +45,8 @@ class TrainConfig:
         outside_grad_threshold: with `densify_in_boxes`, Gaussians outside the boxes above this
             gradient are densified too; 0: none (paper).
         near_grad_threshold: that threshold at the boxes' sides; it rises evenly to
-            `outside_grad_threshold` over two diagonals of a box. 0: it is the same everywhere.
+            `outside_grad_threshold` over two diagonals of a box. 0, or not below that: it is the
+            same everywhere.
         box_margin: factor on the sides of the boxes for densification, budgets and masks, because
             things close to an object fill much of its silhouette.
         box_budget: factor of the Gaussian budget of a box (`budget.py`); 0: no limit.

@@ -51,12 +51,11 @@ def faint_gaussians(
         data: of the stage; with masks, each box is judged apart.
         views: its photos, in the size to judge by.
         growth: largest mean growth of the photos' errors, as a share of them.
-        context: checked for cancellation between photos; receives messages.
+        context: checked for cancellation between photos.
 
     Raises:
         Stopped: the user stopped.
     """
-    context.info("Looking for Gaussians that the photos hardly show.")
     rois = () if data.masks is None else data.rois
     errors = PhotoErrors(views, rois, data.backgrounds, context)
     worth = visible_worth(gaussians, data.images, context)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..formats.events import Progress
+
 PSNR_EVERY = 50  # steps
 RECENT = 0.98  # weight of the past in the running loss
 
@@ -56,6 +58,20 @@ class Figures:
         is_first = self.psnr != self.psnr
         self.psnr = psnr if is_first else 0.7 * self.psnr + 0.3 * psnr
         self._error = None
+
+    def progress(
+        self, stage: str, step: int, total: int, gaussians: int, seconds_left: float
+    ) -> Progress:
+        """The event that shows them, with where the stage is; waits for the device."""
+        return Progress(
+            stage=stage,
+            step=step,
+            total=total,
+            loss=float(self.loss),
+            psnr=self.psnr,
+            gaussians=gaussians,
+            seconds_left=seconds_left,
+        )
 
     def take_back(self, loss: Tensor) -> None:
         """The running loss is this one again: the steps since are done anew."""

@@ -15,7 +15,6 @@ from ..context import QUIET, Context
 from ..cuda.device import CPU, on_device
 from ..cuda.sending import number, sent
 from ..errors import Stopped
-from ..formats.events import Progress
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..rasterize import RenderOutput, rasterize
@@ -117,7 +116,8 @@ class Trainer:
                 reported = now
                 done = max(self.step - first, 1)
                 left = (now - started) / done * (self.config.steps - self.step)
-                context.emit(self._progress(stage, left))
+                where = stage, self.step, self.config.steps, len(self._parameters)
+                context.emit(self._figures.progress(*where, left))
             for callback in callbacks:
                 # Writing files does not count as training time.
                 started += callback.call_if_due(self.seconds)
@@ -275,17 +275,6 @@ class Trainer:
             **options,
         )
 
-    def _progress(self, stage: str, seconds_left: float) -> Progress:
-        return Progress(
-            stage=stage,
-            step=self.step,
-            total=self.config.steps,
-            loss=float(self._figures.loss),
-            psnr=self._figures.psnr,
-            gaussians=len(self._parameters),
-            seconds_left=seconds_left,
-        )
-
     def _average(self) -> None:
         """Add the model to the mean; at the last step, the mean becomes the model."""
         if self.config.is_averaged(self.step):
@@ -300,25 +289,30 @@ class Trainer:
         due = config.prunes_faint and config.densify_until <= self.step and not self._faint_pruned
         if not due or self._taken_back(wait=True):
             return True
-        asked = self.data, self._views(self.step), config.faint_growth
-        self._faint_pruned = self._prune(context, faint_gaussians, *asked)
+        asked = self.data, self._whole, config.faint_growth
+        what = "Gaussians that the photos hardly show"
+        self._faint_pruned = self._prune(context, what, faint_gaussians, *asked)
         return self._faint_pruned
 
     def _without_floaters(self, context: Context) -> bool:
         """Prune floaters if the stage does; False if stopped, with nothing changed."""
         data, views = self.data, self.config.min_views
         asked = data.images, data.rois, data.points, views
-        return not views or self._prune(context, floaters, *asked)
+        what = "Gaussians that hang in the air"
+        return not views or self._prune(context, what, floaters, *asked)
 
-    def _prune(self, context: Context, search: Callable[..., Tensor], *asked: Any) -> bool:
+    def _prune(
+        self, context: Context, what: str, search: Callable[..., Tensor], *asked: Any
+    ) -> bool:
         """Remove the Gaussians that a search finds, (N,) bool; False if it was stopped."""
         began, cpu_began = time.perf_counter(), time.process_time()
+        context.info(f"Looking for {what}.")
         self._steps_before = self._optimizer.step_count  # while it searches, nothing has changed
         try:
             found = search(self._parameters, *asked, context)
         except Stopped:
             return False
-        context.info(f"Removed {int(found.sum()):,} of {len(found):,} Gaussians.")
+        context.info(f"Removed {int(found.sum()):,} {what}, of {len(found):,}.")
         if bool(found.any()):
             self._steps_before = -1  # from here on, half of the state may have
             kept = (~found).nonzero()[:, 0]

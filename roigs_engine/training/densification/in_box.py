@@ -10,7 +10,7 @@ from ...model.gaussians import Gaussians
 from ...model.ownership import owners
 from .adaptive import AdaptiveDensity
 
-NEAR = 2.0  # diagonals of a box; what is as near is seen with its object, and from as near
+NEAR = 2.0  # diagonals of a box: what is nearer is in the same close-ups as its object
 
 
 class InBoxDensity(AdaptiveDensity):
@@ -24,7 +24,7 @@ class InBoxDensity(AdaptiveDensity):
         if config.box_grad_threshold:
             mask = torch.where(owner >= 0, gradient > config.box_grad_threshold, mask)
         if config.densify_in_boxes:
-            mask = torch.where(owner >= 0, mask, gradient > self._outside_thresholds(gaussians))
+            mask = torch.where(owner >= 0, mask, self._outside(gaussians, gradient, owner))
         progress = step / config.densify_until
         for index, budget in enumerate(self.inputs.budgets or ()):
             mine = torch.nonzero(mask & (owner == index)).flatten()
@@ -34,17 +34,25 @@ class InBoxDensity(AdaptiveDensity):
                 mask[mine[order[room:]]] = False
         return mask
 
-    def _outside_thresholds(self, gaussians: Gaussians) -> Tensor:
-        """(N,) gradient thresholds outside the boxes, by the distance from the nearest box."""
-        far = self.config.outside_grad_threshold or np.inf
+    def _outside(self, gaussians: Gaussians, gradient: Tensor, owner: Tensor) -> Tensor:
+        """(N,) bool: which Gaussians outside the boxes are densified.
+
+        The threshold of each follows from its distance from the boxes, in diagonals of each; the
+        lowest counts.
+        """
+        far = self.config.outside_grad_threshold or torch.inf
         near = self.config.near_grad_threshold or far
-        thresholds = np.full(len(gaussians), far)
-        if near < far < np.inf:
-            centres = gaussians.means.detach().cpu().double().numpy()  # as in `owners`
-            for roi in self.inputs.rois:
-                share = roi.distance(centres) / (NEAR * roi.diagonal)
-                thresholds = np.fmin(thresholds, near + (far - near) * share)
-        return torch.from_numpy(thresholds.astype(np.float32)).to(gaussians.means.device)
+        dense = gradient > far
+        if not near < far < torch.inf:
+            return dense
+        asked = ((gradient > near) & ~dense & (owner < 0)).nonzero()[:, 0]
+        centres = gaussians.means.detach()[asked].cpu().double().numpy()  # there, as in `owners`
+        share = np.ones(len(asked))
+        for roi in self.inputs.rois:
+            share = np.fmin(share, roi.distance(centres) / (NEAR * roi.diagonal))
+        thresholds = torch.from_numpy(near + (far - near) * share).to(gradient)
+        dense[asked] = gradient[asked] > thresholds
+        return dense
 
     def size_reference(self, gaussians: Gaussians) -> Tensor:
         """(N,) the scene's extent; in a box at most the box's diagonal, world units.

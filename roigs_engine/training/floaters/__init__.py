@@ -39,9 +39,8 @@ def floaters(
         rois: the boxes.
         points: (P, 3) of the scene, world units.
         min_views: see `consistent_across_views`.
-        context: checked for cancellation between views; receives messages.
+        context: checked for cancellation between views.
     """
-    context.info("Looking for floaters.")
     found = ~consistent_across_views(gaussians, images, rois, points, min_views, context)
     shown = largest_shares(gaussians, photo_views(images), context)
     found |= fills_only_between(gaussians, views_between(images, points), shown, context)

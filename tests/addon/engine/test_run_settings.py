@@ -38,7 +38,8 @@ def test_only_what_is_known_differs() -> None:
 
 STANDARD = OPTIONS | {"preset": "standard", "strategy": "joint"}
 OURS = {"faint_growth": 0.05, "restarts": 3}
-STAGES = {"scene": {"steps": 4000, **OURS}, "roi": {"steps": 4500, **OURS}}
+BOXES = OURS | {"near_grad_threshold": 2e-4}
+STAGES = {"scene": {"steps": 4000, **OURS}, "roi": {"steps": 4500, **BOXES}}
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,7 @@ STAGES = {"scene": {"steps": 4000, **OURS}, "roi": {"steps": 4500, **OURS}}
         ({"scene": {"steps": 6000}, "roi": {"steps": 9000}}, 15_000),
         (STAGES | {"roi": {"steps": 4500, "faint_growth": 0.05}}, 8500),
         (STAGES | {"scene": {"steps": 4000, "faint_growth": 0.05}}, 8500),
+        (STAGES | {"roi": {"steps": 4500, **OURS}}, 8500),
     ],
 )
 def test_a_preset_of_an_earlier_version_differs(stages: dict[str, Any], steps: int) -> None:

@@ -191,17 +191,20 @@ def test_outside_the_boxes_thresholds_rise_with_the_distance(scale: float) -> No
     config = replace(
         IN_BOXES, grad_threshold=1e-4, outside_grad_threshold=8e-4, near_grad_threshold=2e-4
     )
-    far = OrientedBox.axis_aligned("far", [90 * scale] * 3, [91 * scale] * 3)
-    for factor in (0.98, 1.02):
-        chosen = control(config, stats(factor * thresholds), [box, far], None)
-        assert chosen.densify_mask(gaussians, 0).all() == (factor > 1)
-        assert chosen.densify_mask(gaussians, 0).any() == (factor > 1)
+    there = [-scale - away[-1], 0, 0]  # a second box, around the farthest of them
+    second = OrientedBox.axis_aligned("second", np.subtract(there, scale), np.add(there, scale))
+    beside = torch.cat([thresholds[:-1], torch.tensor([1e-4])])
+    for boxes, expected in (([box], thresholds), ([second, box], beside), ([box, second], beside)):
+        for factor in (0.98, 1.02):
+            chosen = control(config, stats(factor * expected), boxes, None)
+            assert chosen.densify_mask(gaussians, 0).tolist() == 6 * [factor > 1]
     nowhere = replace(config, outside_grad_threshold=0.0)
     chosen = control(nowhere, stats(torch.ones(6)), [box], None).densify_mask(gaussians, 0)
     assert chosen.tolist() == [True] + 5 * [False]
-    lost = replace(gaussians, means=gaussians.means * float("nan"))
-    chosen = control(config, stats(torch.full((6,), 5e-4)), [box], None).densify_mask(lost, 0)
-    assert not chosen.any()  # NaN is nowhere near
+    lost = replace(gaussians, means=gaussians.means * float("nan"))  # nowhere near
+    for gradient in (7e-4, 9e-4):
+        found = control(config, stats(torch.full((6,), gradient)), [box], None)
+        assert found.densify_mask(lost, 0).tolist() == 6 * [gradient > 8e-4]
 
 
 def test_boxes_may_have_a_threshold_and_limits_of_their_own() -> None:

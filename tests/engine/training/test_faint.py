@@ -25,7 +25,7 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.faint import EACH, WHOLE, PhotoErrors, faintest, visible_worth
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.photo_views import PhotoViews
-from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.stage_data import SmallPhotos, StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene
 
@@ -244,8 +244,28 @@ def test_a_stage_prunes_once_when_densification_ends(scene: SfmScene) -> None:
     whole, removed = left[0.1][ends], left[0.1][ends] - left[0.1][ends + 1]
     assert texts == [
         "Looking for Gaussians that the photos hardly show.",
-        f"Removed {removed:,} of {whole:,} Gaussians.",
+        f"Removed {removed:,} Gaussians that the photos hardly show, of {whole:,}.",
     ]
+
+
+@pytest.mark.parametrize("small_until", [0, 39, 40, 41, 60])
+@pytest.mark.parametrize("full_every", [1, 2, 3])
+def test_photos_of_full_size_judge(
+    scene: SfmScene, monkeypatch: pytest.MonkeyPatch, small_until: int, full_every: int
+) -> None:
+    widths: list[int] = []
+
+    def asked(model: Gaussians, data: StageData, views: PhotoViews, *_: object) -> Tensor:
+        widths.append(views.view(0).width)
+        return torch.zeros(len(model), dtype=torch.bool)
+
+    monkeypatch.setattr("roigs_engine.training.trainer.faint_gaussians", asked)
+    halves = [image.scaled(0.5) for image in scene.images]
+    masks = RoiMasks(halves, [BOX], range(len(halves)))
+    small = SmallPhotos(images=halves, photos=PhotoCache(halves), masks=masks)
+    config = replace(CONFIG, small_until=small_until, full_every=full_every)
+    Trainer(model_of(scene), replace(stage_data(scene), small=small), config).run()
+    assert widths == [scene.images[0].camera.width]
 
 
 def test_stopped_meanwhile_it_goes_on_to_the_same_end(scene: SfmScene) -> None:
