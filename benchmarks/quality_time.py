@@ -57,13 +57,14 @@ def draw(runs: Sequence[Path], out: Path) -> None:
 
     figure, axes = pyplot.subplots(figsize=(7, 4.2))
     drawn: set[str] = set()
-    for marker, run in zip(MARKERS, runs, strict=False):
+    for index, (marker, run) in enumerate(zip(MARKERS, runs, strict=False)):
         rows = points(run)
         order = [name for name in SHOWN if name in rows]
         axes.plot(*zip(*(rows[name] for name in order), strict=True), color="#dddddd", zorder=1)
         for name in order:
             axes.scatter(*rows[name], color=SHOWN[name][0], marker=marker, s=60, zorder=2)
-        axes.annotate(run.name, rows[order[-1]], xytext=(8, 4), textcoords="offset points")
+        beside = (8, -12 if index % 2 else 4)  # below and above: names of near points stay apart
+        axes.annotate(run.name, rows[order[-1]], xytext=beside, textcoords="offset points")
         drawn.update(order)
     for name, (colour, label) in SHOWN.items():
         if name in drawn:
