@@ -11,7 +11,10 @@ from PIL import Image
 from roigs_engine.model.gaussians import SH_C0, Gaussians
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
+from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import rasterize
+from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.stage_data import SmallPhotos
 from tests.poses import look_at
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
@@ -76,3 +79,10 @@ def make_scene(folder: Path, views: int = 12) -> SfmScene:
         )
     colors = ((model.sh[:, 0].numpy() * SH_C0 + 0.5) * 255).astype(np.uint8)
     return SfmScene(images=tuple(images), points=points, colors=colors)
+
+
+def small_photos(scene: SfmScene, device: torch.device | None = None) -> SmallPhotos:
+    """The photos at half their size, with the box's masks on a device."""
+    halves = [image.scaled(0.5) for image in scene.images]
+    masks = RoiMasks(halves, [BOX], range(len(halves)), device)
+    return SmallPhotos(images=halves, photos=PhotoCache(halves), masks=masks)

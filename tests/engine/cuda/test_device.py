@@ -1,10 +1,8 @@
-"""Choosing a device, and training through the paths that a card uses, on the CPU."""
+"""Training through the paths that a card uses, on the CPU."""
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,13 +15,11 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from roigs_engine.cli import main
 from roigs_engine.context import QUIET, Context
-from roigs_engine.cuda import device, library
-from roigs_engine.cuda.device import CPU, choose_device
+from roigs_engine.cuda import device
+from roigs_engine.cuda.device import CPU
 from roigs_engine.cuda.photos import DevicePhotos
 from roigs_engine.errors import GpuMemoryError, KernelError
-from roigs_engine.formats.events import Device
 from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.ownership import nearest_owner, owners
 from roigs_engine.model.roi import OrientedBox
@@ -213,6 +209,27 @@ def test_boxes_own_the_same_on_every_device() -> None:
     assert owners(model, rois).tolist() == expected.tolist()
 
 
+def test_the_fused_loss_is_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in that has fused-ssim's interface: (1, 3, H, W) twice, the mean comes back."""
+    from roigs_engine.training import losses
+
+    def fused(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        assert x.shape == t.shape == (1, 3, 20, 30) and x.is_contiguous() and t.is_contiguous()
+        return losses.ssim_map(x[0].permute(1, 2, 0), t[0].permute(1, 2, 0)).mean()
+
+    monkeypatch.setattr(losses, "fused_ssim", lambda: fused)
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(1, 20, 30, 3, generator=generator, requires_grad=True)
+    photo = torch.randint(0, 256, (20, 30, 3), dtype=torch.uint8, generator=generator)
+    results = []
+    for backend in ("fused-ssim", "reference"):
+        loss = photo_loss(image, photo, backend=backend)
+        (gradient,) = torch.autograd.grad(loss.loss, image)
+        results.append((*loss, gradient))
+    for ours, truth in zip(*results, strict=True):
+        assert torch.allclose(ours, truth, atol=1e-7)
+
+
 # --- memory ---
 
 
@@ -295,110 +312,3 @@ def test_photos_stay_on_the_device_as_far_as_they_fit() -> None:
             assert photos[index].shape == (4, 5, 3) and int(photos[index][0, 0, 0]) == index
     # Sent once each, in the order of two threads; the third each time.
     assert sent.count(0) == sent.count(1) == 1 and set(sent) == {0, 1, 2}
-
-
-# --- the choice ---
-
-
-def test_auto_takes_the_cpu_and_says_why_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.version, "cuda", None)
-    said: list[Any] = []
-    assert choose_device("auto", Context(emit=said.append)) == CPU
-    assert said == [Device(kind="cpu", name="", reason="This torch is built without CUDA")]
-    assert choose_device("cpu", Context(emit=said.append)) == CPU
-    assert said[1:] == [Device(kind="cpu", name="", reason="chosen")]
-    with pytest.raises(KernelError, match="Install torch for CUDA"):
-        choose_device("cuda")
-
-
-def test_a_torch_for_cuda_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.version, "cuda", "13.0")
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(KernelError, match="finds no NVIDIA GPU"):
-        choose_device("cuda")
-
-
-@pytest.mark.parametrize(
-    ("torch_version", "cuda", "hint"),
-    [
-        ("2.13.0+cu130", "13.0", r"pip install gsplat==1\.5\.3.*CUDA toolkit 13\.0"),
-        ("2.4.1+cu124", "12.4", r"1\.5\.3\+pt24cu124"),
-    ],
-)
-def test_a_card_without_gsplat(
-    monkeypatch: pytest.MonkeyPatch, torch_version: str, cuda: str, hint: str
-) -> None:
-    monkeypatch.setattr(torch, "__version__", torch_version)
-    monkeypatch.setattr(torch.version, "cuda", cuda)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
-    monkeypatch.setenv(library.KERNELS_VARIABLE, "gsplat")
-    monkeypatch.setitem(sys.modules, "gsplat", None)
-    library.gsplat.cache_clear()
-    with pytest.raises(KernelError, match=f"gsplat is not installed.*{hint}"):
-        choose_device("cuda")
-
-
-def test_a_gsplat_that_cannot_compile(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its reason in one line; what it prints does not get among the events."""
-    for name, code in (
-        ("__init__", ""),
-        ("cuda/__init__", ""),
-        ("cuda/_backend", "print('compiling')\nraise RuntimeError('no compiler\\nand so on')"),
-    ):
-        path = tmp_path / "gsplat" / f"{name}.py"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(code, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
-        monkeypatch.setitem(sys.modules, name, None)  # so that it is as before when the test ends
-        del sys.modules[name]
-    library.gsplat.cache_clear()
-    with pytest.raises(KernelError, match=r"could not compile its kernels \(no compiler\)"):
-        library.gsplat()
-    (tmp_path / "gsplat/cuda/_backend.py").write_text("_C = None", encoding="utf-8")
-    with pytest.raises(KernelError, match="no CUDA toolkit"):
-        library.gsplat()
-    assert "compiling" not in capsys.readouterr().out
-
-
-def test_the_commands_take_a_device(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(torch.version, "cuda", None)
-    path = {"cameras": [
-        {"name": "a", "width": 16, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 8.0, "cy": 4.0,
-         "world_to_camera": np.eye(4).tolist()},
-    ]}  # fmt: skip
-    (tmp_path / "path.json").write_text(json.dumps(path), encoding="utf-8")
-    Gaussians.from_points(np.array([[0.0, 0, 3]]), np.zeros((1, 3), np.uint8)).save_ply(
-        tmp_path / "one.ply"
-    )
-    command = ["render", str(tmp_path / "one.ply"), "--path", str(tmp_path / "path.json")]
-    command += ["--out", str(tmp_path / "out")]
-    assert main([*command, "--device", "cpu"]) == 0
-    assert main([*command, "--device", "cuda"]) == 2
-    assert "error: This torch is built without CUDA." in capsys.readouterr().err
-
-
-def test_the_fused_loss_is_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in that has fused-ssim's interface: (1, 3, H, W) twice, the mean comes back."""
-    from roigs_engine.training import losses
-
-    def fused(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
-        assert x.shape == t.shape == (1, 3, 20, 30) and x.is_contiguous() and t.is_contiguous()
-        return losses.ssim_map(x[0].permute(1, 2, 0), t[0].permute(1, 2, 0)).mean()
-
-    monkeypatch.setattr(losses, "fused_ssim", lambda: fused)
-    generator = torch.Generator().manual_seed(0)
-    image = torch.rand(1, 20, 30, 3, generator=generator, requires_grad=True)
-    photo = torch.randint(0, 256, (20, 30, 3), dtype=torch.uint8, generator=generator)
-    results = []
-    for backend in ("fused-ssim", "reference"):
-        loss = photo_loss(image, photo, backend=backend)
-        (gradient,) = torch.autograd.grad(loss.loss, image)
-        results.append((*loss, gradient))
-    for ours, truth in zip(*results, strict=True):
-        assert torch.allclose(ours, truth, atol=1e-7)

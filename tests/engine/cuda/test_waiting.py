@@ -24,12 +24,12 @@ from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.stage_data import SmallPhotos, StageData
+from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from roigs_engine.training.z_order import morton_order
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
 from tests.engine.cuda.shim import ShimProgram
-from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
 Inputs = Callable[[SfmScene], dict[str, Any]]
 VIEWS = 2
@@ -92,10 +92,8 @@ class MaskedPhotos:
 
 
 def two_sizes(scene: SfmScene) -> dict[str, Any]:
-    halves = [image.scaled(0.5) for image in scene.images]
-    masks = RoiMasks(halves, [BOX], range(VIEWS), FAR)
-    small = SmallPhotos(images=halves, photos=PhotoCache(halves), masks=masks)
-    return {**boxes(scene), "small": small, "config": replace(CONFIG, small_until=100)}
+    config = replace(CONFIG, small_until=100)
+    return {**boxes(scene), "small": small_photos(scene, FAR), "config": config}
 
 
 def masked_photos(scene: SfmScene) -> dict[str, Any]:

@@ -25,9 +25,9 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.faint import EACH, WHOLE, PhotoErrors, faintest, visible_worth
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.photo_views import PhotoViews
-from roigs_engine.training.stage_data import SmallPhotos, StageData
+from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
 CONFIG = TrainConfig(
     steps=60, densify_from=10, densify_until=40, densify_every=10, grad_threshold=1e-5,
@@ -260,11 +260,9 @@ def test_photos_of_full_size_judge(
         return torch.zeros(len(model), dtype=torch.bool)
 
     monkeypatch.setattr("roigs_engine.training.trainer.faint_gaussians", asked)
-    halves = [image.scaled(0.5) for image in scene.images]
-    masks = RoiMasks(halves, [BOX], range(len(halves)))
-    small = SmallPhotos(images=halves, photos=PhotoCache(halves), masks=masks)
     config = replace(CONFIG, small_until=small_until, full_every=full_every)
-    Trainer(model_of(scene), replace(stage_data(scene), small=small), config).run()
+    data = replace(stage_data(scene), small=small_photos(scene))
+    Trainer(model_of(scene), data, config).run()
     assert widths == [scene.images[0].camera.width]
 
 

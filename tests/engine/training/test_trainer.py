@@ -22,9 +22,9 @@ from roigs_engine.training.budget import BoxBudget
 from roigs_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.stage_data import SmallPhotos, StageData
+from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, small_photos
 
 SHORT = TrainConfig(
     steps=60,
@@ -59,12 +59,8 @@ def stage_data(scene: SfmScene, **changes: object) -> StageData:
 
 def two_sizes(scene: SfmScene) -> StageData:
     """Photos with masks, and the same at half their size."""
-    halves = [image.scaled(0.5) for image in scene.images]
-    rows = range(len(halves))
-    small = SmallPhotos(
-        images=halves, photos=PhotoCache(halves), masks=RoiMasks(halves, [BOX], rows)
-    )
-    return stage_data(scene, small=small, masks=RoiMasks(scene.images, [BOX], rows))
+    masks = RoiMasks(scene.images, [BOX], range(len(scene.images)))
+    return stage_data(scene, small=small_photos(scene), masks=masks)
 
 
 def first_model(scene: SfmScene) -> Gaussians:
