@@ -16,6 +16,7 @@ BUCKETS = 4  # of a group
 COLUMNS = 16  # of a splat
 MOMENTS = 9  # of a slot
 ROWS = 128  # Gaussians of a block
+WARP = 32
 CAMERA_VALUES = 22  # floats of a camera that are read on the card
 SHORT_TILES = 1 << 15  # with fewer tiles, their numbers and that of no tile fit 16 bits
 
@@ -31,10 +32,17 @@ class Frame(ctypes.Structure):
         *(
             (name, _ADDRESS)
             for name in (
-                *("camera_values", "splats", "depths", "pair_counts", "first_slot", "visible"),
-                *("order", "ends", "void", "short_tiles", "tiles", "ids", "moments"),
-                *("slot_largest", "slot_sums", "entries", "tile_begin", "group_begin"),
-                *("reached", "checkpoints"),
+                *("pose", "intrinsics", "background", "camera_values", "splats", "depths"),
+                *("pair_counts", "first_slot", "visible", "order", "ends", "void"),
+                *("short_tiles", "tiles", "ids", "moments", "slot_largest", "slot_sums"),
+            )
+        ),
+        ("pairs", ctypes.c_int64),
+        *(
+            (name, _ADDRESS)
+            for name in (
+                *("short_sorted", "sorted", "entries", "tile_begin", "group_begin", "reached"),
+                "checkpoints",
             )
         ),
         ("out", Outputs),
@@ -66,9 +74,10 @@ class Loss(ctypes.Structure):
     _fields_ = [
         ("width", ctypes.c_int64),
         ("height", ctypes.c_int64),
-        *((name, _ADDRESS) for name in ("image", "target", "weights", "scale")),
+        *((name, _ADDRESS) for name in ("image", "target", "weights", "total")),
         ("ssim_weight", ctypes.c_float),
-        *((name, _ADDRESS) for name in ("derivatives", "sums", "gradient")),
+        *((name, _ADDRESS) for name in ("derivatives", "sums", "gradient", "terms")),
+        ("blocks", ctypes.c_int64),
     ]
 
 

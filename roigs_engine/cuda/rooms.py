@@ -22,24 +22,35 @@ MARGIN = 1.25  # of the number at the last visit: models change little between v
 LEAST_MARGIN = 4096  # pairs
 
 Number = Callable[[bool], int | None]
-"""A number on its way from the GPU: None before it is there, unless the argument says to wait."""
+"""A number on its way from the GPU: None before it is there, unless the argument says to wait.
+
+It is given once.
+"""
 
 
-class ArrivingNumber:
-    """Copies a scalar of a GPU to pinned memory, in the order of its queue; nobody waits."""
+class ArrivingNumbers:
+    """Copies scalars of a GPU to pinned memory, in the order of its queue; nobody waits."""
 
-    def __init__(self, value: Tensor) -> None:
-        self._host = torch.empty((), dtype=value.dtype, pin_memory=True)
-        self._host.copy_(value, non_blocking=True)
-        self._arrived = torch.cuda.current_stream(value.device).record_event()
+    def __init__(self) -> None:
+        # Pinned memory is dear to get: a step would take a tenth of a millisecond longer.
+        self._free: list[Tensor] = []
 
-    def __call__(self, wait: bool) -> int | None:
-        """See `Number`."""
-        if wait:
-            self._arrived.synchronize()
-        elif not self._arrived.query():
-            return None
-        return int(self._host)
+    def __call__(self, value: Tensor) -> Number:
+        """Start to copy a () int64."""
+        host = self._free.pop() if self._free else torch.empty((), dtype=torch.int64).pin_memory()
+        host.copy_(value, non_blocking=True)
+        arrived = torch.cuda.current_stream(value.device).record_event()
+
+        def ask(wait: bool) -> int | None:
+            if wait:
+                arrived.synchronize()
+            elif not arrived.query():
+                return None
+            number = int(host)
+            self._free.append(host)
+            return number
+
+        return ask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,13 +71,13 @@ class Room:
 class Rooms:
     """The rooms of a stage's views.
 
-    Args: `read`: starts to read a scalar of the device.
+    Args: `read`: starts to read a () int64 of the device.
     """
 
     def __init__(
-        self, device: torch.device, read: Callable[[Tensor], Number] = ArrivingNumber
+        self, device: torch.device, read: Callable[[Tensor], Number] | None = None
     ) -> None:
-        self._read = read
+        self._read = read or ArrivingNumbers()
         self._void = torch.zeros((), dtype=torch.bool, device=device)
         self._needed: dict[Hashable, int] = {}
         self._coming: deque[tuple[int, Hashable, int, Number]] = deque()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -16,6 +18,7 @@ def sent(tensor: Tensor, device: torch.device) -> Tensor:
     return tensor.pin_memory().to(device, non_blocking=True)
 
 
+@functools.lru_cache(maxsize=4096)
 def number(value: float, device: torch.device) -> Tensor:
-    """A float32 scalar on `device`, filled in there: nothing is copied."""
+    """A float32 scalar on `device`, filled in there: nothing is copied. It must not be changed."""
     return torch.full((), value, dtype=torch.float32, device=device)

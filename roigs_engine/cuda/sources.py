@@ -16,8 +16,9 @@ FOLDER = Path(__file__).parent / "kernels"
 PROGRAMS = ("project.cu", "blend.cu", "weigh.cu", "gradient.cu", "backward.cu", "loss.cu")
 SHARED = ("constants.h", "types.h", "sh.h", "ellipses.h", "geometry.h", "geometry_gradient.h")
 KERNELS = (
-    *("project", "list_tiles", "blend", "median_depth", "weigh", "fold_weights", "gradient"),
-    *("project_backward", "project_backward_adam", "loss", "loss_gradient"),
+    *("place_camera", "project", "list_tiles", "begin_tiles", "begin_groups"),
+    *("blend", "median_depth", "weigh", "fold_weights", "gradient"),
+    *("project_backward", "project_backward_adam", "loss", "loss_gradient", "loss_terms"),
 )
 """The names of all kernels."""
 

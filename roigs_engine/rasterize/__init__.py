@@ -45,7 +45,7 @@ from .inputs import (
     used_sh_degree,
 )
 from .limits import NO_LIMITS, Limits
-from .tiles import active_tiles
+from .tiles import Mask, active_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
 
@@ -71,7 +71,7 @@ def rasterize(
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
     with_weight_sum: bool = False,  # also return the sum of its weights
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
-    mask: tuple[int, int, int, int] | Tensor | None = None,
+    mask: Mask = None,
     antialiased: bool = False,  # a Gaussian below a pixel's size is fainter, not larger
     pixel_size: float = 1.0,  # side of a pixel in the whole photo's: draws what averaging would
     backward_step: BackwardStep | None = None,  # the optimizer step that `backward` takes
@@ -80,18 +80,18 @@ def rasterize(
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
     `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
-    touches are active, forward and backward; other pixels get the background. With `backward_step`
-    (one camera, not gsplat), `backward`, called once, updates the visible ones without gradients.
+    touches are active, forward and backward; other pixels get the background. `ActiveTiles` are
+    faster. With `backward_step` (one camera, not gsplat), `backward`, called once, updates the
+    visible ones without gradients.
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
     """
     parameters = (means, quats, scales, opacities, sh)
     check_inputs(parameters, viewmats, Ks, width, height)
-    shape = (len(viewmats), height, width)
     backend = _chosen(backend, parameters)
     if backward_step is not None:
         check_backward_step(backward_step, parameters, len(viewmats), backend)
-    tiles, tile_mask = active_tiles(width, height, mask)
+    active, shape = active_tiles(width, height, mask), (len(viewmats), height, width)
     inputs = RenderInputs(
         parameters=parameters,
         viewmats=viewmats,
@@ -106,8 +106,8 @@ def rasterize(
         with_max_weight=with_max_weight,
         with_weight_sum=with_weight_sum,
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),
-        tiles=tiles,
-        tile_mask=None if tile_mask is None else sent(tile_mask, means.device),
+        tiles=active.rectangle,
+        tile_mask=None if active.mask is None else sent(active.mask, means.device),
         blur=blur_of(pixel_size, antialiased),
         backward_step=backward_step,
     )

@@ -24,6 +24,7 @@ from ..cuda.frame import (
     PIXELS,
     ROWS,
     SHORT_TILES,
+    WARP,
     Frame,
     Step,
     address,
@@ -121,6 +122,7 @@ def prepare(inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Ten
     if not count or not frame.tile_count:
         visible.zero_()
         return view
+    view.launch("place_camera", 1, WARP)
     view.launch_rows("project")
     order = torch.sort(depths, stable=True).indices
     ends = counts[order].cumsum(0, dtype=torch.int64)
@@ -143,18 +145,17 @@ def _count(view: View, total: Tensor) -> bool:
 
 def _set_camera(view: View, c: int) -> None:
     inputs, shape = view.inputs, view.frame.shape
-    pose, K = inputs.viewmats[c].to(torch.float64), inputs.Ks[c]
-    eye = -(pose[:3, :3].T @ pose[:3, 3])  # differences of large numbers lose digits
-    focal_and_centre = torch.stack((K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    parts = (pose[:3].flatten(), eye, focal_and_centre, inputs.background)
-    values = torch.cat([part.to(torch.float32) for part in parts])
-    assert len(values) == CAMERA_VALUES
+    view.set(
+        pose=inputs.viewmats[c].to(torch.float64).contiguous(),
+        intrinsics=inputs.Ks[c].to(torch.float32).contiguous(),
+        background=inputs.background.to(torch.float32).contiguous(),
+        camera_values=view.empty(CAMERA_VALUES),
+    )
     shape.blur[:] = inputs.blur
     shape.centre_bounds[:] = centre_bounds(inputs, c)
     shape.min_sigmas = inputs.limits.min_sigmas
     shape.size[:] = [inputs.width, inputs.height]
     shape.tiles[:] = inputs.tiles
-    view.set(camera_values=values)
     if inputs.tile_mask is not None:
         view.kept["mask"] = inputs.tile_mask.to(torch.uint8).contiguous()
         shape.tile_mask = address(view.kept["mask"])
@@ -176,17 +177,17 @@ def _list(view: View, may_leave_slots: bool) -> None:
     view.set(**{"short_tiles" if short else "tiles": keys}, ids=ids)
     view.launch_rows("list_tiles")
     by_tile, entries = torch.sort(keys, stable=True)
-    numbers = torch.arange(tiles + 1, device=view.device, dtype=torch.int32)
-    begin = torch.searchsorted(by_tile.to(torch.int32), numbers, out_int32=True)
-    groups = torch.zeros(tiles + 1, dtype=torch.int32, device=view.device)
-    groups[1:] = ((begin.diff() + (GROUP - 1)) // GROUP).cumsum(0)
     view.groups = view.pairs // GROUP + tiles  # the number itself is on the device
+    view.frame.pairs = view.pairs
     view.set(
+        **{"short_sorted" if short else "sorted": by_tile},
         entries=entries,
-        tile_begin=begin,
-        group_begin=groups,
+        tile_begin=view.empty(tiles + 1, dtype=torch.int32),
+        group_begin=view.empty(tiles + 1, dtype=torch.int32),
         reached=view.empty(tiles, dtype=torch.int32),
     )
+    view.launch("begin_tiles", view.pairs // ROWS + 1, ROWS)
+    view.launch("begin_groups", 1, PIXELS)
 
 
 def blend(view: View, outputs: dict[str, Tensor | None], *, walked: bool) -> None:

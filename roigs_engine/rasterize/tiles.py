@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -9,19 +11,41 @@ from ..errors import EngineError
 from .inputs import TILE
 
 
-def active_tiles(
-    width: int, height: int, mask: tuple[int, int, int, int] | Tensor | None
-) -> tuple[tuple[int, int, int, int], Tensor | None]:
-    """The active tiles: a rectangle (see `tile_rectangle`), and a mask of its tiles or None.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActiveTiles:
+    """The tiles of an image that are rendered.
 
-    `mask` is that of `rasterize`. Of one on a GPU, the rectangle is the whole image: to find a
-    smaller one would wait for the GPU.
+    Attributes:
+        size: width and height of the image, pixels.
+        rectangle: of tiles around them, see `tile_rectangle`.
+        mask: (rows, columns) bool of the rectangle; None: all of it.
+    """
+
+    size: tuple[int, int]
+    rectangle: tuple[int, int, int, int]
+    mask: Tensor | None = None
+
+
+Mask = tuple[int, int, int, int] | Tensor | ActiveTiles | None
+"""What `rasterize` takes: a rectangle of pixels, (H, W) bool, tiles, or None for everything."""
+
+
+def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
+    """The tiles of an image that a mask touches.
+
+    Of a mask on a GPU, the rectangle is the whole image: to find a smaller one would wait for the
+    GPU.
 
     Raises:
         EngineError: the mask does not fit the image.
     """
+    size = (width, height)
+    if isinstance(mask, ActiveTiles):
+        if mask.size != size:
+            raise EngineError(f"rasterize: tiles of an image of {mask.size}, not {size} pixels.")
+        return mask
     if not isinstance(mask, Tensor):
-        return tile_rectangle(width, height, mask), None
+        return ActiveTiles(size=size, rectangle=tile_rectangle(width, height, mask))
     if mask.dtype != torch.bool or tuple(mask.shape) != (height, width):
         raise EngineError(
             f"rasterize: mask is {mask.dtype} of shape {tuple(mask.shape)}.",
@@ -32,12 +56,17 @@ def active_tiles(
     padded[:height, :width] = mask
     touched = padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
     if mask.device.type != "cpu":
-        return (0, 0, columns, rows), touched
-    ys, xs = touched.any(dim=1).nonzero()[:, 0], touched.any(dim=0).nonzero()[:, 0]
+        return ActiveTiles(size=size, rectangle=(0, 0, columns, rows), mask=touched)
+    return tiles_of_grid(touched, size)
+
+
+def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:
+    """The tiles that are set in a (rows, columns) bool grid of an image's tiles, on the CPU."""
+    ys, xs = grid.any(dim=1).nonzero()[:, 0], grid.any(dim=0).nonzero()[:, 0]
     if not len(ys):
-        return (0, 0, 0, 0), None
+        return ActiveTiles(size=size, rectangle=(0, 0, 0, 0))
     x0, y0, x1, y1 = int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1
-    return (x0, y0, x1, y1), touched[y0:y1, x0:x1]
+    return ActiveTiles(size=size, rectangle=(x0, y0, x1, y1), mask=grid[y0:y1, x0:x1])
 
 
 def tile_rectangle(

@@ -40,8 +40,7 @@ class Figures:
             pictures: the render, (H, W, 3) in [0, 1], and the photo, (H, W, 3) uint8.
             weights: (H, W) of the pixels; None: all equal.
         """
-        recent = RECENT * self.loss + (1 - RECENT) * loss
-        self.loss = torch.where(self.loss.isnan(), loss, recent)
+        self.loss = torch.where(self.loss.isnan(), loss, self.loss.lerp(loss, 1 - RECENT))
         if step % PSNR_EVERY:
             return
         error = (pictures[0].detach() - pictures[1] / 255.0).square().mean(dim=-1)

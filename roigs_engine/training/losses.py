@@ -205,29 +205,23 @@ class _CudaLoss(torch.autograd.Function):
         photo = target.contiguous()
         mask = None if weights is None else weights.to(torch.float32).contiguous()
         blocks = 3 * -(-height // TILE) * -(-width // TILE)
-        if mask is None:
-            total = planar.new_full((1,), 3.0 * width * height)
-        else:
-            total = 3 * mask.sum(dtype=torch.float64).to(torch.float32).view(1)
-        scale = torch.where(total > 0, 1 / total, 0)
-        sums = planar.new_empty(blocks, 2)
+        total = None if mask is None else mask.sum(dtype=torch.float64)
+        sums, terms = planar.new_empty(blocks, 2), planar.new_empty(3)
         gradient = torch.empty_like(planar) if ctx.needs_input_grad[0] else None
         derivatives = None if gradient is None else planar.new_empty(3, *planar.shape)
-        pointers = (address(t) for t in (planar, photo, mask, scale))
-        results = (address(t) for t in (derivatives, sums, gradient))
-        loss = Loss(width, height, *pointers, ssim_weight, *results)
+        pointers = (address(t) for t in (planar, photo, mask, total))
+        results = (address(t) for t in (derivatives, sums, gradient, terms))
+        loss = Loss(width, height, *pointers, ssim_weight, *results, blocks)
         program = card.program(image.device)
         program.launch("loss", blocks, PIXELS, loss)
         if gradient is not None:
             program.launch("loss_gradient", blocks, PIXELS, loss)
+        program.launch("loss_terms", 1, PIXELS, loss)
         ctx.gradient = gradient
-        similarity, l1 = (sums.sum(dim=0, dtype=torch.float64) * scale).unbind()
-        ssim = torch.where(total[0] > 0, similarity, 1.0)
-        value = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim)
-        terms = tuple(term.to(torch.float32) for term in (value, l1, ssim))
-        ctx.mark_non_differentiable(*terms[1:])
+        value, l1, ssim = terms.unbind()
+        ctx.mark_non_differentiable(l1, ssim)
         ctx.set_materialize_grads(False)
-        return terms  # type: ignore[return-value]
+        return value, l1, ssim
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:

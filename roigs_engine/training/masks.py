@@ -11,7 +11,7 @@ the entire image, sec. II-B). Masks consist of whole 16x16 tiles, the rasterizer
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -25,26 +25,50 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.masks import load_object_mask
 from ..rasterize.inputs import TILE
+from ..rasterize.tiles import ActiveTiles, tiles_of_grid
 
 MOST_WEIGHT = 2.0  # of the mean mask's: a tiny mask must not decide what a box looks like
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiMask:
-    """The mask of one photo.
+    """The mask of one photo; it takes little memory.
 
     Attributes:
-        pixels: (H, W) bool, whole tiles.
-        window: x0, y0, x1, y1 in pixels, the smallest rectangle around them.
-        weights: (h, w) of the window, 1 in the mask and 0 outside, on the training device.
-
+        tiles: of the mask, on the training device.
         loss_weight: weight of the mask's mean loss; a whole photo has 1.
     """
 
-    pixels: Tensor
-    window: tuple[int, int, int, int]
-    weights: Tensor
+    tiles: ActiveTiles
     loss_weight: float
+
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        """x0, y0, x1, y1 in pixels, the smallest rectangle around the mask."""
+        (width, height), (left, top, right, bottom) = self.tiles.size, self.tiles.rectangle
+        return left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
+
+    @property
+    def weights(self) -> Tensor:
+        """(h, w) of the window, 1 in the mask and 0 outside, on the training device."""
+        return self._inside().to(torch.float32)
+
+    @property
+    def pixels(self) -> Tensor:
+        """(H, W) bool, on the training device."""
+        width, height = self.tiles.size
+        inside = self._inside()
+        found = inside.new_zeros(height, width)
+        self.crop(found).copy_(inside)
+        return found
+
+    def _inside(self) -> Tensor:
+        """(h, w) bool of the window."""
+        grid = self.tiles.mask
+        assert grid is not None
+        (rows, columns), (x0, y0, x1, y1) = grid.shape, self.window
+        whole = grid[:, None, :, None].expand(rows, TILE, columns, TILE)
+        return whole.reshape(rows * TILE, columns * TILE)[: y1 - y0, : x1 - x0]
 
     def crop(self, image: Tensor) -> Tensor:
         """(H, W, ...) -> (h, w, ...): the image's pixels in the window."""
@@ -53,12 +77,12 @@ class RoiMask:
 
 
 class RoiMasks:
-    """The mask of each photo; computed on first use, and kept as a small grid of tiles.
+    """The mask of each photo; computed on first use, and kept.
 
     Args:
         images, rois: of the stage.
         drawn: row numbers of the photos that the stage's steps draw.
-        device: of the weights.
+        device: that trains.
         view_weighting: exponent w of the per-view weighting. A mask with the share s of its photo
             has the loss weight s (m / s)^w, where m is the geometric mean share. 0: a pixel weighs
             as much as in a whole photo, so close-ups, which show a box on many pixels, outweigh
@@ -80,23 +104,24 @@ class RoiMasks:
         self._images, self._rois, self._device = images, rois, device or CPU
         self._weighting = view_weighting
         self._tiles: dict[int, NDArray[np.bool_]] = {}
+        self._masks: dict[int, RoiMask | None] = {}
         self._mean_share = self._geometric_mean(drawn, context) if view_weighting else 0.0
 
     def __getitem__(self, index: int) -> RoiMask | None:
         """The mask of photo `index`; None if it sees no box."""
-        tiles, camera = self._tiles_of(index), self._images[index].camera
-        if not tiles.any():
+        if index not in self._masks:
+            self._masks[index] = self._made(index)
+        return self._masks[index]
+
+    def _made(self, index: int) -> RoiMask | None:
+        grid, camera = self._tiles_of(index), self._images[index].camera
+        if not grid.any():
             return None
-        mask = self._mask(index)
-        rows, columns = np.flatnonzero(tiles.any(axis=1)), np.flatnonzero(tiles.any(axis=0))
-        x0, x1 = int(columns[0]) * TILE, min(int(columns[-1] + 1) * TILE, camera.width)
-        y0, y1 = int(rows[0]) * TILE, min(int(rows[-1] + 1) * TILE, camera.height)
-        weights = mask[y0:y1, x0:x1].astype(np.float32)
+        tiles = tiles_of_grid(torch.from_numpy(grid), (camera.width, camera.height))
+        assert tiles.mask is not None
         return RoiMask(
-            pixels=torch.from_numpy(np.ascontiguousarray(mask)),
-            window=(x0, y0, x1, y1),
-            weights=sent(torch.from_numpy(weights), self._device),
-            loss_weight=self._loss_weight(float(mask.mean())),
+            tiles=replace(tiles, mask=sent(tiles.mask.contiguous(), self._device)),
+            loss_weight=self._loss_weight(float(self._mask(index).mean())),
         )
 
     def _loss_weight(self, share: float) -> float:

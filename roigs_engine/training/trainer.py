@@ -18,6 +18,7 @@ from ..errors import Stopped
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..rasterize import RenderOutput, rasterize
+from ..rasterize.tiles import Mask
 from . import full_memory
 from .averaging import ModelMean
 from .callbacks import PeriodicCallback
@@ -237,9 +238,9 @@ class Trainer:
         return self._views(self.step).mask(index)
 
     def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
-        active = None if mask is None else mask.pixels
+        active: Mask = None if mask is None else mask.tiles
         if counted is not None:
-            active = counted if active is None else sent(active, counted.device) & counted
+            active = counted if mask is None else mask.pixels & counted
         colours, needed = self.data.backgrounds, self._density.needs_max_weight
         behind = None if colours is None else colours[index]
         view = index, "whole" if mask is None else "mask"
@@ -250,14 +251,14 @@ class Trainer:
         self,
         optimizer: VisibleAdam,
         view: tuple[int, int | str],
-        active: Tensor | None,
+        active: Mask,
         **options: Any,
     ) -> RenderOutput:
         """An optimizer's Gaussians.
 
         Args:
             view: the photo, and what is drawn of it.
-            active: the pixels that are needed; None: all.
+            active: what is needed of it.
         """
         p, camera = optimizer.parameters, self._views(self.step).view(view[0])
         return rasterize(

@@ -22,11 +22,13 @@ __device__ void colour_gradient(const Frame& f, const Camera& camera, int64_t n,
     float direction[3];
     const float inverse_distance = view_direction(g.mean, camera, direction);
     sh_basis(direction, row.basis);
-    for (int k = used; k < kMaxCoefficients; ++k) row.basis[k] = 0.0f;
+    for (int k = 0; k < kMaxCoefficients; ++k)
+        if (k >= used) row.basis[k] = 0.0f;
     if (used == 1) return;
     const float* sh = f.gaussians.sh + n * 3 * f.gaussians.sh_coefficients;
     float weight[kMaxCoefficients] = {}, d[3];
-    for (int k = 0; k < used; ++k) weight[k] = dot3(row.colour, sh + 3 * k);
+    for (int k = 0; k < kMaxCoefficients; ++k)  // a fixed number: arrays stay in registers
+        if (k < used) weight[k] = dot3(row.colour, sh + 3 * k);
     sh_direction_gradient(direction, weight, d);
     const float along = dot3(d, direction);
     for (int k = 0; k < 3; ++k)
@@ -62,28 +64,113 @@ __device__ void add_row(float* matrix, int64_t n, const float (&row)[kWidth]) {
     for (int k = 0; k < kWidth; ++k) matrix[n * kWidth + k] += row[k];
 }
 
-// One element, as in kernels/adam.h.
-__device__ void adam_element(const Step& s, const AdamParameter& p, int64_t n, int column,
-                             float gradient) {
-    constexpr float kTinyMoment = 1e-30f;
-    const int64_t at = n * p.width + column;
-    float mean = p.exp_avg[at] + s.add1 * (gradient - p.exp_avg[at]);
-    if (fabsf(mean) < kTinyMoment) mean = 0.0f;
-    const float square = p.exp_avg_sq[at] + s.add2 * (gradient * gradient - p.exp_avg_sq[at]);
-    const float denominator = sqrt(square) * s.inverse_sqrt_correction2 + s.epsilon;
-    p.values[at] -= s.rate_scale * p.rates[column] * mean / denominator;
-    p.exp_avg[at] = mean;
-    p.exp_avg_sq[at] = square;
+// One element of a parameter, as in kernels/adam.h. Memory takes hundreds of cycles to answer, and
+// nothing may be read ahead of a store: so all that a thread updates is loaded first.
+struct Element {
+    float value, mean, square;
+
+    ROIGS_INLINE void load(const AdamParameter& p, int64_t at) {
+        value = p.values[at];
+        mean = p.exp_avg[at];
+        square = p.exp_avg_sq[at];
+    }
+    ROIGS_INLINE void step(const Step& s, float rate, float gradient) {
+        constexpr float kTinyMoment = 1e-30f;
+        mean = mean + s.add1 * (gradient - mean);
+        if (fabsf(mean) < kTinyMoment) mean = 0.0f;
+        square = square + s.add2 * (gradient * gradient - square);
+        const float denominator = sqrt(square) * s.inverse_sqrt_correction2 + s.epsilon;
+        value -= s.rate_scale * rate * mean / denominator;
+    }
+    ROIGS_INLINE void store(const AdamParameter& p, int64_t at) const {
+        p.values[at] = value;
+        p.exp_avg[at] = mean;
+        p.exp_avg_sq[at] = square;
+    }
+};
+
+// A Gaussian's row of a narrow parameter.
+template <int kWidth>
+struct AdamRow {
+    Element elements[kWidth];
+
+    ROIGS_INLINE void load(const AdamParameter& p, int64_t n) {
+        for (int k = 0; k < kWidth; ++k) elements[k].load(p, n * kWidth + k);
+    }
+    ROIGS_INLINE void update(const Step& s, const AdamParameter& p, int64_t n,
+                             const float (&gradient)[kWidth]) {
+        for (int k = 0; k < kWidth; ++k)
+            if (!is_finite(gradient[k])) {
+                atomicAdd(s.skipped, 1);
+                return;
+            }
+        for (int k = 0; k < kWidth; ++k) {
+            elements[k].step(s, p.rates[k], gradient[k]);
+            elements[k].store(p, n * kWidth + k);
+        }
+    }
+};
+
+__device__ void update_narrow_rows(const Step& s, int64_t n, const RowGradient& row) {
+    const AdamParameter* p = s.parameters;
+    AdamRow<3> means, scales;
+    AdamRow<4> quats;
+    AdamRow<1> opacities;
+    means.load(p[0], n);
+    quats.load(p[1], n);
+    scales.load(p[2], n);
+    opacities.load(p[3], n);
+    means.update(s, p[0], n, row.mean);
+    quats.update(s, p[1], n, row.quat);
+    scales.update(s, p[2], n, row.scale);
+    opacities.update(s, p[3], n, row.opacity);
 }
 
-template <int kWidth>
-__device__ void adam_row(const Step& s, int parameter, int64_t n, const float (&row)[kWidth]) {
-    for (int k = 0; k < kWidth; ++k)
-        if (!is_finite(row[k])) {
-            atomicAdd(s.skipped, 1);
-            return;
+constexpr int kWarp = 32, kWarps = 4;
+constexpr int kSide = 4;  // rows of SH that a warp has under way
+
+// What the rows of SH of a warp's Gaussians need: their gradient is basis times colour.
+struct WideRows {
+    float basis[kWarp][kMaxCoefficients + 1];  // one more: lanes write to different banks
+    float colour[kWarp][3];
+
+    // False: an element of the row's gradient is not finite.
+    ROIGS_INLINE bool set(int lane, const RowGradient& row, int coefficients) {
+        bool finite = true;
+        for (int k = 0; k < kMaxCoefficients; ++k) basis[lane][k] = row.basis[k];
+        for (int c = 0; c < 3; ++c) colour[lane][c] = row.colour[c];
+        for (int k = 0; k < kMaxCoefficients; ++k)
+            for (int c = 0; c < 3; ++c)
+                finite &= k >= coefficients || is_finite(row.basis[k] * row.colour[c]);
+        return finite;
+    }
+};
+
+// A warp takes kSide rows at a time, a column per lane, so that its threads read neighbours in
+// memory. `first`: the Gaussian of lane 0; `todo`: a bit for each lane whose row is updated.
+__device__ void update_wide_rows(const Step& s, const WideRows& rows, int64_t first, int lane,
+                                 unsigned todo) {
+    const AdamParameter& p = s.parameters[4];
+    const int width = int(p.width);
+    for (int column = lane; column < width; column += kWarp) {
+        const float rate = p.rates[column];
+        for (unsigned left = todo; left;) {
+            int owner[kSide];
+            Element element[kSide];
+            for (int i = 0; i < kSide; ++i) {
+                owner[i] = __ffs(int(left)) - 1;  // -1: none is left
+                left &= left - 1;
+                if (owner[i] >= 0) element[i].load(p, (first + owner[i]) * width + column);
+            }
+            for (int i = 0; i < kSide; ++i) {
+                if (owner[i] < 0) continue;
+                const float gradient =
+                    rows.basis[owner[i]][column / 3] * rows.colour[owner[i]][column % 3];
+                element[i].step(s, rate, gradient);
+                element[i].store(p, (first + owner[i]) * width + column);
+            }
         }
-    for (int k = 0; k < kWidth; ++k) adam_element(s, s.parameters[parameter], n, k, row[k]);
+    }
 }
 
 }  // namespace roigs
@@ -102,49 +189,26 @@ extern "C" __global__ void __launch_bounds__(128) project_backward(const Frame f
     add_row(f.gradients.opacities, n, row.opacity);
     if (!f.gradients.sh) return;
     float* sh = f.gradients.sh + n * 3 * f.gaussians.sh_coefficients;
-    for (int k = 0; k < used_coefficients(f.gaussians); ++k)
-        for (int c = 0; c < 3; ++c) sh[3 * k + c] += row.basis[k] * row.colour[c];
+    for (int k = 0; k < kMaxCoefficients; ++k)
+        for (int c = 0; c < 3 && k < used_coefficients(f.gaussians); ++c)
+            sh[3 * k + c] += row.basis[k] * row.colour[c];
 }
 
-// Takes the step instead. The rows of the SH are wide: a warp takes them one after the other, a
-// column per lane, so that its threads read neighbours in memory.
-extern "C" __global__ void __launch_bounds__(128) project_backward_adam(const Step s) {
-    constexpr int kWarp = 32, kWarps = 4;
-    __shared__ float bases[kWarps][kMaxCoefficients], colours[kWarps][3];
+// Takes the step instead.
+extern "C" __global__ void __launch_bounds__(kWarps * kWarp) project_backward_adam(const Step s) {
+    __shared__ WideRows rows[kWarps];
     const Frame& f = s.frame;
     const int64_t n = thread_index();
     const int warp = int(threadIdx.x) / kWarp, lane = int(threadIdx.x) % kWarp;
-    const bool is_visible = n < f.gaussians.count && f.pair_counts[n];
-    RowGradient row;
-    if (is_visible) {
+    bool takes_wide = n < f.gaussians.count && f.pair_counts[n];
+    if (takes_wide) {
+        RowGradient row;
         row_gradient(f, n, row);
-        adam_row(s, 0, n, row.mean);
-        adam_row(s, 1, n, row.quat);
-        adam_row(s, 2, n, row.scale);
-        adam_row(s, 3, n, row.opacity);
+        update_narrow_rows(s, n, row);
+        takes_wide = rows[warp].set(lane, row, f.gaussians.sh_coefficients);
+        if (!takes_wide) atomicAdd(s.skipped, 1);
     }
-    const int width = 3 * f.gaussians.sh_coefficients;
-    const unsigned visible = __ballot_sync(0xffffffffu, is_visible);
-    for (int owner = 0; owner < kWarp; ++owner) {
-        if (!(visible >> owner & 1)) continue;
-        if (lane == owner) {
-            for (int k = 0; k < kMaxCoefficients; ++k) bases[warp][k] = row.basis[k];
-            for (int c = 0; c < 3; ++c) colours[warp][c] = row.colour[c];
-        }
-        __syncwarp();
-        float of_column[2];
-        for (int half = 0; half < 2; ++half) {
-            const int column = lane + half * kWarp;
-            of_column[half] =
-                column < width ? bases[warp][column / 3] * colours[warp][column % 3] : 0.0f;
-        }
-        const unsigned broken = __ballot_sync(
-            0xffffffffu, !is_finite(of_column[0]) || !is_finite(of_column[1]));
-        for (int half = 0; half < 2 && !broken; ++half)
-            if (lane + half * kWarp < width)
-                adam_element(s, s.parameters[4], n - lane + owner, lane + half * kWarp,
-                             of_column[half]);
-        if (broken && lane == 0) atomicAdd(s.skipped, 1);
-        __syncwarp();  // the next owner writes where this one was read
-    }
+    const unsigned todo = __ballot_sync(0xffffffffu, takes_wide);
+    __syncwarp();
+    update_wide_rows(s, rows[warp], n - lane, lane, todo);
 }

@@ -1,8 +1,8 @@
 // What the kernels of one view hand on to each other: cuda/frame.py has the same structures, and
 // rasterize/cuda.py makes the arrays and launches the kernels in this order:
 //
-//     project, list_tiles, blend, [median_depth], [weigh, fold_weights],
-//     [gradient, project_backward or project_backward_adam]
+//     place_camera, project, list_tiles, begin_tiles, begin_groups, blend, [median_depth],
+//     [weigh, fold_weights], [gradient, project_backward or project_backward_adam]
 //
 // A (Gaussian, tile) pair has a slot: those of one Gaussian are neighbours. What a tile finds out
 // about a Gaussian is stored there and summed later, so no two threads ever add to one place: the
@@ -27,7 +27,10 @@ enum Column { kX, kY, kL11, kL21, kL22, kLog2Opacity, kSlopeY, kSlopeX, kColour,
 struct Frame {
     Gaussians gaussians;
     Camera shape;                // sizes, limits, tiles; what is in front of these is in
-    const float* camera_values;  // (22,) pose, intrinsics, background: no copy to wait for
+    const double* pose;          // (4, 4) world_to_camera
+    const float* intrinsics;     // (3, 3)
+    const float* background;     // (3,)
+    float* camera_values;        // (22,) pose, eye, intrinsics, background: no copy to wait for
     // of each Gaussian
     float* splats;           // (N, kColumns)
     float* depths;           // (N,) infinity: not drawn
@@ -45,12 +48,15 @@ struct Frame {
     float* slot_largest;     // (pairs,) largest weight
     float* slot_sums;        // (pairs,) sum of weights
     // of each tile's list
-    const int64_t* entries;     // (pairs,) slots, tile by tile, front to back
-    const int32_t* tile_begin;  // (tiles + 1,)
-    const int32_t* group_begin; // (tiles + 1,) groups of kGroup entries
-    int32_t* reached;           // (tiles,) entries looked at until every pixel was opaque
-    float4* checkpoints;        // (groups, kGroup / kBucket, kPixels) transmittance and colour in
-                                // front of each bucket; null: nobody will walk
+    int64_t pairs;               // entries: those of the tiles, then those for which there is room
+    const int16_t* short_sorted; // (pairs,) their tiles, `tile_count` for what is only room; ..
+    const int32_t* sorted;       // .. as short_tiles and tiles
+    const int64_t* entries;      // (pairs,) slots, tile by tile, front to back
+    int32_t* tile_begin;         // (tiles + 1,)
+    int32_t* group_begin;        // (tiles + 1,) groups of kGroup entries
+    int32_t* reached;            // (tiles,) entries looked at until every pixel was opaque
+    float4* checkpoints;         // (groups, kGroup / kBucket, kPixels) transmittance and colour in
+                                 // front of each bucket; null: nobody will walk
     // images
     Outputs out;                 // pixel_weights, max_weight and weight_sum are for `weigh`
     float* median;               // (H, W)

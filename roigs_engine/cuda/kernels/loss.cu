@@ -13,11 +13,19 @@ struct Loss {
     const float* image;     // (3, H, W)
     const uint8_t* target;  // (H, W, 3)
     const float* weights;   // (H, W) or null
-    const float* scale;     // (1,) 1 / (3 sum of the weights), 0 without any
+    const double* total;    // (1,) sum of the weights; null: all are 1
     float ssim_weight;
     float* derivatives;     // (3, 3, H, W) of the weighted SSIM: by mean, square, product
     float* sums;            // (blocks, 2) weighted SSIM and |difference|
     float* gradient;        // (3, H, W)
+    float* terms;           // (3,) loss, L1, SSIM
+    int64_t blocks;
+
+    // 1 / (sum of the weights over pixels and channels); 0 without any.
+    ROIGS_INLINE float scale() const {
+        const float sum = 3.0f * (total ? float(*total) : float(width * height));
+        return sum > 0.0f ? 1.0f / sum : 0.0f;
+    }
 };
 
 // exp(-k^2 / (2 * 1.5^2)) for k = 0..5, divided by the sum over the 11 taps
@@ -161,5 +169,30 @@ extern "C" __global__ void __launch_bounds__(kPixels) loss_gradient(const Loss l
     const float weight = l.weights ? l.weights[at] : 1.0f;
     const float sign = image > target ? weight : image < target ? -weight : 0.0f;
     l.gradient[tile.channel * plane + at] =
-        l.scale[0] * ((1.0f - l.ssim_weight) * sign - l.ssim_weight * d_ssim);
+        l.scale() * ((1.0f - l.ssim_weight) * sign - l.ssim_weight * d_ssim);
+}
+
+// The loss and its parts, from the blocks' sums; one block, whose threads take every kPixels-th.
+extern "C" __global__ void __launch_bounds__(kPixels) loss_terms(const Loss l) {
+    __shared__ double similarities[kPixels], differences[kPixels];
+    const int mine = int(threadIdx.x);
+    double similarity = 0.0, difference = 0.0;
+    for (int64_t block = mine; block < l.blocks; block += kPixels) {
+        similarity += l.sums[2 * block];
+        difference += l.sums[2 * block + 1];
+    }
+    similarities[mine] = similarity;
+    differences[mine] = difference;
+    for (int half = kPixels / 2; half; half /= 2) {
+        __syncthreads();
+        if (mine >= half) continue;
+        similarities[mine] += similarities[mine + half];
+        differences[mine] += differences[mine + half];
+    }
+    if (mine) return;
+    const double scale = l.scale();
+    const double l1 = differences[0] * scale, ssim = scale > 0.0 ? similarities[0] * scale : 1.0;
+    l.terms[0] = float((1.0 - l.ssim_weight) * l1 + l.ssim_weight * (1.0 - ssim));
+    l.terms[1] = float(l1);
+    l.terms[2] = float(ssim);
 }

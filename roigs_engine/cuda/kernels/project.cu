@@ -43,7 +43,8 @@ __device__ bool colour_splat(const Gaussians& gaussians, const Camera& camera, i
     sh_basis(direction, basis);
     for (int k = 0; k < 3; ++k) {
         float colour = 0.5f;
-        for (int i = 0; i < used; ++i) colour += basis[i] * sh[3 * i + k];
+        for (int i = 0; i < kMaxCoefficients; ++i)  // a fixed number: `basis` stays in registers
+            if (i < used) colour += basis[i] * sh[3 * i + k];
         if (!is_finite(colour)) return false;
         c[kColour + k] = max(colour, 0.0f);
     }
@@ -67,6 +68,22 @@ __device__ void for_each_tile(const Camera& camera, const float (&c)[kColumns],
 }  // namespace roigs
 
 using namespace roigs;
+
+// The camera's values, from matrices that only the card has. In double: the eye is a difference of
+// numbers that may be large.
+extern "C" __global__ void __launch_bounds__(32) place_camera(const Frame f) {
+    const int row = int(threadIdx.x);
+    if (row >= 3) return;
+    double eye = 0.0;
+    for (int k = 0; k < 3; ++k) eye -= f.pose[4 * k + row] * f.pose[4 * k + 3];
+    for (int k = 0; k < 4; ++k) f.camera_values[4 * row + k] = float(f.pose[4 * row + k]);
+    f.camera_values[12 + row] = float(eye);
+    if (row < 2) {
+        f.camera_values[15 + row] = f.intrinsics[4 * row];      // focal lengths
+        f.camera_values[17 + row] = f.intrinsics[3 * row + 2];  // principal point
+    }
+    f.camera_values[19 + row] = f.background[row];
+}
 
 extern "C" __global__ void __launch_bounds__(128) project(const Frame f) {
     const int64_t n = thread_index();
@@ -113,4 +130,39 @@ extern "C" __global__ void __launch_bounds__(128) list_tiles(const Frame f) {
             f.tiles[slot] = tile;
         f.ids[slot++] = int32_t(n);
     });
+}
+
+// Where each tile's entries begin, from the sorted tiles. A thread for each entry, and one more.
+extern "C" __global__ void __launch_bounds__(128) begin_tiles(const Frame f) {
+    const int64_t i = thread_index();
+    if (i > f.pairs) return;
+    const auto tile_of = [&](int64_t entry) {
+        return f.short_sorted ? int(f.short_sorted[entry]) : int(f.sorted[entry]);
+    };
+    const int before = i ? tile_of(i - 1) : -1, now = i < f.pairs ? tile_of(i) : f.tile_count;
+    for (int tile = before + 1; tile <= now; ++tile) f.tile_begin[tile] = int32_t(i);
+}
+
+// Where each tile's groups begin: one block sums their numbers, kPixels tiles at a time.
+extern "C" __global__ void __launch_bounds__(kPixels) begin_groups(const Frame f) {
+    __shared__ int sums[kPixels];
+    const int mine = int(threadIdx.x);
+    int total = 0;
+    if (mine == 0) f.group_begin[0] = 0;
+    for (int first = 0; first < f.tile_count; first += kPixels) {
+        const int tile = first + mine;
+        const bool is_there = tile < f.tile_count;
+        const int entries = is_there ? f.tile_begin[tile + 1] - f.tile_begin[tile] : 0;
+        sums[mine] = (entries + kGroup - 1) / kGroup;
+        for (int step = 1; step < kPixels; step *= 2) {
+            __syncthreads();
+            const int earlier = mine >= step ? sums[mine - step] : 0;
+            __syncthreads();
+            sums[mine] += earlier;
+        }
+        __syncthreads();
+        if (is_there) f.group_begin[tile + 1] = total + sums[mine];
+        total += sums[kPixels - 1];
+        __syncthreads();  // the next tiles' numbers go where these were read
+    }
 }

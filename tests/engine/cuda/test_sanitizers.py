@@ -83,11 +83,26 @@ def test_no_access_is_out_of_bounds() -> None:
 
 
 OUT_OF_BOUNDS = {
+    "place_camera": (
+        "project.cu",
+        "f.camera_values[19 + row] =",
+        "f.camera_values[19 + row] = f.camera_values[20 + row] =",
+    ),
     "project": ("project.cu", "f.visible[n] = count > 0", "f.visible[n + 1] = count > 0"),
     "list_tiles": (
         "project.cu",
         "f.visible[n] = 0;\n        return;\n    }",
         "return; }\n    f.visible[n + 20] = 1;",
+    ),
+    "begin_tiles": (  # others rely on what they write: that stays right
+        "project.cu",
+        "f.tile_begin[tile] =",
+        "f.tile_begin[tile] = f.tile_begin[tile + (tile == f.tile_count)] =",
+    ),
+    "begin_groups": (
+        "project.cu",
+        "f.group_begin[tile + 1] =",
+        "f.group_begin[tile + 1] = f.group_begin[tile + 1 + (tile + 1 == f.tile_count)] =",
     ),
     "blend": ("blend.cu", "f.out.alpha[at] = 1", "f.out.alpha[at + 1] = 1"),
     "median_depth": ("blend.cu", "(pixel)] = depth", "(pixel) + 1] = depth"),
@@ -95,13 +110,14 @@ OUT_OF_BOUNDS = {
     "fold_weights": ("weigh.cu", "f.out.weight_sum[n] += sum", "f.out.weight_sum[n + 1] += sum"),
     "gradient": ("gradient.cu", "kMoments + k] = sum[k]", "kMoments + k + 1] = sum[k]"),
     "project_backward": ("backward.cu", "kWidth + k] += row[k]", "kWidth + k + 1] += row[k]"),
-    "project_backward_adam": ("backward.cu", "p.values[at] -=", "p.values[at + 1] -="),
+    "project_backward_adam": ("backward.cu", "p.values[at] = value", "p.values[at + 1] = value"),
     "loss": ("loss.cu", "at < 0 ? 0.0f : l.image[", "l.image["),
     "loss_gradient": (
         "loss.cu",
         "plane + at] =\n        l.scale",
         "plane + at + 1] =\n        l.scale",
     ),
+    "loss_terms": ("loss.cu", "l.terms[2] = ", "l.terms[3] = "),
 }
 """For each kernel, what makes it leave its arrays."""
 
@@ -120,12 +136,16 @@ def test_no_two_threads_race() -> None:
 BATCH = "load_batch(f, place, begin, end, batch);\n"
 BARRIER = "        __syncthreads();\n"
 RACES = {
+    "place_camera": ("project.cu", "f.camera_values[12 + row]", "f.camera_values[12]"),
     "project": ("project.cu", "f.visible[n] = count > 0;", "f.visible[0] = count > 0;"),
     "list_tiles": (
         "project.cu",
         "f.first_slot[n] = int32_t(slot);",
         "f.first_slot[n] = int32_t(slot); f.depths[0] = 1.0f;",
     ),
+    "begin_tiles": ("project.cu", "f.tile_begin[tile] = int32_t(i);", "f.tile_begin[0] = 0;"),
+    "begin_groups": ("project.cu", "sums[mine] += earlier;\n        }\n        __syncthreads();",
+                     "sums[mine] += earlier;\n        }"),
     "blend": ("blend.cu", f"{BATCH}{BARRIER}        for (int i = 0; i < count; ++i) {{",
               f"{BATCH}        for (int i = 0; i < count; ++i) {{"),
     "median_depth": ("blend.cu", f"{BATCH}{BARRIER}        for (int i = 0; i < count && left",
@@ -137,11 +157,13 @@ RACES = {
                  "pixels[p] = pixel;\n    }"),
     "project_backward": ("backward.cu", "add_row(f.gradients.means, n, row.mean);",
                          "add_row(f.gradients.means, n, row.mean); f.grad2d[0] = 0;"),
-    "project_backward_adam": ("backward.cu", "if (lane == owner) {", "{"),
+    "project_backward_adam": ("backward.cu", "basis[lane][k] = row.basis[k];",
+                              "basis[0][k] = row.basis[k];"),
     "loss": ("loss.cu", "photo(l, tile.channel, at);\n    }\n    __syncthreads();",
              "photo(l, tile.channel, at);\n    }"),
     "loss_gradient": ("loss.cu", "tile.channel) * plane + at];\n    }\n    __syncthreads();",
                       "tile.channel) * plane + at];\n    }"),
+    "loss_terms": ("loss.cu", "half /= 2) {\n        __syncthreads();", "half /= 2) {"),
 }  # fmt: skip
 """For each kernel, a barrier that is missing or a place that two threads write to."""
 

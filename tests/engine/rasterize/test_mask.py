@@ -9,6 +9,7 @@ from torch import Tensor
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.inputs import TILE
+from roigs_engine.rasterize.tiles import active_tiles
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
@@ -71,6 +72,14 @@ def test_inside_is_as_without_and_outside_is_background(backend: str) -> None:
     torch.testing.assert_close(part.depth[:, inside], whole.depth[:, inside], rtol=0, atol=1e-5)
     assert torch.equal(part.image[:, ~inside], BACKGROUND.expand(part.image[:, ~inside].shape))
     assert not part.alpha[:, ~inside].any() and not part.depth[:, ~inside].any()
+
+
+def test_tiles_that_were_found_before_are_as_good_as_the_mask() -> None:
+    scene = (*gaussians(300, coefficients=4), *cameras(*SIZE), *SIZE)
+    tiles = active_tiles(*SIZE, ring())
+    assert torch.equal(rasterize(*scene, mask=tiles).image, rasterize(*scene, mask=ring()).image)
+    with pytest.raises(EngineError, match="tiles of an image"):
+        rasterize(*scene[:-2], SIZE[0] - 1, SIZE[1], mask=tiles)
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])

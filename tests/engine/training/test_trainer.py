@@ -140,7 +140,7 @@ def test_the_first_steps_draw_half_the_size(
         width, height = options["width"], options["height"]
         assert float(options["Ks"][0, 0, 2]) == pytest.approx(width / 2, abs=1)  # the centre
         mask = options["mask"]
-        assert mask is None or mask.shape == (height, width)
+        assert mask is None or mask.size == (width, height)
         sizes.append((width, height, options["pixel_size"]))
         return rasterize(*args, **options)
 

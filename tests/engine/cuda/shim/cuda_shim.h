@@ -250,6 +250,7 @@ inline float __shfl_down_sync(unsigned, float value, int by) {
 inline int atomicAdd(int* place, int value) {
     return __atomic_fetch_add(place, value, __ATOMIC_RELAXED);
 }
+inline int __ffs(int x) { return __builtin_ffs(x); }
 inline int __float_as_int(float x) { return int(shim::bits(x)); }
 inline float __int_as_float(int x) { return shim::from_bits(uint32_t(x)); }
 inline float __fdividef(float a, float b) { return a / b; }

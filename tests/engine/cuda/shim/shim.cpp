@@ -13,8 +13,11 @@ std::function<void(const void*)> kernel(void (*function)(Argument)) {
 }
 
 const std::map<std::string, std::function<void(const void*)>> kKernels = {
+    {"place_camera", kernel(place_camera)},
     {"project", kernel(project)},
     {"list_tiles", kernel(list_tiles)},
+    {"begin_tiles", kernel(begin_tiles)},
+    {"begin_groups", kernel(begin_groups)},
     {"blend", kernel(blend)},
     {"median_depth", kernel(median_depth)},
     {"weigh", kernel(weigh)},
@@ -24,6 +27,7 @@ const std::map<std::string, std::function<void(const void*)>> kKernels = {
     {"project_backward_adam", kernel(project_backward_adam)},
     {"loss", kernel(loss)},
     {"loss_gradient", kernel(loss_gradient)},
+    {"loss_terms", kernel(loss_terms)},
 };
 
 }  // namespace
