@@ -12,7 +12,7 @@ from .training_steps import PRESET_STEPS, stage_steps
 
 THIS, EARLIER = "this version's settings", "an earlier version's settings"
 OURS = {
-    "scene": ("faint_growth", "restarts"),
+    "scene": ("backdrop_cells", "faint_growth", "restarts"),
     "roi": ("faint_growth", "near_grad_threshold", "restarts"),
 }
 """Settings of each stage that came with new versions, for boxes that are trained together."""

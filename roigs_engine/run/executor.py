@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 
 from ..context import QUIET, Context
@@ -19,6 +20,7 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..model.territories import joined
 from ..photos.cache import PhotoCache
+from ..training.backdrop import backdrop
 from ..training.budget import BoxBudget, budgets_from
 from ..training.cutouts import Cutouts
 from ..training.floaters.view_shares import shown_by
@@ -136,7 +138,18 @@ class Executor:
             self.result(needed)
         data = self._data(stage)
         config = with_measured_rate(stage.config, data, self.context)
-        return folder.train(lambda: self.gaussians(stage.start), data, config, self.context)
+        return folder.train(lambda: self._start(stage, data), data, config, self.context)
+
+    def _start(self, stage: Stage, data: StageData) -> Gaussians:
+        """The Gaussians that a stage's training starts with."""
+        cells, start = stage.config.backdrop_cells, stage.start
+        if not cells or start.kind != POINTS or start.rows is not None:  # part of a scene: it has
+            return self.gaussians(start)  # other parts behind it
+        scene = self.run.train_scene
+        points, colours = backdrop(scene.points, data.images, data.photos, cells, self.context)
+        return Gaussians.from_points(
+            np.concatenate([scene.points, points]), np.concatenate([scene.colors, colours])
+        )
 
     def gaussians(self, source: Source) -> Gaussians:
         """The Gaussians of a source; trains its input stages if necessary."""

@@ -191,6 +191,10 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         return "faint Gaussians were {}, now they are {}".format(
             *("removed" if value else "kept" for value in (before, now))
         )
+    if name.endswith(".backdrop_cells") and not (before and now):
+        return "places without points were {}, now they are {}".format(
+            *("filled" if value else "left empty" for value in (before, now))
+        )
     if name.endswith(".near_grad_threshold") and not (before and now):
         return "near the boxes, Gaussians were densified {}, now {}".format(
             *("more than elsewhere" if value else "as elsewhere" for value in (before, now))

@@ -46,9 +46,8 @@ def joint_recipe(
 
     docs/lab_notebook.md has the measurements behind the values that differ from 3DGS and the paper.
     """
-    # The Scene-GS's position learning rate decays as the baseline's does over its first steps,
-    # since training is not over at its end. The box stage starts at the full learning rate again:
-    # its new Gaussians must move far.
+    # The Scene-GS's position learning rate decays as the baseline's does over its first steps. The
+    # box stage starts at the full one again: its new Gaussians must move far.
     middle = 1.6e-4 * (1.6e-6 / 1.6e-4) ** (scene_steps / (scene_steps + roi_steps))
     return RunConfig(
         preset=name,
@@ -62,6 +61,7 @@ def joint_recipe(
             grad_threshold=scene_threshold,
             lr_means_final=middle,
             reset_every=0,  # a short stage does not recover from a reset: haze would stay
+            backdrop_cells=16,
             faint_growth=0.05,
             restarts=3,
             antialiased=True,

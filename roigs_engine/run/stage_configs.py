@@ -42,6 +42,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         lr_means_final=TrainConfig.lr_means_final,
         grad_threshold=TrainConfig.grad_threshold,
         reset_every=config.scene.reset_every or TrainConfig.reset_every,
+        backdrop_cells=0,
         faint_growth=0.0,
         restarts=0,
         antialiased=False,
@@ -84,6 +85,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
     fine = replace(
         with_steps(fine, config.total_steps),
         sh_start=ours.scene.sh_start,
+        backdrop_cells=ours.scene.backdrop_cells,
         densify_from=ours.scene.densify_from,
         densify_until=_densify_steps(config),
     )

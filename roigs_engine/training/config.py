@@ -19,7 +19,7 @@ INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contri
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 
 # Fields that records of settings leave out where they are off: these stages train as before them.
-ADDED = ("antialiased", "faint_growth", "near_grad_threshold", "restarts")
+ADDED = ("antialiased", "backdrop_cells", "faint_growth", "near_grad_threshold", "restarts")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +71,8 @@ class TrainConfig:
             take half the time, and what they lack is learned after them.
         whole_small_until: steps before this one that use a whole photo have it at half the size
             too: what is beside the boxes needs no more.
+        backdrop_cells: a stage that starts from the sparse points gets Gaussians where photos show
+            none, too (`backdrop.py`): cells along a photo's longer side; 0: it gets none.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.
@@ -115,6 +117,7 @@ class TrainConfig:
     min_views: int = 0
     small_until: int = 0
     whole_small_until: int = 0
+    backdrop_cells: int = 0
     restarts: int = 0
     average_steps: int = 0
     antialiased: bool = False
@@ -127,6 +130,8 @@ class TrainConfig:
                 "contribution_every needs steps that use whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
+        if self.backdrop_cells < 0:
+            raise ConfigError(f"backdrop_cells is {self.backdrop_cells}.", "Use 0 or more.")
         if self.restarts < 0:
             raise ConfigError(f"restarts is {self.restarts}.", "Use 0 or more.")
         if self.faint_growth < 0:

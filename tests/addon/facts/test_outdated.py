@@ -112,6 +112,7 @@ def test_a_training_by_an_earlier_version(trained) -> None:
     )
     for stage in ("scene", "roi"):
         manifest["config"][stage] |= {"faint_growth": 0.05, "restarts": 3}
+    manifest["config"]["scene"]["backdrop_cells"] = 16
     manifest["config"]["roi"]["near_grad_threshold"] = 2e-4
     (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     assert words(scene) == ""

@@ -243,6 +243,15 @@ def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
     assert told == "faint Gaussians were kept, now they are removed"
 
 
+def test_manifests_from_before_backdrops_say_so() -> None:
+    draft = preset("draft")
+    assert "backdrop_cells" not in in_strategy(draft, "independent").to_dict()["scene"]
+    old, now = draft.to_dict(), draft.to_dict()
+    del old["scene"]["backdrop_cells"]
+    told = manifest_difference({"config": old}, {"config": now})
+    assert told == "places without points were left empty, now they are filled"
+
+
 def test_manifests_from_before_near_thresholds_say_so() -> None:
     draft = preset("draft")
     assert "near_grad_threshold" not in in_strategy(draft, "independent").to_dict()["roi"]

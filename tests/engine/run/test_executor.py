@@ -167,6 +167,26 @@ def test_ablations_of_the_start(scene: SfmScene, tmp_path: Path, init: str) -> N
     assert len(executor.result(stage).gaussians) == wanted
 
 
+def test_the_scene_starts_with_a_backdrop_where_it_has_no_points(
+    scene: SfmScene, tmp_path: Path
+) -> None:
+    few = scene.points[:, 0] < scene.points[:, 0].mean()
+    rows = few.cumsum() - 1
+    images = tuple(
+        replace(image, point_indices=rows[image.point_indices[few[image.point_indices]]])
+        for image in scene.images
+    )
+    half = replace(scene, images=images, points=scene.points[few], colors=scene.colors[few])
+    counts = []
+    for cells in (0, 16):
+        config = tiny("joint")
+        config = replace(config, scene=replace(config.scene, steps=1, backdrop_cells=cells))
+        run = define_run(tmp_path / str(cells), half, [BOX], config)
+        base, _ = plan_run(run).stages
+        counts.append(len(Executor(run).result(base).gaussians))
+    assert counts[0] == len(half.points) < counts[1]
+
+
 def stage_names(run: Run, *compare: str) -> list[str]:
     return [stage.name for stage in plan_run(run, compare).stages]
 

@@ -86,7 +86,7 @@ def test_in_one_stage_they_begin_like_3dgs(name: str) -> None:
     for field in ("steps", "sh_start", "densify_from", "densify_until", "grad_threshold"):
         assert getattr(tuned.fine, field) == getattr(plain, field)
     two = stage_configs.tuned_baseline(config, True).fine
-    own = ("steps", "sh_start", "densify_from", "densify_until", "average_steps")
+    own = ("steps", "sh_start", "densify_from", "densify_until", "average_steps", "backdrop_cells")
     assert tuned.fine == replace(two, **{field: getattr(tuned.fine, field) for field in own})
     assert tuned.fine.small_until == 0
     assert tuned.fine.average_steps == config.total_steps // 10

@@ -1,0 +1,120 @@
+"""A backdrop: Gaussians where photos show no sparse point (ours).
+
+What is plain has no sparse points: a wall, a table, the sky. Training starts from the points, so
+such a place is a hole through which black shows, until Gaussians happen to grow into it. Few photos
+have many such places, and training may end before these are filled. So it starts with a few large
+Gaussians there: a photo is cut into square cells, and one without a point in it or next to it gets
+a Gaussian in its colour, as far away as the farthest of the points around it in the photo. What a
+photo gets counts as points for those after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..context import QUIET, Context
+from ..cuda.photos import Photos
+from ..model.scene import Float64, PosedImage
+
+MOST_POINTS = 100_000  # of the scene that are looked at: cells are large
+AROUND = 8  # points next to a cell in the photo; it has to show so many
+
+
+def backdrop(
+    points: Float64,
+    images: Sequence[PosedImage],
+    photos: Photos,
+    cells: int,
+    context: Context = QUIET,
+) -> tuple[Float64, NDArray[np.uint8]]:
+    """(B, 3) positions in the world, (B, 3) uint8 colours; B may be 0.
+
+    Args:
+        points: (P, 3) of the scene, world units.
+        images: the training photos.
+        photos: their pixels, in the same order; those that need nothing are not decoded.
+        cells: along the longer side of a photo.
+        context: checked for cancellation between photos.
+    """
+    few = points[:: -(-len(points) // MOST_POINTS)] if len(points) else points
+    found: list[Float64] = [np.zeros((0, 3))]
+    colours: list[NDArray[np.uint8]] = [np.zeros((0, 3), dtype=np.uint8)]
+    for index, image in enumerate(images):
+        context.check_cancelled()
+        shown = _projected(np.concatenate([few, *found]), image)
+        rows, columns = _empty_cells(shown[0], image, cells)
+        if not len(rows):
+            continue
+        own = _projected(points[image.point_indices], image)  # none of them is hidden
+        pixels, depths = own if len(own[0]) >= AROUND else shown
+        if len(pixels) < AROUND:
+            continue
+        colour, counts = _cell_colours(photos[index], rows, columns, cells)
+        corners = np.stack((columns, rows), axis=1)[counts] * _side(image, cells)
+        ends = np.minimum(corners + _side(image, cells), (image.camera.width, image.camera.height))
+        centres = (corners + ends) / 2
+        around = cKDTree(pixels).query(centres, k=AROUND)[1]
+        found.append(_lifted(centres, depths[around].max(axis=1), image))
+        colours.append(colour[counts])
+    return np.concatenate(found), np.concatenate(colours)
+
+
+def _side(image: PosedImage, cells: int) -> float:
+    """Of a cell, pixels."""
+    return max(image.camera.width, image.camera.height) / cells
+
+
+def _projected(points: Float64, image: PosedImage) -> tuple[Float64, Float64]:
+    """(P, 3) -> pixels (S, 2) and depths (S,) of the points that lie in the photo."""
+    pose, camera = image.world_to_camera, image.camera
+    seen = points @ pose[:3, :3].T + pose[:3, 3]
+    seen = seen[seen[:, 2] > 0]
+    pixels = seen[:, :2] / seen[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
+    return pixels[inside], seen[inside, 2]
+
+
+def _empty_cells(
+    pixels: Float64, image: PosedImage, cells: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the cells without a point in them or in the eight around them."""
+    side = _side(image, cells)
+    shape = int(np.ceil(image.camera.height / side)), int(np.ceil(image.camera.width / side))
+    near = np.zeros((shape[0] + 2, shape[1] + 2), dtype=bool)
+    columns, rows = (pixels // side).astype(np.int64).T
+    for down in range(3):
+        for right in range(3):
+            near[rows + down, columns + right] = True
+    empty = np.nonzero(~near[1:-1, 1:-1])
+    return empty[0], empty[1]
+
+
+def _cell_colours(
+    photo: NDArray[np.uint8], rows: NDArray[np.int64], columns: NDArray[np.int64], cells: int
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """(C, 3) mean colours of cells; (C,) bool: which have a pixel that no mask ignores."""
+    side = max(photo.shape[:2]) / cells
+    colours = np.zeros((len(rows), 3), dtype=np.uint8)
+    counts = np.zeros(len(rows), dtype=bool)
+    for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
+        top, left = int(row * side), int(column * side)
+        cell = photo[top : int((row + 1) * side), left : int((column + 1) * side)]
+        pixels = cell.reshape(-1, photo.shape[2])
+        if photo.shape[2] == 4:  # see `masks.split_mask`
+            pixels = pixels[pixels[:, 3] > 0]
+        if len(pixels):
+            colours[k], counts[k] = pixels[:, :3].mean(axis=0).round(), True
+    return colours, counts
+
+
+def _lifted(pixels: Float64, depths: Float64, image: PosedImage) -> Float64:
+    """(C, 2) pixels and (C,) depths -> (C, 3) places in the world."""
+    camera, pose = image.camera, image.world_to_camera
+    rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    seen = depths[:, None] * np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    lifted: Float64 = (seen - pose[:3, 3]) @ pose[:3, :3]
+    return lifted
