@@ -41,8 +41,7 @@ def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
     """
     size = (width, height)
     if isinstance(mask, ActiveTiles):
-        if mask.size != size:
-            raise EngineError(f"rasterize: tiles of an image of {mask.size}, not {size} pixels.")
+        _check(mask, size)
         return mask
     if not isinstance(mask, Tensor):
         return ActiveTiles(size=size, rectangle=tile_rectangle(width, height, mask))
@@ -58,6 +57,19 @@ def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
     if mask.device.type != "cpu":
         return ActiveTiles(size=size, rectangle=(0, 0, columns, rows), mask=touched)
     return tiles_of_grid(touched, size)
+
+
+def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
+    """Raise EngineError unless these are tiles of an image of this size: kernels rely on it."""
+    hint = "Make them by active_tiles, of this image."
+    if tiles.size != size:
+        raise EngineError(f"rasterize: tiles of an image of {tiles.size}, not {size} pixels.", hint)
+    (left, top, right, bottom), mask = tiles.rectangle, tiles.mask
+    _, _, columns, rows = tile_rectangle(*size, None)
+    shape = (bottom - top, right - left)
+    fits = 0 <= left <= right <= columns and 0 <= top <= bottom <= rows
+    if not fits or (mask is not None and (mask.dtype, tuple(mask.shape)) != (torch.bool, shape)):
+        raise EngineError("rasterize: the tiles' rectangle and mask do not fit the image.", hint)
 
 
 def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:

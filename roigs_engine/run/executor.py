@@ -143,8 +143,8 @@ class Executor:
     def _start(self, stage: Stage, data: StageData) -> Gaussians:
         """The Gaussians that a stage's training starts with."""
         cells, start = stage.config.backdrop_cells, stage.start
-        if not cells or start.kind != POINTS or start.rows is not None:  # part of a scene: it has
-            return self.gaussians(start)  # other parts behind it
+        if not cells or start.kind != POINTS or start.rows is not None:
+            return self.gaussians(start)
         scene = self.run.train_scene
         points, colours = backdrop(scene.points, data.images, data.photos, cells, self.context)
         return Gaussians.from_points(

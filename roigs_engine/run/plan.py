@@ -7,6 +7,7 @@ stage's settings and photos, and the fingerprints of the stages that it starts f
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -137,6 +138,9 @@ class Stage:
         for name in ("small_until", "whole_small_until", "lr_shN_measured", *ADDED):
             if not record["config"][name]:  # such stages are what they were before there was one
                 del record["config"][name]
+        if self.config.backdrop_cells:  # it depends on which points each photo observes
+            observed = (image.point_indices.astype("<i8").tobytes() for image in self.images)
+            record["observed"] = [hashlib.sha256(rows).hexdigest() for rows in observed]
         if any(i.whole_size for i in (*self.images, *self.small_images)):
             record["averages"] = AVERAGES_VERSION
         return json_digest(record | ({"cutouts": CUTOUTS_VERSION} if self.cutouts else {}))

@@ -139,6 +139,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
         densify_until=config.densify_until if _grows_outside(config) else 0,
         outside_grad_threshold=0.0,
         near_grad_threshold=0.0,
+        backdrop_cells=0,  # other parts of the scene are behind it
         lr_shN_spacing=0.0,
         box_budget=0.0,
         full_every=1,

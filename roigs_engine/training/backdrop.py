@@ -4,12 +4,14 @@ What is plain has no sparse points: a wall, a table, the sky. Training starts fr
 such a place is a hole through which black shows, until Gaussians happen to grow into it. Few photos
 have many such places, and training may end before these are filled. So it starts with a few large
 Gaussians there: a photo is cut into square cells, and one without a point in it or next to it gets
-a Gaussian in its colour, as far away as the farthest of the points around it in the photo. What a
-photo gets counts as points for those after it.
+a Gaussian in its colour, as far away as the farthest of the points around it in the photo. Black
+needs none: it is what shows where nothing is. What a photo gets counts as points for those after
+it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,8 +22,10 @@ from ..context import QUIET, Context
 from ..cuda.photos import Photos
 from ..model.scene import Float64, PosedImage
 
-MOST_POINTS = 100_000  # of the scene that are looked at: cells are large
+MOST_POINTS = 20_000  # of the scene that are looked at: cells are large
 AROUND = 8  # points next to a cell in the photo; it has to show so many
+BLACK = 8  # of 255: a colour up to this is as good as black
+SAMPLES = 32  # pixels along a cell's side that its colour is the mean of, at most
 
 
 def backdrop(
@@ -31,7 +35,7 @@ def backdrop(
     cells: int,
     context: Context = QUIET,
 ) -> tuple[Float64, NDArray[np.uint8]]:
-    """(B, 3) positions in the world, (B, 3) uint8 colours; B may be 0.
+    """(B, 3) positions in the world, (B, 3) uint8 colours; B is from 0 to the number of points.
 
     Args:
         points: (P, 3) of the scene, world units.
@@ -40,7 +44,7 @@ def backdrop(
         cells: along the longer side of a photo.
         context: checked for cancellation between photos.
     """
-    few = points[:: -(-len(points) // MOST_POINTS)] if len(points) else points
+    few = points[:: max(1, -(-len(points) // MOST_POINTS))]
     found: list[Float64] = [np.zeros((0, 3))]
     colours: list[NDArray[np.uint8]] = [np.zeros((0, 3), dtype=np.uint8)]
     for index, image in enumerate(images):
@@ -60,7 +64,10 @@ def backdrop(
         around = cKDTree(pixels).query(centres, k=AROUND)[1]
         found.append(_lifted(centres, depths[around].max(axis=1), image))
         colours.append(colour[counts])
-    return np.concatenate(found), np.concatenate(colours)
+    made = np.concatenate(found)[: len(points)]
+    if len(made):
+        context.info(f"Training starts with {len(made):,} Gaussians where photos show no points.")
+    return made, np.concatenate(colours)[: len(points)]
 
 
 def _side(image: PosedImage, cells: int) -> float:
@@ -83,7 +90,8 @@ def _empty_cells(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the cells without a point in them or in the eight around them."""
     side = _side(image, cells)
-    shape = int(np.ceil(image.camera.height / side)), int(np.ceil(image.camera.width / side))
+    lengths = image.camera.height, image.camera.width
+    shape = tuple(min(math.ceil(length / side), cells) for length in lengths)
     near = np.zeros((shape[0] + 2, shape[1] + 2), dtype=bool)
     columns, rows = (pixels // side).astype(np.int64).T
     for down in range(3):
@@ -96,19 +104,25 @@ def _empty_cells(
 def _cell_colours(
     photo: NDArray[np.uint8], rows: NDArray[np.int64], columns: NDArray[np.int64], cells: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """(C, 3) mean colours of cells; (C,) bool: which have a pixel that no mask ignores."""
+    """(C, 3) mean colours of cells; (C,) bool: which are not black, nor ignored by a mask."""
     side = max(photo.shape[:2]) / cells
     colours = np.zeros((len(rows), 3), dtype=np.uint8)
     counts = np.zeros(len(rows), dtype=bool)
     for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
         top, left = int(row * side), int(column * side)
         cell = photo[top : int((row + 1) * side), left : int((column + 1) * side)]
-        pixels = cell.reshape(-1, photo.shape[2])
+        pixels = cell[:: _step(cell.shape[0]), :: _step(cell.shape[1])].reshape(-1, photo.shape[2])
         if photo.shape[2] == 4:  # see `masks.split_mask`
             pixels = pixels[pixels[:, 3] > 0]
         if len(pixels):
-            colours[k], counts[k] = pixels[:, :3].mean(axis=0).round(), True
+            colours[k] = pixels[:, :3].mean(axis=0).round()
+            counts[k] = colours[k].max() > BLACK
     return colours, counts
+
+
+def _step(pixels: int) -> int:
+    """Of so many pixels in a row, every how many are looked at."""
+    return max(1, pixels // SAMPLES)
 
 
 def _lifted(pixels: Float64, depths: Float64, image: PosedImage) -> Float64:

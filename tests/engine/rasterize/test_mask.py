@@ -9,7 +9,7 @@ from torch import Tensor
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.inputs import TILE
-from roigs_engine.rasterize.tiles import active_tiles
+from roigs_engine.rasterize.tiles import ActiveTiles, active_tiles
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
@@ -80,6 +80,24 @@ def test_tiles_that_were_found_before_are_as_good_as_the_mask() -> None:
     assert torch.equal(rasterize(*scene, mask=tiles).image, rasterize(*scene, mask=ring()).image)
     with pytest.raises(EngineError, match="tiles of an image"):
         rasterize(*scene[:-2], SIZE[0] - 1, SIZE[1], mask=tiles)
+
+
+@pytest.mark.parametrize(
+    ("rectangle", "mask"),
+    [
+        ((0, 0, 8, 5), torch.ones(1, 1, dtype=torch.bool)),
+        ((0, 0, 8, 5), torch.ones(5, 8)),
+        ((0, 0, 9, 5), None),
+        ((-1, 0, 8, 5), None),
+        ((3, 0, 2, 5), None),
+    ],
+)
+def test_tiles_that_do_not_fit_the_image(
+    rectangle: tuple[int, int, int, int], mask: Tensor | None
+) -> None:
+    tiles = ActiveTiles(size=SIZE, rectangle=rectangle, mask=mask)
+    with pytest.raises(EngineError, match="do not fit"):
+        rasterize(*gaussians(5), *cameras(*SIZE), *SIZE, mask=tiles)
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])

@@ -15,6 +15,7 @@ from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
+from roigs_engine.run.stage_configs import surroundings_stage
 from roigs_engine.training.config import INTERVALS, TrainConfig, with_steps
 
 
@@ -250,6 +251,7 @@ def test_manifests_from_before_backdrops_say_so() -> None:
     del old["scene"]["backdrop_cells"]
     told = manifest_difference({"config": old}, {"config": now})
     assert told == "places without points were left empty, now they are filled"
+    assert surroundings_stage(draft.scene, 0.5).backdrop_cells == 0  # of a part of the scene
 
 
 def test_manifests_from_before_near_thresholds_say_so() -> None:

@@ -20,13 +20,15 @@ CAMERA = Camera(width=160, height=100, fx=120.0, fy=110.0, cx=82.0, cy=47.0)  # 
 class Photos:
     """Each is of one colour on the left, and of another one on the right."""
 
-    def __init__(self, mask: NDArray[np.uint8] | None = None) -> None:
+    def __init__(
+        self, mask: NDArray[np.uint8] | None = None, colour: tuple[int, int, int] = (200, 30, 0)
+    ) -> None:
         self.decoded: list[int] = []
-        self._mask = mask
+        self._mask, self._colour = mask, colour
 
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         self.decoded.append(index)
-        photo = np.full((CAMERA.height, CAMERA.width, 3), (200, 30, 10 * index), dtype=np.uint8)
+        photo = np.full((CAMERA.height, CAMERA.width, 3), self._colour, dtype=np.uint8)
         photo[:, : CAMERA.width // 2] = 90
         return photo if self._mask is None else np.dstack([photo, self._mask])
 
@@ -111,6 +113,18 @@ def test_cells_that_a_mask_ignores_get_none() -> None:
     mask[:, 120:] = 0
     made, _ = backdrop(points, [image(len(points))], Photos(mask), CELLS)
     assert len(made) == 5  # one column of three is left
+
+
+def test_black_cells_get_none() -> None:
+    points = left_half()
+    made, _ = backdrop(points, [image(len(points))], Photos(colour=(8, 3, 0)), CELLS)
+    assert len(made) == 0
+
+
+def test_there_are_never_more_than_points() -> None:
+    points = left_half()[:10]
+    made, colours = backdrop(points, [image(10)], Photos(), CELLS)
+    assert len(made) == len(colours) == 10
 
 
 @pytest.mark.parametrize("count", [0, 5])
