@@ -99,7 +99,7 @@ def test_levels_of_a_training(
     from roigs_addon.scene import ladders
 
     # A few steps more than elsewhere: of a model that has learned nothing, no level is kept.
-    scene = ready(blender, project, tmp_path / "run", factor=0.02)
+    scene = ready(blender, project, tmp_path / "run", factor=0.04)
     blender.ops.roigs.train_roi()
     assert blender.ops.roigs.make_levels() == {"FINISHED"}
     assert ladders.there_are_some(scene) and not ladders.problem(scene)
