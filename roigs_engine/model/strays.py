@@ -52,12 +52,10 @@ def _shows_its_points(image: PosedImage, points: Float64) -> bool:
     """Whether the points that a photo observes project into it, and not all to one spot."""
     if len(image.point_indices) < FEW_POINTS:
         return False
-    pose, camera = image.world_to_camera, image.camera
-    local = points[image.point_indices] @ pose[:3, :3].T + pose[:3, 3]
-    front = local[local[:, 2] > 0]
-    pixels = front[:, :2] / front[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    camera = image.camera
+    pixels, _ = image.projected(points[image.point_indices])
     inside = pixels[((pixels >= 0) & (pixels <= (camera.width, camera.height))).all(axis=1)]
-    if 2 * len(inside) < len(local):
+    if 2 * len(inside) < len(image.point_indices):
         return False
     return bool(np.linalg.norm(inside.std(axis=0)) >= SPREAD * camera.width)
 

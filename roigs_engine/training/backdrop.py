@@ -78,12 +78,9 @@ def _side(image: PosedImage, cells: int) -> float:
 
 def _projected(points: Float64, image: PosedImage) -> tuple[Float64, Float64]:
     """(P, 3) -> pixels (S, 2) and depths (S,) of the points that lie in the photo."""
-    pose, camera = image.world_to_camera, image.camera
-    seen = points @ pose[:3, :3].T + pose[:3, 3]
-    seen = seen[seen[:, 2] > 0]
-    pixels = seen[:, :2] / seen[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
-    return pixels[inside], seen[inside, 2]
+    pixels, depths = image.projected(points)
+    inside = ((pixels >= 0) & (pixels < (image.camera.width, image.camera.height))).all(axis=1)
+    return pixels[inside], depths[inside]
 
 
 def _empty_cells(

@@ -96,13 +96,12 @@ def test_without_a_result_there_is_nothing_to_do(blender: ModuleType, run) -> No
 def test_levels_of_a_training(
     blender: ModuleType, engine: object, project: Path, tmp_path: Path
 ) -> None:
-    from roigs_addon.jobs import current
     from roigs_addon.scene import ladders
 
+    # A few steps more than elsewhere: of a model that has learned nothing, no level is kept. And a
+    # strategy without a backdrop, whose large Gaussians would need many more to be learned.
     scene = ready(blender, project, tmp_path / "run", factor=0.02)
+    scene.roigs.strategy = "independent"
     blender.ops.roigs.train_roi()
     assert blender.ops.roigs.make_levels() == {"FINISHED"}
-    assert not ladders.problem(scene)
-    # Of a model that has learned so little, chance decides whether a level is kept.
-    none = current.outcome().startswith("No level looked good enough")
-    assert ladders.there_are_some(scene) != none
+    assert ladders.there_are_some(scene) and not ladders.problem(scene)

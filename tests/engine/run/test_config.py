@@ -15,7 +15,6 @@ from roigs_engine.run import stage_configs
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
-from roigs_engine.run.stage_configs import surroundings_stage
 from roigs_engine.training.config import INTERVALS, TrainConfig, with_steps
 
 
@@ -244,22 +243,25 @@ def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
     assert told == "faint Gaussians were kept, now they are removed"
 
 
-def test_manifests_from_before_backdrops_say_so() -> None:
+@pytest.mark.parametrize(
+    ("stage", "field", "told"),
+    [
+        ("scene", "backdrop_cells", "places without points were left empty, now they are filled"),
+        (
+            *("roi", "near_grad_threshold"),
+            "near the boxes, Gaussians were densified as elsewhere, now more than elsewhere",
+        ),
+    ],
+)
+def test_manifests_from_before_a_setting_say_so(stage: str, field: str, told: str) -> None:
     draft = preset("draft")
-    assert "backdrop_cells" not in in_strategy(draft, "independent").to_dict()["scene"]
+    assert field not in in_strategy(draft, "independent").to_dict()[stage]
     old, now = draft.to_dict(), draft.to_dict()
-    del old["scene"]["backdrop_cells"]
-    told = manifest_difference({"config": old}, {"config": now})
-    assert told == "places without points were left empty, now they are filled"
-    assert surroundings_stage(draft.scene, 0.5).backdrop_cells == 0  # of a part of the scene
+    del old[stage][field]
+    assert manifest_difference({"config": old}, {"config": now}) == told
 
 
-def test_manifests_from_before_near_thresholds_say_so() -> None:
-    draft = preset("draft")
-    assert "near_grad_threshold" not in in_strategy(draft, "independent").to_dict()["roi"]
-    old, now = draft.to_dict(), draft.to_dict()
-    del old["roi"]["near_grad_threshold"]
-    told = manifest_difference({"config": old}, {"config": now})
-    assert told == (
-        "near the boxes, Gaussians were densified as elsewhere, now more than elsewhere"
-    )
+def test_parts_of_a_scene_have_no_backdrop() -> None:
+    scene = preset("draft").scene
+    assert scene.backdrop_cells > 0
+    assert stage_configs.surroundings_stage(scene, 0.5).backdrop_cells == 0
