@@ -13,6 +13,15 @@ from .config import RunConfig
 
 REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (docs/lab_notebook.md)
 
+# Of both stages of the joint recipe.
+SHARED: dict[str, Any] = {
+    "reset_every": 0,  # a short stage does not recover from a reset: haze would stay
+    "opacity_decay": 0.025,
+    "faint_growth": 0.05,
+    "restarts": 3,
+    "antialiased": True,
+}
+
 
 def paper_recipe() -> RunConfig:
     """Sections II-B and III-A of the paper; docs/method.md lists what the paper leaves open."""
@@ -60,11 +69,8 @@ def joint_recipe(
             densify_until=scene_steps * 5 // 8,
             grad_threshold=scene_threshold,
             lr_means_final=middle,
-            reset_every=0,  # a short stage does not recover from a reset: haze would stay
             backdrop_cells=16,
-            faint_growth=0.05,
-            restarts=3,
-            antialiased=True,
+            **SHARED,
         ),
         roi=TrainConfig(
             steps=roi_steps,
@@ -86,12 +92,9 @@ def joint_recipe(
             box_budget=32.0,
             full_every=3,
             view_weighting=1.5,
-            reset_every=0,
-            faint_growth=0.05,
             min_views=4,
-            restarts=3,
             average_steps=roi_steps // 10,
-            antialiased=True,
+            **SHARED,
         ),
         roi_order="shuffled",
         selected_share=0.2,

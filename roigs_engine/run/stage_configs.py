@@ -43,6 +43,7 @@ def baseline(config: RunConfig) -> TrainConfig:
         grad_threshold=TrainConfig.grad_threshold,
         reset_every=config.scene.reset_every or TrainConfig.reset_every,
         backdrop_cells=0,
+        opacity_decay=0.0,
         faint_growth=0.0,
         restarts=0,
         antialiased=False,
@@ -111,6 +112,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         whole_small_until=0,
         near_grad_threshold=0.0,
         restarts=0,
+        opacity_decay=0.0,
         box_budget=0.0,
         faint_growth=0.0,
         min_views=0,
@@ -140,6 +142,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
         outside_grad_threshold=0.0,
         near_grad_threshold=0.0,
         backdrop_cells=0,  # other parts of the scene are behind it
+        opacity_decay=0.0,  # and other photos show it
         lr_shN_spacing=0.0,
         box_budget=0.0,
         full_every=1,
@@ -159,6 +162,7 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
     """
     if config.full_every == 1:
         return shortened(config, max(share, photos))
+    config = replace(config, opacity_decay=0.0)  # other photos show what is beside the block
     masked = (1 - 1 / config.full_every) * share
     whole = WHOLE_SHARE * photos
     every = max(2, round((masked + whole) / whole))
@@ -192,6 +196,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         whole_small_until=0,
         near_grad_threshold=0.0,
         restarts=0,
+        opacity_decay=0.0,
         box_budget=0.0,
         faint_growth=0.0,
         average_steps=config.refine_steps // 2,

@@ -18,8 +18,17 @@ INTERVALS = ("sh_every", "densify_from", "densify_every", "reset_every", "contri
 
 AVERAGE_EVERY = 10  # steps between the models that are averaged: consecutive ones hardly differ
 
+DECAY_EVERY = 10  # steps between two decays of opacities at the least, or Adam could not keep up
+
 # Fields that records of settings leave out where they are off: these stages train as before them.
-ADDED = ("antialiased", "backdrop_cells", "faint_growth", "near_grad_threshold", "restarts")
+ADDED = (
+    "antialiased",
+    "backdrop_cells",
+    "faint_growth",
+    "near_grad_threshold",
+    "opacity_decay",
+    "restarts",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +82,8 @@ class TrainConfig:
             too: what is beside the boxes needs no more.
         backdrop_cells: a stage that starts from the sparse points gets Gaussians where photos show
             none, too (`backdrop.py`): cells along a photo's longer side; 0: it gets none.
+        opacity_decay: the share of its opacity that each Gaussian loses whenever the photos have
+            gone round (`is_decayed`, `opacity_decay.py`); 0: none.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.
@@ -118,6 +129,7 @@ class TrainConfig:
     small_until: int = 0
     whole_small_until: int = 0
     backdrop_cells: int = 0
+    opacity_decay: float = 0.0
     restarts: int = 0
     average_steps: int = 0
     antialiased: bool = False
@@ -132,6 +144,10 @@ class TrainConfig:
             )
         if self.backdrop_cells < 0:
             raise ConfigError(f"backdrop_cells is {self.backdrop_cells}.", "Use 0 or more.")
+        if not 0 <= self.opacity_decay < 1:
+            raise ConfigError(
+                f"opacity_decay is {self.opacity_decay:g}.", "Use 0 or more, and less than 1."
+            )
         if self.restarts < 0:
             raise ConfigError(f"restarts is {self.restarts}.", "Use 0 or more.")
         if self.faint_growth < 0:
@@ -172,6 +188,16 @@ class TrainConfig:
         rest = self.steps - first
         return 0 < first < self.steps and any(
             step == first + k * rest // (count + 1) for k in range(count)
+        )
+
+    def is_decayed(self, step: int, photos: int) -> bool:
+        """Whether opacities decay after so many steps on so many photos.
+
+        They do so whenever as many steps are done as there are photos, or `DECAY_EVERY` if there
+        are fewer; not after the last step, as no photo could give back what is needed.
+        """
+        return self.opacity_decay > 0 and (
+            step < self.steps and step % max(photos, DECAY_EVERY) == 0
         )
 
     def degree(self, step: int) -> int:

@@ -32,6 +32,7 @@ from .floaters import floaters
 from .health import CHECK_EVERY, Health
 from .losses import photo_loss
 from .masks import RoiMask, counted_weights, split_mask
+from .opacity_decay import decay_opacities
 from .optimizer import VisibleAdam, learning_rates, leaves
 from .photo_order import is_whole
 from .photo_views import PhotoViews
@@ -193,7 +194,8 @@ class Trainer:
         checks = self.step % min(CHECK_EVERY, self.config.densify_every) == 0
         edits, averages = self._density.is_due(self.step), self.config.is_averaged(self.step)
         restarts, ends = self.config.is_restarted(self.step), self.step == self.config.steps
-        reads = checks or edits or averages or restarts or ends or self._figures.is_new
+        decays = self.config.is_decayed(self.step, len(self.data.images))
+        reads = any((checks, edits, averages, restarts, decays, ends, self._figures.is_new))
         if self._taken_back(wait=reads):
             return
         self._figures.read()
@@ -204,6 +206,8 @@ class Trainer:
         if restarts:
             self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
         self._average()
+        if decays:
+            decay_opacities(self._parameters.logit_opacities, self.config.opacity_decay)
 
     def _taken_back(self, *, wait: bool) -> bool:
         """Whether steps must be done again; then the trainer is where the first of them begins."""

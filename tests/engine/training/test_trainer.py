@@ -40,6 +40,7 @@ RESTING = TrainConfig(steps=20, densify_until=0)
 SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, small_until=25)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
 RESTARTED = replace(SHORT, densify_until=25, restarts=2)
+FADING = replace(AVERAGED, opacity_decay=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -158,6 +159,7 @@ def test_the_first_steps_draw_half_the_size(
         *((AVERAGED, stop) for stop in (35, 52)),
         *((SMALL_FIRST, stop) for stop in (24, 25, 26)),
         *((RESTARTED, stop) for stop in (24, 25, 26)),
+        *((FADING, stop) for stop in (15, 16, 40)),
     ],
 )
 def test_resuming_equals_never_stopping(
