@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 Points = NDArray[np.float32]
 
-SOLID = 0.5
-"""Opacity of Gaussians that a click may mean; fainter ones are mostly fog."""
+SOLID = 0.2
+"""Opacity of Gaussians that a click may mean; of few photos, surfaces are layers of such."""
 
 UNDO_KEYS = {"BACK_SPACE", "DEL"}
 
