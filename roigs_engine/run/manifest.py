@@ -22,6 +22,20 @@ CONTENTS, MASKS = "contents", "masks"  # the keys of the digests of photos and o
 OBJECTS = "object_masks"  # the key of the digests of the masks of boxes' objects
 FIRST = ("sizes", CONTENTS)  # say more than what follows from them
 OTHER_SCENE = "its photos are those of another scene"
+# Settings that are off in older manifests: a text, and its words for off and on.
+SWITCHED = {
+    "antialiased": (
+        "anti-aliasing was {}, now {} (--antialiased, --no-antialiased)",
+        *("off", "on"),
+    ),
+    "faint_growth": ("faint Gaussians were {}, now they are {}", "kept", "removed"),
+    "backdrop_cells": ("places without points were {}, now they are {}", "left empty", "filled"),
+    "near_grad_threshold": (
+        "near the boxes, Gaussians were densified {}, now {}",
+        *("as elsewhere", "more than elsewhere"),
+    ),
+    "opacity_decay": ("opacity decay was {}, now {}", "off", "on"),
+}
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.
 RESULTS = (
@@ -183,22 +197,10 @@ def manifest_difference(before: Any, now: Any, path: str = "") -> str:
         before, now = (_groups_in_words(value) for value in (before, now))
     if name == "blocks":
         before, now = before or 1, now or 1
-    if name.endswith(".antialiased"):
-        return "anti-aliasing was {}, now {} (--antialiased, --no-antialiased)".format(
-            *("on" if value else "off" for value in (before, now))
-        )
-    if name.endswith(".faint_growth"):
-        return "faint Gaussians were {}, now they are {}".format(
-            *("removed" if value else "kept" for value in (before, now))
-        )
-    if name.endswith(".backdrop_cells") and not (before and now):
-        return "places without points were {}, now they are {}".format(
-            *("filled" if value else "left empty" for value in (before, now))
-        )
-    if name.endswith(".near_grad_threshold") and not (before and now):
-        return "near the boxes, Gaussians were densified {}, now {}".format(
-            *("more than elsewhere" if value else "as elsewhere" for value in (before, now))
-        )
+    field = name.rpartition(".")[2]
+    if field in SWITCHED and not (before and now):
+        text, *words = SWITCHED[field]
+        return text.format(*(words[bool(value)] for value in (before, now)))
     if name.endswith(".restarts"):
         return f"warm restarts of Adam: {before or 0} before, now {now or 0}"
     text = f"{name} was {before}, now {now}"
