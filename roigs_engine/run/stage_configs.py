@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..training.config import TrainConfig, miniature, with_steps
 from .config import RunConfig
@@ -12,6 +13,17 @@ from .presets import in_strategy, joint_recipe
 # masks of the others show much of what is behind the boxes, which may be in another block.
 WHOLE_SHARE = 0.6
 CUTOUT_SHARE = 0.6  # steps of the stage that cuts objects out, in steps of the box stage
+# Of a short stage after the box stage: all Gaussians are there, and stay.
+SETTLED: dict[str, Any] = {
+    "densify_until": 0,
+    "small_until": 0,
+    "whole_small_until": 0,
+    "near_grad_threshold": 0.0,
+    "restarts": 0,
+    "opacity_decay": 0.0,
+    "box_budget": 0.0,
+    "faint_growth": 0.0,
+}
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 
 
@@ -107,14 +119,7 @@ def cutout_stage(config: RunConfig) -> TrainConfig:
         steps=steps,
         sh_start=config.roi.sh_degree,
         lr_means=config.roi.lr_means / 10,
-        densify_until=0,
-        small_until=0,
-        whole_small_until=0,
-        near_grad_threshold=0.0,
-        restarts=0,
-        opacity_decay=0.0,
-        box_budget=0.0,
-        faint_growth=0.0,
+        **SETTLED,
         min_views=0,
         average_steps=steps // 2,
     )
@@ -160,9 +165,9 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
         share: of the photos that see boxes, those that see this block's.
         photos: share of all photos that the block has.
     """
+    config = replace(config, opacity_decay=0.0)  # other photos show what is beside the block
     if config.full_every == 1:
         return shortened(config, max(share, photos))
-    config = replace(config, opacity_decay=0.0)  # other photos show what is beside the block
     masked = (1 - 1 / config.full_every) * share
     whole = WHOLE_SHARE * photos
     every = max(2, round((masked + whole) / whole))
@@ -191,14 +196,7 @@ def refine_stage(config: RunConfig) -> TrainConfig:
         steps=config.refine_steps,
         sh_degree=config.roi.sh_degree,
         sh_start=config.roi.sh_degree,
-        densify_until=0,
-        small_until=0,
-        whole_small_until=0,
-        near_grad_threshold=0.0,
-        restarts=0,
-        opacity_decay=0.0,
-        box_budget=0.0,
-        faint_growth=0.0,
+        **SETTLED,
         average_steps=config.refine_steps // 2,
         antialiased=config.roi.antialiased,
     )

@@ -87,4 +87,6 @@ def test_who_decays() -> None:
     assert tuned.coarse.opacity_decay == config.scene.opacity_decay > 0
     assert tuned.fine.opacity_decay == config.roi.opacity_decay > 0
     assert baseline(config).opacity_decay == preset("paper").roi.opacity_decay == 0
-    assert block_stage(config.roi, 0.5, 0.5).opacity_decay == 0
+    for full_every in (1, 3):
+        roi = replace(config.roi, full_every=full_every)
+        assert block_stage(roi, 0.5, 0.5).opacity_decay == 0
