@@ -49,6 +49,7 @@ class Camera(ctypes.Structure):
         ("min_sigmas", ctypes.c_float),
         ("size", ctypes.c_int32 * 2),
         ("tiles", ctypes.c_int32 * 4),
+        ("window", ctypes.c_int32 * 4),
         ("tile_mask", _ADDRESS),
     ]
 

@@ -95,6 +95,21 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
     }
 }
 
+// How many tiles the camera's mask wants above and left of each corner of a tile.
+bool sum_tiles(View& view) {
+    const int rows = view.tile_rows(), columns = view.tile_columns();
+    if (!view.tile_sums.reserve(int64_t(rows + 1) * (columns + 1))) return false;
+    std::fill_n(view.tile_sums.data(), columns + 1, 0);
+    for (int row = 0; row < rows; ++row) {
+        const int32_t* rank = &view.tile_rank[int64_t(row) * columns];
+        const int32_t* above = &view.tile_sums[int64_t(row) * (columns + 1)];
+        int32_t* below = &view.tile_sums[int64_t(row + 1) * (columns + 1)];
+        for (int column = 0; column <= columns; ++column)
+            below[column] = above[column] + rank[column] - rank[0];
+    }
+    return true;
+}
+
 // Counts the tiles that the camera's mask wants, and numbers them.
 bool number_tiles(View& view) {
     view.masked = view.camera.tile_mask != nullptr;
@@ -109,7 +124,7 @@ bool number_tiles(View& view) {
     }
     view.tile_rank[view.places()] = wanted;
     view.tiles = wanted;
-    return true;
+    return sum_tiles(view);
 }
 
 // Keeps the splats whose boxes meet a tile that the mask wants: colours cost more than this.
@@ -119,19 +134,19 @@ int keep_wanted(const View& view, Splat* splats, int count) {
     const auto tile = [](float pixel, int begin, int end) {
         return int(std::min(std::max(pixel / kTile, float(begin)), float(end - 1))) - begin;
     };
+    const int stride = view.tile_columns() + 1;
     int kept = 0;
     for (int i = 0; i < count; ++i) {
         const Splat& s = splats[i];
         const int left = tile(s.x - s.reach_x, camera.tile_x0, camera.tile_x1);
-        const int right = tile(s.x + s.reach_x, camera.tile_x0, camera.tile_x1);
-        const int bottom = tile(s.y + s.reach_y, camera.tile_y0, camera.tile_y1);
-        bool wanted = false;
-        for (int row = tile(s.y - s.reach_y, camera.tile_y0, camera.tile_y1);
-             row <= bottom && !wanted; ++row) {
-            const int32_t* rank = &view.tile_rank[int64_t(row) * view.tile_columns()];
-            wanted = rank[left] < rank[right + 1];
-        }
-        if (wanted) splats[kept++] = s;
+        const int right = tile(s.x + s.reach_x, camera.tile_x0, camera.tile_x1) + 1;
+        const int top = tile(s.y - s.reach_y, camera.tile_y0, camera.tile_y1);
+        const int bottom = tile(s.y + s.reach_y, camera.tile_y0, camera.tile_y1) + 1;
+        const int32_t* above = &view.tile_sums[int64_t(top) * stride];
+        const int32_t* below = &view.tile_sums[int64_t(bottom) * stride];
+        // no branch: which splats are wanted cannot be guessed
+        splats[kept] = s;
+        kept += below[right] - below[left] != above[right] - above[left];
     }
     return kept;
 }

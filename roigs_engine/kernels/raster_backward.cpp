@@ -27,7 +27,7 @@ struct PixelBlock {
 
 void load_tile(const TilePlace& place, const float* image, const float* gradient,
                PixelBlock* blocks) {
-    const int64_t plane = int64_t(place.width) * place.height;
+    const int64_t plane = place.plane;
     for (int b = 0; b < kBlocks; ++b) {
         if (place.block_is_outside(b)) continue;
         PixelBlock& p = blocks[b];
@@ -76,10 +76,9 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
     if (begin == end) return;
     const TilePlace place(view, tile);
     PixelBlock blocks[kBlocks];
-    const int64_t plane = int64_t(place.width) * place.height;
     for (int c = 0; c < 3; ++c) {
-        place.prefetch<false>(image + c * plane);
-        place.prefetch<false>(gradient + c * plane);
+        place.prefetch<false>(image + c * place.plane);
+        place.prefetch<false>(gradient + c * place.plane);
     }
     load_tile(place, image, gradient, blocks);
 

@@ -95,7 +95,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathere
 }
 
 void store_tile(const View& view, const TilePlace& place, const Gathered& g, const Outputs& out) {
-    const int64_t plane = int64_t(place.width) * place.height;
+    const int64_t plane = place.plane;
     const float* background = view.camera.background;
     for (int b = 0; b < kBlocks; ++b) {
         if (place.block_is_outside(b)) continue;
@@ -123,8 +123,8 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
         if (place.block_is_outside(b)) live &= ~(uint64_t(1) << b);
     }
     const int64_t end = view.tile_begin[tile + 1];
-    const int64_t plane = int64_t(place.width) * place.height;  // store_tile will write there
-    for (int c = 0; c < 3; ++c) place.prefetch<true>(out.image + c * plane);
+    // store_tile will write there
+    for (int c = 0; c < 3; ++c) place.prefetch<true>(out.image + c * place.plane);
     place.prefetch<true>(out.alpha);
     Batch batch;
     TileWeights<kMax, kSum> weights(place, out.pixel_weights);
@@ -153,9 +153,11 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
 
 // Outside the tiles worked on: nothing but background.
 void fill_background(const View& view, const Outputs& out) {
-    const int64_t plane = int64_t(view.camera.width) * view.camera.height;
+    const Camera& camera = view.camera;
+    const int64_t plane = int64_t(camera.window_x1 - camera.window_x0) *
+                          (camera.window_y1 - camera.window_y0);
     for (int c = 0; c < 3; ++c)
-        std::fill_n(out.image + c * plane, plane, view.camera.background[c]);
+        std::fill_n(out.image + c * plane, plane, camera.background[c]);
     std::fill_n(out.alpha, plane, 0.0f);
     if (out.depth) std::fill_n(out.depth, plane, 0.0f);
 }
@@ -216,10 +218,10 @@ auto* tile_renderer(bool max_weight, bool weight_sum) {
                                     : render_tile<kDepth, false, false>);
 }
 
-bool covers_image(const View& view) {
+bool covers_window(const View& view) {
     const Camera& c = view.camera;
-    return !view.masked && c.tile_x0 == 0 && c.tile_y0 == 0 && c.tile_x1 * kTile >= c.width &&
-           c.tile_y1 * kTile >= c.height;
+    return !view.masked && c.tile_x0 * kTile <= c.window_x0 && c.tile_y0 * kTile <= c.window_y0 &&
+           c.tile_x1 * kTile >= c.window_x1 && c.tile_y1 * kTile >= c.window_y1;
 }
 
 }  // namespace
@@ -234,7 +236,7 @@ int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
         return kOutOfMemory;
     if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))
         return kOutOfMemory;
-    if (!covers_image(*view)) fill_background(*view, out);
+    if (!covers_window(*view)) fill_background(*view, out);
     auto* render = out.depth ? tile_renderer<true>(out.max_weight, out.weight_sum)
                              : tile_renderer<false>(out.max_weight, out.weight_sum);
     parallel_for(view->tiles, [&](int64_t tile) { render(*view, tile, out); });

@@ -35,9 +35,10 @@ struct TileLayout {
 };
 inline constexpr TileLayout kLayout{};
 
-// Where a tile lies in the image.
+// Where a tile lies in the image, and in planes of the camera's window.
 struct TilePlace {
     int x, y, width, height;  // its corner; the image's size
+    int64_t stride, plane;    // pixels of a row, and of a plane
 
     TilePlace(const View& view, int64_t tile)
         : TilePlace(view.camera, view.masked ? view.tile_place[tile] : int32_t(tile),
@@ -46,7 +47,10 @@ struct TilePlace {
         : x((camera.tile_x0 + place % columns) * kTile),
           y((camera.tile_y0 + place / columns) * kTile),
           width(camera.width),
-          height(camera.height) {}
+          height(camera.height),
+          stride(camera.window_x1 - camera.window_x0),
+          plane(stride * (camera.window_y1 - camera.window_y0)),
+          before_(camera.window_y0 * stride + camera.window_x0) {}
 
     int block_x(int b) const { return x + (b % kBlockColumns) * kBlockWidth; }
     int block_y(int b) const { return y + (b / kBlockColumns) * kBlockHeight; }
@@ -55,7 +59,7 @@ struct TilePlace {
     }
     bool block_is_outside(int b) const { return block_x(b) >= width || block_y(b) >= height; }
 
-    // The block's part of a (height, width) plane; lanes outside the image hold 0.
+    // The block's part of a plane; lanes outside the image hold 0.
     Floats load_block(const float* plane, int b) const {
         alignas(64) float lanes[kLanes] = {};
         for_rows(b, [&](int64_t pixel, int lane, size_t bytes) {
@@ -75,7 +79,7 @@ struct TilePlace {
     void prefetch(const float* plane) const {
         const int rows = std::min(height - y, kTile);
         for (int r = 0; r < rows; ++r)
-            __builtin_prefetch(plane + int64_t(y + r) * width + x, kWrite);
+            __builtin_prefetch(plane + at(x, y + r), kWrite);
     }
     // 1 where the lane is a pixel of the image, else 0. As a starting transmittance, 0 keeps
     // lanes off the image from weighing in anywhere and from holding up a block's end.
@@ -87,19 +91,23 @@ struct TilePlace {
     }
 
 private:
+    int64_t at(int column, int row) const { return row * stride + column - before_; }
+
     template <class F>
     void for_rows(int b, const F& copy) const {
-        const int64_t first = int64_t(block_y(b)) * width + block_x(b);
+        const int64_t first = at(block_x(b), block_y(b));
         if (block_is_whole(b)) {  // the sizes are constants here, the copies single moves
             for (int r = 0; r < kBlockHeight; ++r)
-                copy(first + int64_t(r) * width, r * kBlockWidth, sizeof(float) * kBlockWidth);
+                copy(first + r * stride, r * kBlockWidth, sizeof(float) * kBlockWidth);
             return;
         }
         const int columns = std::min(width - block_x(b), kBlockWidth);
         const int rows = std::min(height - block_y(b), kBlockHeight);
         for (int r = 0; r < rows && columns > 0; ++r)
-            copy(first + int64_t(r) * width, r * kBlockWidth, sizeof(float) * columns);
+            copy(first + r * stride, r * kBlockWidth, sizeof(float) * columns);
     }
+
+    int64_t before_;  // the window's first pixel, if the image's were number 0
 };
 
 // What blending needs of a splat. The whitened offset of the pixel at (x, y) from the tile's

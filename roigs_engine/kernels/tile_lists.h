@@ -8,15 +8,22 @@
 
 namespace roigs {
 
-// From places in the camera's rectangle to numbers of tiles, see View.
-ROIGS_INLINE TileRuns wanted_tiles(const View& view, TileRuns places) {
+// From places in the camera's rectangle to numbers of tiles, see View. Runs of length 0 may begin
+// anywhere.
+ROIGS_INLINE TileRuns wanted_tiles(const View& view, const TileRuns& places) {
+    alignas(64) int32_t first[kLanes], length[kLanes];
+    std::memcpy(first, &places.first, sizeof first);
+    std::memcpy(length, &places.length, sizeof length);
+    const int32_t* rank = view.tile_rank.data();
     for (int i = 0; i < kLanes; ++i) {
-        if (!places.length[i]) continue;
-        const int32_t* rank = &view.tile_rank[places.first[i]];
-        places.length[i] = rank[places.length[i]] - rank[0];
-        places.first[i] = rank[0];
+        const int32_t begin = length[i] ? first[i] : 0;
+        first[i] = rank[begin];
+        length[i] = rank[begin + length[i]] - first[i];
     }
-    return places;
+    TileRuns wanted;
+    std::memcpy(&wanted.first, first, sizeof first);
+    std::memcpy(&wanted.length, length, sizeof length);
+    return wanted;
 }
 
 // Writes first, first + 1, .., and up to a vector's width more than `length` of them.

@@ -53,10 +53,12 @@ struct Camera {
     float min_sigmas;  // .. and those not farther than so many standard deviations along z
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
+    int32_t window_x0, window_y0, window_x1, window_y1;  // px: whole tiles around these, see Outputs
     const uint8_t* tile_mask;  // of these, the ones to work on, row by row; null: all
 };
 
-// What roigs_render writes. A null one of the last four is skipped.
+// What roigs_render writes: H x W are the pixels of the camera's window, on a card those of its
+// image. A null one of the last four is skipped.
 struct Outputs {
     float* image;       // (3, H, W)
     float* alpha;       // (H, W)

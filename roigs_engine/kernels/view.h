@@ -130,6 +130,7 @@ struct View {
     bool masked = false;
     int64_t tiles = 0;            // tiles worked on
     Scratch<int32_t> tile_rank;   // masked: per place of the rectangle, wanted tiles before it
+    Scratch<int32_t> tile_sums;   // masked: (rows + 1, columns + 1) wanted tiles above and left
     Scratch<int32_t> tile_place;  // masked: per tile, its place in the rectangle
     std::vector<Chunk> chunks;
     Scratch<Splat> splats;

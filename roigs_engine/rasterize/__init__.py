@@ -17,6 +17,10 @@ Within `limits`, a Gaussian is culled if it lies far beside the image or reaches
 There the EWA approximation fails: a needle just before the camera plane would cover the image like
 fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), training has none.
 
+A `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
+touches are active, forward and backward; other pixels get the background. `ActiveTiles` are faster,
+and may have a window: images then hold that part of the picture alone.
+
 Gradients: if an input is a leaf with an allocated `.grad`, the cpu and cuda backends add to that
 buffer and touch only the rows of visible Gaussians. So the cost of a training step does not depend
 on the invisible Gaussians. Otherwise inputs get dense gradients, as in any torch function. Cameras
@@ -79,10 +83,8 @@ def rasterize(
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
-    `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
-    touches are active, forward and backward; other pixels get the background. `ActiveTiles` are
-    faster. With `backward_step` (one camera, not gsplat), `backward`, called once, updates the
-    visible ones without gradients.
+    With `backward_step` (one camera, not gsplat), `backward`, called once, updates the visible ones
+    without gradients.
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
     """
@@ -91,7 +93,8 @@ def rasterize(
     backend = _chosen(backend, parameters)
     if backward_step is not None:
         check_backward_step(backward_step, parameters, len(viewmats), backend)
-    active, shape = active_tiles(width, height, mask), (len(viewmats), height, width)
+    active = active_tiles(width, height, mask)
+    shape = (len(viewmats), height, width)
     inputs = RenderInputs(
         parameters=parameters,
         viewmats=viewmats,
@@ -106,6 +109,7 @@ def rasterize(
         with_max_weight=with_max_weight,
         with_weight_sum=with_weight_sum,
         pixel_weights=checked_pixel_weights(pixel_weights, with_weight_sum, shape, means),
+        window=active.shown,
         tiles=active.rectangle,
         tile_mask=None if active.mask is None else sent(active.mask, means.device),
         blur=blur_of(pixel_size, antialiased),
@@ -128,18 +132,20 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
 
 def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
     """Render with a backend, which is imported when it is first used."""
-    if backend == "reference":
-        from . import reference
-
-        return reference.render(inputs)
     if backend == "cpu":
         from . import cpu
 
         return cpu.render(inputs)
-    if backend == "cuda":
+    if backend == "reference":
+        from . import reference
+
+        output = reference.render(inputs)
+    elif backend == "cuda":
         from . import cuda
 
-        return cuda.render(inputs)
-    from . import gsplat
+        output = cuda.render(inputs)
+    else:
+        from . import gsplat
 
-    return gsplat.render(inputs)
+        output = gsplat.render(inputs)
+    return output.cut(inputs.window)

@@ -87,8 +87,7 @@ class _Cameras:
     """The cameras and options of `RenderInputs` in the kernels' form."""
 
     structures: list[bindings.Camera]
-    width: int
-    height: int
+    size: tuple[int, int]  # height and width of the window
     sh_degree: int
     raw: bool
     tile_mask: Tensor | None  # kept alive: the structures point to it
@@ -114,18 +113,20 @@ def render(inputs: RenderInputs) -> RenderOutput:
         )
     tile_mask = inputs.tile_mask
     tile_mask = None if tile_mask is None else tile_mask.to("cpu", torch.uint8).contiguous()
+    left, top, right, bottom = inputs.window
     pixel_weights = inputs.pixel_weights
+    if pixel_weights is not None:
+        pixel_weights = pixel_weights[:, top:bottom, left:right].contiguous()
     cameras = _Cameras(
         structures=_camera_structures(inputs, tile_mask),
-        width=inputs.width,
-        height=inputs.height,
+        size=(bottom - top, right - left),
         sh_degree=inputs.sh_degree,
         raw=inputs.raw,
         tile_mask=tile_mask,
         with_depth=inputs.with_depth,
         with_max_weight=inputs.with_max_weight,
         with_weight_sum=inputs.with_weight_sum,
-        pixel_weights=None if pixel_weights is None else pixel_weights.contiguous(),
+        pixel_weights=pixel_weights,
         backward_step=inputs.backward_step,
     )
     image, alpha, visible, grad2d, depth, max_weight, weight_sum = _Rasterize.apply(  # type: ignore[no-untyped-call]
@@ -158,6 +159,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
         camera.min_sigmas = inputs.limits.min_sigmas
         camera.size[:] = [inputs.width, inputs.height]
         camera.tiles[:] = inputs.tiles
+        camera.window[:] = inputs.window
         camera.tile_mask = pointer(tile_mask)
         structures.append(camera)
     return structures
@@ -180,9 +182,8 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, cameras: _Cameras, *parameters: Tensor) -> tuple[Tensor | None, ...]:
         views, count = len(cameras.structures), parameters[0].shape[0]
-        size = (cameras.height, cameras.width)
-        image = torch.empty(views, 3, *size, dtype=torch.float32)
-        alpha = torch.empty(views, *size, dtype=torch.float32)
+        image = torch.empty(views, 3, *cameras.size, dtype=torch.float32)
+        alpha = torch.empty(views, *cameras.size, dtype=torch.float32)
         mean = torch.empty_like(alpha) if cameras.with_depth is True else None
         median = torch.zeros_like(alpha) if cameras.with_depth == "median" else None
         visible = torch.zeros(views, count, dtype=torch.bool)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol
 
 import torch
@@ -89,6 +89,8 @@ class BackwardStep(Protocol):
 class RenderOutput:
     """The output of `rasterize` for C cameras, N Gaussians. Only `image` has a gradient.
 
+    H and W are those of the window, if there is one.
+
     Attributes:
         image: (C, H, W, 3) colours blended in sRGB values, background included.
         alpha: (C, H, W) 1 - the transmittance behind the last Gaussian.
@@ -111,6 +113,17 @@ class RenderOutput:
     max_weight: Tensor | None
     weight_sum: Tensor | None
 
+    def cut(self, window: tuple[int, int, int, int]) -> RenderOutput:
+        """The part of whole images that is in a window."""
+        left, top, right, bottom = window
+        columns, rows = slice(left, right), slice(top, bottom)
+        return replace(
+            self,
+            image=self.image[:, rows, columns],
+            alpha=self.alpha[:, rows, columns],
+            depth=None if self.depth is None else self.depth[:, rows, columns],
+        )
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderInputs:
@@ -131,6 +144,7 @@ class RenderInputs:
     pixel_weights: Tensor | None  # (C, H, W)
     tiles: tuple[int, int, int, int]  # first column, first row, end column, end row
     tile_mask: Tensor | None  # (rows, columns) bool, the active tiles in this rectangle; None: all
+    window: tuple[int, int, int, int]  # px, for the cpu backend: what the images hold
     blur: Blur
     backward_step: BackwardStep | None  # None: the backward pass returns gradients
 

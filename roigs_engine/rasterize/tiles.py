@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,11 +19,26 @@ class ActiveTiles:
         size: width and height of the image, pixels.
         rectangle: of tiles around them, see `tile_rectangle`.
         mask: (rows, columns) bool of the rectangle; None: all of it.
+        window: x0, y0, x1, y1 in pixels, end exclusive: images hold this part of the picture alone,
+            and the rest takes no memory or time. It consists of whole tiles, and all active ones
+            lie in it. None: all.
     """
 
     size: tuple[int, int]
     rectangle: tuple[int, int, int, int]
     mask: Tensor | None = None
+    window: tuple[int, int, int, int] | None = None
+
+    @property
+    def shown(self) -> tuple[int, int, int, int]:
+        """The window, or the whole image."""
+        return (0, 0, *self.size) if self.window is None else self.window
+
+    def windowed(self) -> ActiveTiles:
+        """The same tiles, with their rectangle as the window."""
+        (width, height), (left, top, right, bottom) = self.size, self.rectangle
+        edges = left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
+        return replace(self, window=edges)
 
 
 Mask = tuple[int, int, int, int] | Tensor | ActiveTiles | None
@@ -50,13 +65,20 @@ def active_tiles(width: int, height: int, mask: Mask) -> ActiveTiles:
             f"rasterize: mask is {mask.dtype} of shape {tuple(mask.shape)}.",
             f"Pass a bool mask of shape {(height, width)}, or x0, y0, x1, y1.",
         )
-    columns, rows = -(-width // TILE), -(-height // TILE)
-    padded = mask.new_zeros(rows * TILE, columns * TILE)
-    padded[:height, :width] = mask
-    touched = padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
+    touched = touched_tiles(mask)
     if mask.device.type != "cpu":
+        rows, columns = touched.shape
         return ActiveTiles(size=size, rectangle=(0, 0, columns, rows), mask=touched)
     return tiles_of_grid(touched, size)
+
+
+def touched_tiles(mask: Tensor) -> Tensor:
+    """(H, W) bool, from a tile's corner on -> (rows, columns): the tiles with a pixel of it."""
+    (height, width), device = mask.shape, mask.device
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    padded = torch.zeros(rows * TILE, columns * TILE, dtype=torch.bool, device=device)
+    padded[:height, :width] = mask
+    return padded.reshape(rows, TILE, columns, TILE).any(dim=3).any(dim=1)
 
 
 def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
@@ -70,6 +92,19 @@ def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
     fits = 0 <= left <= right <= columns and 0 <= top <= bottom <= rows
     if not fits or (mask is not None and (mask.dtype, tuple(mask.shape)) != (torch.bool, shape)):
         raise EngineError("rasterize: the tiles' rectangle and mask do not fit the image.", hint)
+    if tiles.window is not None:
+        _check_window(tiles.window, tiles)
+
+
+def _check_window(window: tuple[int, int, int, int], tiles: ActiveTiles) -> None:
+    """Raise EngineError unless a window is made of whole tiles, among them all active ones."""
+    (width, height), (x0, y0, x1, y1) = tiles.size, tiles.rectangle
+    left, top, right, bottom = tile_rectangle(width, height, window)
+    whole = left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
+    if window != whole or left == right:
+        raise EngineError(f"rasterize: the window {window} is not made of whole tiles.")
+    if x0 < x1 and not (left <= x0 and top <= y0 and x1 <= right and y1 <= bottom):
+        raise EngineError(f"rasterize: active tiles lie beyond the window {window}.")
 
 
 def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:

@@ -177,7 +177,7 @@ class _KernelLoss(torch.autograd.Function):
             bindings.pointer(gradient),
             result,
         )
-        ctx.gradient = gradient
+        ctx.save_for_backward(gradient)
         loss, l1, ssim = torch.tensor(list(result), dtype=torch.float32).unbind()
         ctx.mark_non_differentiable(l1, ssim)
         ctx.set_materialize_grads(False)
@@ -185,11 +185,11 @@ class _KernelLoss(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
-        scale, gradient = upstream[0], ctx.gradient
+        scale, (gradient,) = upstream[0], ctx.saved_tensors
         if scale is None or gradient is None:
             return None, None, None, None
         if scale != 1:  # the usual case needs no pass over the image
-            gradient = gradient * scale
+            gradient.mul_(scale)  # in place: fresh memory costs more. torch refuses a second time
         return gradient.permute(1, 2, 0), None, None, None
 
 

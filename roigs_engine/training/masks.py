@@ -25,7 +25,7 @@ from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.masks import load_object_mask
 from ..rasterize.inputs import TILE
-from ..rasterize.tiles import ActiveTiles, tiles_of_grid
+from ..rasterize.tiles import ActiveTiles, tiles_of_grid, touched_tiles
 
 MOST_WEIGHT = 2.0  # of the mean mask's: a tiny mask must not decide what a box looks like
 
@@ -35,7 +35,7 @@ class RoiMask:
     """The mask of one photo; it takes little memory.
 
     Attributes:
-        tiles: of the mask, on the training device.
+        tiles: of the mask, on the training device. Their window is the rectangle around it.
         loss_weight: weight of the mask's mean loss; a whole photo has 1.
     """
 
@@ -43,37 +43,27 @@ class RoiMask:
     loss_weight: float
 
     @property
-    def window(self) -> tuple[int, int, int, int]:
-        """x0, y0, x1, y1 in pixels, the smallest rectangle around the mask."""
-        (width, height), (left, top, right, bottom) = self.tiles.size, self.tiles.rectangle
-        return left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
-
-    @property
     def weights(self) -> Tensor:
         """(h, w) of the window, 1 in the mask and 0 outside, on the training device."""
-        return self._inside().to(torch.float32)
-
-    @property
-    def pixels(self) -> Tensor:
-        """(H, W) bool, on the training device."""
-        width, height = self.tiles.size
-        inside = self._inside()
-        found = inside.new_zeros(height, width)
-        self.crop(found).copy_(inside)
-        return found
-
-    def _inside(self) -> Tensor:
-        """(h, w) bool of the window."""
-        grid = self.tiles.mask
-        assert grid is not None
-        (rows, columns), (x0, y0, x1, y1) = grid.shape, self.window
+        grid = self._grid.to(torch.float32)
+        (rows, columns), (x0, y0, x1, y1) = grid.shape, self.tiles.shown
         whole = grid[:, None, :, None].expand(rows, TILE, columns, TILE)
         return whole.reshape(rows * TILE, columns * TILE)[: y1 - y0, : x1 - x0]
 
     def crop(self, image: Tensor) -> Tensor:
         """(H, W, ...) -> (h, w, ...): the image's pixels in the window."""
-        x0, y0, x1, y1 = self.window
+        x0, y0, x1, y1 = self.tiles.shown
         return image[y0:y1, x0:x1]
+
+    def counting(self, counted: Tensor) -> ActiveTiles:
+        """Those of its tiles in which a pixel counts, (H, W) bool; the window stays."""
+        return replace(self.tiles, mask=self._grid & touched_tiles(self.crop(counted)))
+
+    @property
+    def _grid(self) -> Tensor:
+        """(rows, columns) bool, the tiles in their rectangle."""
+        assert self.tiles.mask is not None
+        return self.tiles.mask
 
 
 class RoiMasks:
@@ -120,7 +110,7 @@ class RoiMasks:
         tiles = tiles_of_grid(torch.from_numpy(grid), (camera.width, camera.height))
         assert tiles.mask is not None
         return RoiMask(
-            tiles=replace(tiles, mask=sent(tiles.mask.contiguous(), self._device)),
+            tiles=replace(tiles, mask=sent(tiles.mask.contiguous(), self._device)).windowed(),
             loss_weight=self._loss_weight(float(self._mask(index).mean())),
         )
 

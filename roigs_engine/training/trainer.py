@@ -147,7 +147,7 @@ class Trainer:
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
         if mask is not None:
-            image, target = mask.crop(image), mask.crop(target)
+            target = mask.crop(target)
             counted = None if counted is None else mask.crop(counted)
             weights = mask.weights
         loss = photo_loss(
@@ -244,7 +244,7 @@ class Trainer:
     def _render(self, index: int, mask: RoiMask | None, counted: Tensor | None) -> RenderOutput:
         active: Mask = None if mask is None else mask.tiles
         if counted is not None:
-            active = counted if mask is None else mask.pixels & counted
+            active = counted if mask is None else mask.counting(counted)
         colours, needed = self.data.backgrounds, self._density.needs_max_weight
         behind = None if colours is None else colours[index]
         view = index, "whole" if mask is None else "mask"

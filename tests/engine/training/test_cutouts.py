@@ -15,6 +15,7 @@ from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.synthetic_scene import BOX, make_scene, truth
+from tests.engine.training.mask_pixels import pixels_of
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +119,7 @@ def test_a_mask_of_the_object_takes_the_place_of_the_silhouette(scene: SfmScene)
     first, plain = scene.images[0], replace(scene.images[0], objects={})
     with_mask, without = (RoiMasks([image], [BOX], [0])[0] for image in (first, plain))
     assert with_mask is not None and without is not None
-    assert with_mask.pixels.sum() < without.pixels.sum()
-    assert not (with_mask.pixels & ~without.pixels).any()
+    small, large = pixels_of(with_mask), pixels_of(without)
+    assert small.sum() < large.sum()
+    assert not (small & ~large).any()
     assert with_mask.loss_weight < without.loss_weight

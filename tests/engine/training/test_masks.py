@@ -13,10 +13,12 @@ import torch
 from roigs_engine.errors import ConfigError
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.rasterize.tiles import active_tiles
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.masks import RoiMask, RoiMasks
+from tests.engine.training.mask_pixels import pixels_of
 
 CAMERA = Camera(width=150, height=100, fx=100.0, fy=100.0, cx=75.0, cy=50.0)
 BOX = OrientedBox.axis_aligned("thing", (-0.3, -0.2, 3.7), (0.3, 0.2, 4.3))
@@ -37,18 +39,33 @@ def test_a_mask_is_the_silhouettes_tiles_and_a_rim() -> None:
     mask = RoiMasks([photo()], [BOX], [0])[0]
     assert mask is not None
     silhouette = BOX.silhouette(CAMERA, np.eye(4))
-    pixels = mask.pixels.numpy()
+    pixels = pixels_of(mask).numpy()
     assert pixels[silhouette].all()
     ys, xs = np.nonzero(silhouette)
     for reach in (-16, 16):  # a whole tile around every pixel of the silhouette
         assert pixels[ys, np.clip(xs + reach, 0, CAMERA.width - 1)].all()
         assert pixels[np.clip(ys + reach, 0, CAMERA.height - 1), xs].all()
     assert 0 < mask.loss_weight < 0.6
-    x0, y0, x1, y1 = mask.window
+    x0, y0, x1, y1 = mask.tiles.shown
     assert not pixels[:y0].any() and not pixels[y1:].any()
     assert not pixels[:, :x0].any() and not pixels[:, x1:].any()
-    assert torch.equal(mask.weights, mask.pixels[y0:y1, x0:x1].float())
-    assert mask.loss_weight == pytest.approx(float(mask.pixels.float().mean()))
+    assert set(mask.weights.unique().tolist()) <= {0.0, 1.0}
+    assert mask.loss_weight == pytest.approx(float(pixels_of(mask).float().mean()))
+
+
+def test_only_tiles_in_which_a_pixel_counts_are_drawn() -> None:
+    mask = RoiMasks([photo()], [BOX], [0])[0]
+    assert mask is not None
+    counted = torch.zeros(CAMERA.height, CAMERA.width, dtype=torch.bool)
+    counted[50, 75] = counted[0, 0] = True  # the latter is outside of the mask
+    found = mask.counting(counted)
+    assert found.shown == mask.tiles.shown
+    expected = active_tiles(CAMERA.width, CAMERA.height, counted & pixels_of(mask))
+    assert found.mask is not None and expected.mask is not None
+    assert int(found.mask.sum()) == int(expected.mask.sum()) == 1
+    row, column = (int(k) for k in found.mask.nonzero()[0])
+    left, top, _, _ = found.rectangle
+    assert (left + column, top + row) == expected.rectangle[:2]
 
 
 def test_a_photo_without_a_box_has_no_mask() -> None:
@@ -66,8 +83,8 @@ def test_a_pixel_weights_as_hard_as_in_the_whole_photo() -> None:
     (whole,) = torch.autograd.grad(photo_loss(image, target, ssim_weight=0).loss, image)
     part = photo_loss(mask.crop(image), mask.crop(target), ssim_weight=0, weights=mask.weights)
     (gradient,) = torch.autograd.grad(part.loss * mask.loss_weight, image)
-    assert torch.allclose(gradient[mask.pixels], whole[mask.pixels], rtol=1e-4)
-    assert not gradient[~mask.pixels].any()
+    assert torch.allclose(gradient[pixels_of(mask)], whole[pixels_of(mask)], rtol=1e-4)
+    assert not gradient[~pixels_of(mask)].any()
 
 
 def test_weighted_photos_pull_alike_from_near_and_far() -> None:
@@ -80,7 +97,7 @@ def test_weighted_photos_pull_alike_from_near_and_far() -> None:
         several = RoiMasks(photos, [BOX], drawn, view_weighting=weighting)
         return [mask for k in range(4) if (mask := several[k]) is not None]
 
-    shares = np.array([float(mask.pixels.float().mean()) for mask in masks(0)])
+    shares = np.array([float(pixels_of(mask).float().mean()) for mask in masks(0)])
     assert len(shares) == 3 and shares[0] > 2 * shares[2]
     for weighting in (0.0, 0.5, 1.0, 1.5):
         weights = np.array([mask.loss_weight for mask in masks(weighting)])
@@ -97,7 +114,7 @@ def test_a_tiny_mask_does_not_outweigh_all_others() -> None:
         pose[2, 3] = back
     several = RoiMasks([photo(pose) for pose in poses], [BOX], range(4), view_weighting=1.9)
     weights = [mask.loss_weight for k in range(4) if (mask := several[k]) is not None]
-    shares = [float(mask.pixels.float().mean()) for k in range(4) if (mask := several[k])]
+    shares = [float(pixels_of(mask).float().mean()) for k in range(4) if (mask := several[k])]
     assert weights[3] == pytest.approx(2 * np.exp(np.mean(np.log(shares))))
     assert weights[0] < weights[3]
 
