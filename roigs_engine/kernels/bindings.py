@@ -47,6 +47,7 @@ class Camera(ctypes.Structure):
         ("blur", ctypes.c_float * 2),
         ("centre_bounds", ctypes.c_float * 4),
         ("min_sigmas", ctypes.c_float),
+        ("min_transmittance", ctypes.c_float),
         ("size", ctypes.c_int32 * 2),
         ("tiles", ctypes.c_int32 * 4),
         ("window", ctypes.c_int32 * 4),

@@ -14,9 +14,4 @@ constexpr float kExponentScale = 0.7213475204f;  // log2(e) / 2: exp(-x / 2) = 2
 // than this, so that rounding never drops what the blending, which decides, would draw.
 constexpr float kCullSlack = 1e-3f;
 
-// Work on a pixel block ends when every pixel's transmittance is below this. What is dropped
-// changes the image by as much at most, and gradients by a relative 1e-5 where many opaque layers
-// lie behind each other; elsewhere nothing is dropped.
-constexpr float kTransmittanceEnd = 1e-6f;
-
 }  // namespace roigs

@@ -42,8 +42,9 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
 }
 
 // Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
-// most of its time in. Returns false when the block has ended.
-ROIGS_INLINE bool visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)[kMoments]) {
+// most of its time in. Returns false when the block has ended: no transmittance is above `end`.
+ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats end, PixelBlock& p,
+                        Floats (&sum)[kMoments]) {
     Floats u, v;
     Mask moves;
     const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
@@ -68,7 +69,7 @@ ROIGS_INLINE bool visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)
     sum[kRed] += weight * p.red;
     sum[kGreen] += weight * p.green;
     sum[kBlue] += weight * p.blue;
-    return any(greater(transmittance, splat(kTransmittanceEnd)));
+    return any(greater(transmittance, end));
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
@@ -82,6 +83,7 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
     }
     load_tile(place, image, gradient, blocks);
 
+    const Floats least = splat(view.camera.min_transmittance);
     uint64_t live = kAllBlocks;
     for (int64_t k = begin; k < end; ++k) {
         const TileEntry entry = view.entries[k], ahead = view.entries[std::min(k + kAhead, end - 1)];
@@ -99,7 +101,7 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
         Floats sum[kMoments] = {};
         do {
             const int b = __builtin_ctzll(todo);
-            if (__builtin_expect(!visit(local, b, blocks[b], sum), 0))
+            if (__builtin_expect(!visit(local, b, least, blocks[b], sum), 0))
                 live &= ~(uint64_t(1) << b);
             todo &= todo - 1;
         } while (todo);

@@ -60,10 +60,10 @@ private:
 
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
-// has ended: nothing shines through any more. What is left in `todo` was not visited then.
+// has ended: no pixel's transmittance is above `end`. What is left in `todo` was not visited then.
 template <bool kDepth, bool kMax, bool kSum>
-ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathered& gathered,
-                              TileWeights<kMax, kSum>& weights) {
+ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Floats end,
+                              Gathered& gathered, TileWeights<kMax, kSum>& weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
     Floats red = gathered.red[b], green = gathered.green[b], blue = gathered.blue[b];
@@ -84,7 +84,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Gathere
             if (kMax) weights.largest[i] = max(weights.largest[i], weight);
             if (kSum) weights.sum[i] += weight * pixel_weight;
         }
-        alive = any(greater(transmittance, splat(kTransmittanceEnd)));
+        alive = any(greater(transmittance, end));
     } while (todo && __builtin_expect(alive, 1));
     gathered.transmittance[b] = transmittance;
     gathered.red[b] = red;
@@ -126,6 +126,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     // store_tile will write there
     for (int c = 0; c < 3; ++c) place.prefetch<true>(out.image + c * place.plane);
     place.prefetch<true>(out.alpha);
+    const Floats least = splat(view.camera.min_transmittance);
     Batch batch;
     TileWeights<kMax, kSum> weights(place, out.pixel_weights);
     int64_t visits = 0;
@@ -140,7 +141,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
             uint64_t splats = batch.splats_of[b];
             if (!splats) continue;
             visits += __builtin_popcountll(splats);
-            if (!blend_block<kDepth>(batch, splats, b, gathered, weights))
+            if (!blend_block<kDepth>(batch, splats, b, least, gathered, weights))
                 live &= ~(uint64_t(1) << b);
             visits -= __builtin_popcountll(splats);
         }

@@ -15,7 +15,8 @@ its gradient is zero.
 
 Within `limits`, a Gaussian is culled if it lies far beside the image or reaches behind the camera.
 There the EWA approximation fails: a needle just before the camera plane would cover the image like
-fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), training has none.
+fog. `view.render_view` has such limits (`limits.PICTURE_LIMITS`), training has none. Training stops
+earlier where hardly any light is left (`limits.TRAINING_LIMITS`).
 
 A `mask` is x0, y0, x1, y1 in pixels, end exclusive, or bool (H, W). Only the 16x16 tiles that it
 touches are active, forward and backward; other pixels get the background. `ActiveTiles` are faster,
@@ -69,7 +70,7 @@ def rasterize(
     *,
     sh_degree: int | None = None,  # bands above it are ignored, without gradient; None: no limit
     raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
-    limits: Limits = NO_LIMITS,  # where Gaussians are culled that would be drawn wrong
+    limits: Limits = NO_LIMITS,  # which Gaussians are culled, and where blending ends
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
     with_depth: Depth = False,  # also return the mean depth, or the "median" (not gsplat)
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight

@@ -157,6 +157,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
         camera.blur[:] = inputs.blur
         camera.centre_bounds[:] = centre_bounds(inputs, c)
         camera.min_sigmas = inputs.limits.min_sigmas
+        camera.min_transmittance = inputs.limits.min_transmittance
         camera.size[:] = [inputs.width, inputs.height]
         camera.tiles[:] = inputs.tiles
         camera.window[:] = inputs.window

@@ -154,6 +154,7 @@ def _set_camera(view: View, c: int) -> None:
     shape.blur[:] = inputs.blur
     shape.centre_bounds[:] = centre_bounds(inputs, c)
     shape.min_sigmas = inputs.limits.min_sigmas
+    shape.min_transmittance = inputs.limits.min_transmittance
     shape.size[:] = [inputs.width, inputs.height]
     shape.tiles[:] = inputs.tiles
     if inputs.tile_mask is not None:

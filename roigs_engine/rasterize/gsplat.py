@@ -30,7 +30,6 @@ from .inputs import (
     RenderInputs,
     RenderOutput,
 )
-from .limits import NO_LIMITS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,7 +181,7 @@ def _project(gsplat: Any, inputs: RenderInputs, camera: int) -> ProjectedGaussia
     with torch.no_grad():
         total = means2d.sum(-1) + conics.sum(-1) + depths + opacities
         drawn = (radii > 0).all(-1) & total.isfinite()  # (1, N)
-        if inputs.limits != NO_LIMITS:
+        if inputs.limits.cull:
             drawn &= within(inputs, camera, means2d)
         pose = view.double()  # differences of large numbers lose digits
         eye = -(pose[:3, :3].T @ pose[:3, 3]).to(means)

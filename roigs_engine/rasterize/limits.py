@@ -1,4 +1,4 @@
-"""Where Gaussians are left out of a picture, as the EWA approximation fails for them (ours)."""
+"""What a picture leaves out: what the EWA approximation draws wrong, or other Gaussians hide."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ MIN_SIGMAS = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Which Gaussians are drawn.
+    """Which Gaussians are drawn, and how far back.
 
     Attributes:
         max_slope: none whose centre is beside the image and has a larger |x / z| (camera frame), or
             above or below it and has a larger |y / z|.
         min_sigmas: none that reaches behind the camera: whose depth is not more than so many of its
             standard deviations along the camera's z axis.
+        min_transmittance: in pixels that let less light through, nothing that is farther back need
+            be drawn, which changes a colour by as much at most. The cpu backend draws it as long as
+            a pixel of the same block lets more through; reference draws it, gsplat has 1e-4.
 
     Raises:
         EngineError: one is negative or NaN.
@@ -27,15 +30,24 @@ class Limits:
 
     max_slope: float = math.inf
     min_sigmas: float = 0.0
+    min_transmittance: float = 1e-6
+
+    @property
+    def cull(self) -> bool:
+        """Whether there are Gaussians that are not drawn wherever they are seen from."""
+        return self.max_slope < math.inf or self.min_sigmas > 0
 
     def __post_init__(self) -> None:
-        for name in ("max_slope", "min_sigmas"):
+        for name in ("max_slope", "min_sigmas", "min_transmittance"):
             if not getattr(self, name) >= 0:
                 raise EngineError(f"rasterize: {name} {getattr(self, name)} is not 0 or more.")
 
 
 NO_LIMITS = Limits()
-"""Of training: what it does not draw costs no loss, and other viewers draw it."""
+
+TRAINING_LIMITS = Limits(min_transmittance=1e-3)
+"""Of training. It culls none: what it does not draw costs no loss, and other viewers draw it. A
+thousandth of the light is a quarter of what 8 bits can tell apart (docs/lab_notebook.md)."""
 
 PICTURE_LIMITS = Limits(max_slope=MAX_SLOPE, min_sigmas=MIN_SIGMAS)
 """Of every picture that is shown or measured."""

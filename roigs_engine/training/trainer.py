@@ -18,6 +18,7 @@ from ..errors import Stopped
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
 from ..rasterize import RenderOutput, rasterize
+from ..rasterize.limits import TRAINING_LIMITS
 from ..rasterize.tiles import Mask
 from . import full_memory
 from .averaging import ModelMean
@@ -275,6 +276,7 @@ class Trainer:
             sh_degree=self.config.degree(self.step),
             raw=True,
             antialiased=self.config.antialiased,
+            limits=TRAINING_LIMITS,
             mask=active,
             backward_step=self._ahead.backward_step(optimizer, self.step, (*view, camera.width)),
             **options,

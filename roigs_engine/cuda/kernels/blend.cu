@@ -33,11 +33,12 @@ extern "C" __global__ void __launch_bounds__(kPixels) blend(const Frame f) {
         f.checkpoints
             ? f.checkpoints + int64_t(f.group_begin[tile]) * (kGroup / kBucket) * kPixels + pixel
             : nullptr;
+    const float least = f.shape.min_transmittance;
     float left = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
     int begin = first;
     for (; begin < end; begin += kPixels) {
         // waits until all have read the batch before
-        if (!__syncthreads_or(left > kTransmittanceEnd)) break;
+        if (!__syncthreads_or(left > least)) break;
         const int count = load_batch(f, place, begin, end, batch);
         __syncthreads();
         for (int i = 0; i < count; ++i) {
@@ -45,7 +46,7 @@ extern "C" __global__ void __launch_bounds__(kPixels) blend(const Frame f) {
                 *checkpoint = make_float4(left, red, green, blue);
                 checkpoint += kPixels;
             }
-            if (!(left > kTransmittanceEnd)) continue;
+            if (!(left > least)) continue;
             const LocalSplat& s = batch[i];
             const float weight = Sample(s, pixel).alpha * left;
             left -= weight;

@@ -46,6 +46,7 @@ __device__ void walk(const Frame& f, const Group& group, int bucket, const Local
                      const float4* pixels, const Behind& behind, const Visit& visit) {
     const int lane = int(threadIdx.x) % kBucket;
     const float4* checkpoint = f.checkpoints + int64_t(bucket) * kPixels;
+    const float least = f.shape.min_transmittance;
     float left = 0.0f, state = 0.0f, next_left = 0.0f, next_state = 0.0f;
     for (int step = 0; step < kPixels + kBucket - 1; ++step) {
         if (step % kBucket == 0) {  // the pixels that enter in the next steps
@@ -66,7 +67,7 @@ __device__ void walk(const Frame& f, const Group& group, int bucket, const Local
             state = first_state;
         }
         const int pixel = step - lane;
-        if (!group.is_there || pixel < 0 || pixel >= kPixels || !(left > kTransmittanceEnd))
+        if (!group.is_there || pixel < 0 || pixel >= kPixels || !(left > least))
             continue;
         const Sample sample(s, pixel);
         if (sample.alpha == 0.0f) continue;

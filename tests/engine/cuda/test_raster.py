@@ -10,7 +10,7 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.rasterize import RenderOutput, cuda, rasterize
-from roigs_engine.rasterize.limits import Limits
+from roigs_engine.rasterize.limits import TRAINING_LIMITS, Limits
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize.test_gsplat import ring
 from tests.engine.rasterize_cases import (
@@ -111,6 +111,21 @@ def test_many_opaque_layers() -> None:
     ours, truth, errors = both(parameters, (16, 12), with_weight_sum=True)
     assert float((truth.alpha > 1 - 1e-6).double().mean()) > 0.5
     agree(ours, truth, errors)
+
+
+def test_blending_ends_where_little_light_is_left() -> None:
+    leaves = [p.requires_grad_() for p in gaussians(1200, coefficients=1, size=0.5)]
+    scene = (*cameras(16, 12), 16, 12)
+    exact = rasterize(*leaves, *scene, backend="cuda")
+    rough = rasterize(*leaves, *scene, backend="cuda", limits=TRAINING_LIMITS)
+    assert 0 < largest_difference(rough.image, exact.image) < 5e-3
+    reached = []
+    for output in (exact, rough):
+        leaves[4].grad = None
+        output.image.sum().backward()
+        assert leaves[4].grad is not None
+        reached.append(int((leaves[4].grad != 0).sum()))
+    assert 0 < reached[1] < reached[0]
 
 
 def test_shapes_from_dots_to_needles() -> None:

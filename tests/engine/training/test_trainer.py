@@ -15,7 +15,7 @@ from roigs_engine.model.gaussians import NAMES, Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import RenderOutput, rasterize
-from roigs_engine.rasterize.limits import NO_LIMITS
+from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS
 from roigs_engine.training import photo_order
 from roigs_engine.training import trainer as trainer_module
 from roigs_engine.training.budget import BoxBudget
@@ -112,7 +112,7 @@ def test_training_lowers_the_loss(scene: SfmScene) -> None:
     assert mean_loss(trainer, 12) < 0.5 * start
 
 
-def test_training_draws_without_limits(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_culls_no_gaussians(scene: SfmScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other viewers have none: what only they would draw must cost the loss."""
     seen = set()
 
@@ -122,7 +122,7 @@ def test_training_draws_without_limits(scene: SfmScene, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(trainer_module, "rasterize", noted)
     Trainer(first_model(scene), stage_data(scene), SHORT).run()
-    assert seen == {NO_LIMITS}
+    assert seen == {TRAINING_LIMITS} and not TRAINING_LIMITS.cull
 
 
 def test_whole_photos_can_be_small_for_longer() -> None:
