@@ -11,6 +11,7 @@ from torch import Tensor
 from roigs_engine.model.gaussians import SH_C0, Gaussians
 from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize import RenderOutput, rasterize
+from roigs_engine.rasterize.limits import TRAINING_LIMITS
 from roigs_engine.training.z_order import morton_order
 
 CAMERAS = 8
@@ -38,7 +39,7 @@ class SyntheticPhotos:
         self.photo = photo.to(device)
 
     def render(self, gaussians: Gaussians, pose: Tensor, **options: Any) -> RenderOutput:
-        """The Gaussians as one of the cameras sees them; options as of `rasterize`."""
+        """The Gaussians as training draws them for a camera; options as of `rasterize`."""
         g = gaussians
         return rasterize(
             *(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh),
@@ -46,6 +47,7 @@ class SyntheticPhotos:
             self.intrinsics,
             *self.size,
             raw=True,
+            limits=TRAINING_LIMITS,
             **options,
         )
 
