@@ -42,8 +42,8 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
 }
 
 // Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
-// most of its time in. Returns false when the block has ended: no transmittance is above `end`.
-ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats end, PixelBlock& p,
+// most of its time in. Returns false when the block has ended: no transmittance is above `least`.
+ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats least, PixelBlock& p,
                         Floats (&sum)[kMoments]) {
     Floats u, v;
     Mask moves;
@@ -69,7 +69,7 @@ ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats end, PixelBlock& p,
     sum[kRed] += weight * p.red;
     sum[kGreen] += weight * p.green;
     sum[kBlue] += weight * p.blue;
-    return any(greater(transmittance, end));
+    return any(greater(transmittance, least));
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {

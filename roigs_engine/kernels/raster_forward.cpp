@@ -60,9 +60,9 @@ private:
 
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
-// has ended: no pixel's transmittance is above `end`. What is left in `todo` was not visited then.
+// has ended: no pixel's transmittance is above `least`. What is left in `todo` was not visited then.
 template <bool kDepth, bool kMax, bool kSum>
-ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Floats end,
+ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Floats least,
                               Gathered& gathered, TileWeights<kMax, kSum>& weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
@@ -84,7 +84,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Floats 
             if (kMax) weights.largest[i] = max(weights.largest[i], weight);
             if (kSum) weights.sum[i] += weight * pixel_weight;
         }
-        alive = any(greater(transmittance, end));
+        alive = any(greater(transmittance, least));
     } while (todo && __builtin_expect(alive, 1));
     gathered.transmittance[b] = transmittance;
     gathered.red[b] = red;

@@ -114,8 +114,10 @@ class RenderOutput:
     weight_sum: Tensor | None
 
     def cut(self, window: tuple[int, int, int, int]) -> RenderOutput:
-        """The part of whole images that is in a window."""
+        """The part of whole images that is in a window; itself, if that is all."""
         left, top, right, bottom = window
+        if self.alpha.shape[1:] == (bottom - top, right - left):
+            return self  # even a slice of everything is a copy in the backward pass
         columns, rows = slice(left, right), slice(top, bottom)
         return replace(
             self,

@@ -36,9 +36,7 @@ class ActiveTiles:
 
     def windowed(self) -> ActiveTiles:
         """The same tiles, with their rectangle as the window."""
-        (width, height), (left, top, right, bottom) = self.size, self.rectangle
-        edges = left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
-        return replace(self, window=edges)
+        return replace(self, window=pixel_rectangle(self.size, self.rectangle))
 
 
 Mask = tuple[int, int, int, int] | Tensor | ActiveTiles | None
@@ -98,10 +96,9 @@ def _check(tiles: ActiveTiles, size: tuple[int, int]) -> None:
 
 def _check_window(window: tuple[int, int, int, int], tiles: ActiveTiles) -> None:
     """Raise EngineError unless a window is made of whole tiles, among them all active ones."""
-    (width, height), (x0, y0, x1, y1) = tiles.size, tiles.rectangle
-    left, top, right, bottom = tile_rectangle(width, height, window)
-    whole = left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
-    if window != whole or left == right:
+    x0, y0, x1, y1 = tiles.rectangle
+    left, top, right, bottom = inside = tile_rectangle(*tiles.size, window)
+    if window != pixel_rectangle(tiles.size, inside) or left == right:
         raise EngineError(f"rasterize: the window {window} is not made of whole tiles.")
     if x0 < x1 and not (left <= x0 and top <= y0 and x1 <= right and y1 <= bottom):
         raise EngineError(f"rasterize: active tiles lie beyond the window {window}.")
@@ -114,6 +111,14 @@ def tiles_of_grid(grid: Tensor, size: tuple[int, int]) -> ActiveTiles:
         return ActiveTiles(size=size, rectangle=(0, 0, 0, 0))
     x0, y0, x1, y1 = int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1
     return ActiveTiles(size=size, rectangle=(x0, y0, x1, y1), mask=grid[y0:y1, x0:x1])
+
+
+def pixel_rectangle(
+    size: tuple[int, int], tiles: tuple[int, int, int, int]
+) -> tuple[int, int, int, int]:
+    """The pixels (x0, y0, x1, y1; end exclusive) of a rectangle of tiles; `size` is the image's."""
+    (width, height), (left, top, right, bottom) = size, tiles
+    return left * TILE, top * TILE, min(right * TILE, width), min(bottom * TILE, height)
 
 
 def tile_rectangle(

@@ -149,11 +149,11 @@ def _tiles(image: PosedImage, rois: Sequence[OrientedBox]) -> NDArray[np.bool_]:
     transition to it smooth.
     """
     camera = image.camera
-    rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
-    pixels = np.zeros((rows * TILE, columns * TILE), dtype=bool)
+    pixels = np.zeros((camera.height, camera.width), dtype=bool)
     for roi in rois:
-        pixels[: camera.height, : camera.width] |= shown_pixels(roi, image)
-    touched = pixels.reshape(rows, TILE, columns, TILE).any(axis=(1, 3))
+        pixels |= shown_pixels(roi, image)
+    touched = touched_tiles(torch.from_numpy(pixels)).numpy()
+    rows, columns = touched.shape
     padded = np.pad(touched, 1)
     grown: NDArray[np.bool_] = np.zeros_like(touched)
     for y in range(3):

@@ -96,6 +96,11 @@ def test_all_backends_hold_the_same_part() -> None:
     torch.testing.assert_close(ours.image, truth.image, rtol=0, atol=5e-3)
 
 
+def test_a_window_of_everything_cuts_nothing() -> None:
+    output = rasterize(*gaussians(5), *cameras(*SIZE), *SIZE, backend="reference")
+    assert output.cut((0, 0, *SIZE)) is output
+
+
 def test_no_tile_of_the_window_is_active() -> None:
     scene = (*gaussians(50, coefficients=1), *cameras(*SIZE), *SIZE)
     nothing = ActiveTiles(size=SIZE, rectangle=(0, 0, 0, 0), window=WINDOWS[0])

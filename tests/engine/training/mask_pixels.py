@@ -5,13 +5,17 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from roigs_engine.rasterize.inputs import TILE
 from roigs_engine.training.masks import RoiMask
 
 
 def pixels_of(mask: RoiMask) -> Tensor:
     """(H, W) bool."""
-    width, height = mask.tiles.size
+    (width, height), (left, top, _, _) = mask.tiles.size, mask.tiles.rectangle
+    grid = mask.tiles.mask
+    assert grid is not None
     found = torch.zeros(height, width, dtype=torch.bool)
-    x0, y0, x1, y1 = mask.tiles.shown
-    found[y0:y1, x0:x1] = mask.weights > 0
+    for row, column in grid.nonzero().tolist():
+        y, x = (top + row) * TILE, (left + column) * TILE
+        found[y : y + TILE, x : x + TILE] = True
     return found
