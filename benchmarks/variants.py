@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-BINDINGS = "roigs_engine/kernels/bindings.py"  # came with the modules that the benchmarks use
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def engines(revision: str | None) -> Iterator[dict[str, Path]]:
     """Name -> folder, with kernels built: first a git revision if one is given, then "this".
 
     Raises:
-        SystemExit: the revision's engine has other modules than the benchmarks use.
+        SystemExit: the revision's engine has not all that the benchmarks use.
     """
     with tempfile.TemporaryDirectory(prefix="roigs-compare-") as folder:
         found = {}
@@ -87,7 +86,7 @@ def engines(revision: str | None) -> Iterator[dict[str, Path]]:
             )
             with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as tar:
                 tar.extractall(folder, filter="data")
-            if not (Path(folder) / BINDINGS).exists():
+            if not _has_what_they_use(Path(folder)):
                 raise SystemExit(
                     f"error: the engine of {revision} is too old for these benchmarks;"
                     " run the benchmarks of that revision instead."
@@ -101,3 +100,14 @@ def engines(revision: str | None) -> Iterator[dict[str, Path]]:
                 check=True,
             )
         yield found
+
+
+def _has_what_they_use(engine: Path) -> bool:
+    """Whether the benchmarks of this checkout can be imported with an engine."""
+    tried = subprocess.run(
+        [sys.executable, "-c", "import benchmarks.worker"],
+        env=Variant("", engine, "").environment(),
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )
+    return tried.returncode == 0
