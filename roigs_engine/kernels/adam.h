@@ -21,6 +21,7 @@ public:
 
     AdamRows(const Adam& adam, const AdamParameter& parameter)
         : buffers_{parameter.values, parameter.exp_avg, parameter.exp_avg_sq},
+          row_rates_(adam.row_rates),
           width_(parameter.width),
           tile_rates_(kTile * parameter.width) {
         const double correction1 = 1.0 - std::pow(adam.beta1, double(adam.step));
@@ -37,13 +38,24 @@ public:
     // of such rows.
     int64_t update(int64_t first, int64_t count, float* gradient, const uint8_t* visible) const {
         int64_t broken = 0;
-        for (int64_t i = 0; i < count; i += kTile)
-            broken += tile(first + i, std::min(kTile, count - i), gradient + i * width_,
-                           visible + i);
+        for (int64_t i = 0; i < count;) {
+            const int64_t rows = alike(first + i, std::min(kTile, count - i));
+            broken += tile(first + i, rows, gradient + i * width_, visible + i);
+            i += rows;
+        }
         return broken;
     }
 
 private:
+    // How many of `count` rows have the first one's factor. Neighbours in Z-order: nearly always all.
+    int64_t alike(int64_t first, int64_t count) const {
+        if (!row_rates_) return count;
+        int64_t rows = 1;
+        while (rows < count && row_rate(first) == row_rate(first + rows)) ++rows;
+        return rows;
+    }
+    float row_rate(int64_t row) const { return row_rates_ ? row_rates_[row] : 1.0f; }
+
     static constexpr int64_t kWide = 16;  // columns from which on visible rows are updated in runs
 
     // First moments below this are zero: decaying on, they would become subnormal numbers, whose
@@ -64,13 +76,16 @@ private:
         float inverse_sqrt_correction2;  // 1 / sqrt(1 - beta2^t)
     };
 
-    // The rule for one element (kMasked: only where `mask` is set). A rate is lr / (1 - beta1^t).
+    // The rule for the elements of rows from `row` on, which have one factor (kMasked: only where
+    // `mask` is set). A rate is lr / (1 - beta1^t).
     // Both corrections of the moments' bias are outside: t counts the steps of the training, as in
     // the dense Adam, and not those of a row. Written so that there is one way only to make fused
     // multiply-adds of it: a row gets the same bits whatever rows are updated with it.
     template <bool kMasked>
-    void elements(const Buffers& b, float* __restrict g, int64_t count,
+    void elements(int64_t row, float* __restrict g, int64_t count,
                   const int32_t* __restrict mask) const {
+        const Buffers b = buffers_.at(row * width_);
+        const float factor = row_rate(row);
         float *__restrict p = b.parameter, *__restrict m = b.exp_avg, *__restrict v = b.exp_avg_sq;
         const float* __restrict rate = tile_rates_.data();
         const Constants c = constants_;
@@ -80,7 +95,7 @@ private:
             mean = std::fabs(mean) < kTinyMoment ? 0.0f : mean;
             const float square = v[i] + c.add2 * (gradient * gradient - v[i]);
             const float denominator = std::sqrt(square) * c.inverse_sqrt_correction2 + c.epsilon;
-            const float value = p[i] - rate[i] * mean / denominator;
+            const float value = p[i] - factor * rate[i] * mean / denominator;
             const bool on = !kMasked || mask[i];
             p[i] = on ? value : p[i];
             m[i] = on ? mean : m[i];
@@ -99,7 +114,7 @@ private:
         if (total == 0) return 0;
         const int64_t broken = drop_broken_rows(gradient, on, count);
         if (total - broken == count)
-            elements<false>(buffers_.at(first * width_), gradient, count * width_, nullptr);
+            elements<false>(first, gradient, count * width_, nullptr);
         else if (width_ >= kWide)
             runs(first, gradient, on, count);
         else
@@ -137,8 +152,8 @@ private:
             if (!on[begin]) continue;
             int64_t end = begin;
             while (end < count && on[end]) ++end;
-            elements<false>(buffers_.at((first + begin) * width_), gradient + begin * width_,
-                            (end - begin) * width_, nullptr);
+            elements<false>(first + begin, gradient + begin * width_, (end - begin) * width_,
+                            nullptr);
             begin = end;
         }
     }
@@ -148,10 +163,11 @@ private:
         int32_t mask[kTile * kWide];
         for (int64_t i = 0; i < count; ++i)
             for (int64_t k = 0; k < width_; ++k) mask[i * width_ + k] = on[i];
-        elements<true>(buffers_.at(first * width_), gradient, count * width_, mask);
+        elements<true>(first, gradient, count * width_, mask);
     }
 
     const Buffers buffers_;
+    const float* const row_rates_;
     const int64_t width_;
     Constants constants_;
     std::vector<float> tile_rates_;

@@ -301,6 +301,7 @@ def _take_step(view: View, adam: bindings.Adam) -> Tensor:
         inverse_sqrt_correction2=(1 - beta2**adam.step) ** -0.5,
         rate_scale=1 / (1 - beta1**adam.step),
         skipped=address(skipped),
+        row_rates=adam.row_rates,
     )
     blocks = -(-view.frame.gaussians.count // ROWS)
     card.program(view.device).launch("project_backward_adam", blocks, ROWS, step)

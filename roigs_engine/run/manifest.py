@@ -35,6 +35,7 @@ SWITCHED = {
         *("as elsewhere", "more than elsewhere"),
     ),
     "opacity_decay": ("opacity decay was {}, now {}", "off", "on"),
+    "outside_rate": ("Gaussians outside the boxes learned {}, now {}", "as others", "faster"),
 }
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.

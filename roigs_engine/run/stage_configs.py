@@ -87,6 +87,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         grad_threshold=TrainConfig.grad_threshold,
         box_budget=0.0,
         full_every=1,
+        outside_rate=0.0,
         view_weighting=0.0,
         small_until=0,  # they lose a little by it: docs/lab_notebook.md, "Small photos first"
         whole_small_until=0,
@@ -151,6 +152,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
         lr_shN_spacing=0.0,
         box_budget=0.0,
         full_every=1,
+        outside_rate=0.0,
         view_weighting=0.0,
         min_views=0,
     )

@@ -18,6 +18,7 @@ def _step(
     tensors,  # parameter, gradient, exp_avg, exp_avg_sq
     visible,
     learning_rates,
+    row_rates,  # or null
     skipped,
     count,
     factors,  # scale, beta1, beta2, 1 - beta1, 1 - beta2 (which float32 cannot make), eps
@@ -41,10 +42,12 @@ def _step(
     m = tl.load(exp_avg + at, mask=on, other=0.0)
     v = tl.load(exp_avg_sq + at, mask=on, other=0.0)
     x = tl.load(parameter + at, mask=on, other=0.0)
-    rate = tl.load(learning_rates + columns, mask=columns < WIDTH, other=0.0)
+    rate = tl.load(learning_rates + columns, mask=columns < WIDTH, other=0.0)[None, :]
+    if row_rates is not None:
+        rate = rate * tl.load(row_rates + rows, mask=rows < count, other=0.0)[:, None]
     m = beta1 * m + share1 * g
     v = beta2 * v + share2 * g * g
-    x -= scale * rate[None, :] * m / (tl.sqrt(v) + eps)
+    x -= scale * rate * m / (tl.sqrt(v) + eps)
     tl.store(exp_avg + at, m, mask=on)
     tl.store(exp_avg_sq + at, v, mask=on)
     tl.store(parameter + at, x, mask=on)
@@ -59,6 +62,7 @@ def step(
     betas: tuple[float, float],
     eps: float,
     step_count: int,
+    row_rates: Tensor | None = None,  # (N,) factors of the rates
 ) -> Tensor:
     """Updates parameter and moments in place by `parameter.grad`.
 
@@ -78,6 +82,7 @@ def step(
         (parameter, parameter.grad.contiguous(), *moments),
         visible.contiguous(),
         learning_rates,
+        row_rates,
         skipped,
         count,
         (scale, *betas, 1 - betas[0], 1 - betas[1], eps * correction[1]),

@@ -27,6 +27,7 @@ ADDED = (
     "faint_growth",
     "near_grad_threshold",
     "opacity_decay",
+    "outside_rate",
     "restarts",
 )
 
@@ -63,6 +64,8 @@ class TrainConfig:
         full_every: one step in `full_every` uses a whole photo, drawn from all photos; the others
             use the masks of photos that see a box (`masks.py`). 1: all steps use whole photos
             (paper).
+        outside_rate: in steps on whole photos, Gaussians outside the boxes have learning rates so
+            many times as large, if other steps use masks (`row_rates.py`); 0: they have the same.
         view_weighting: loss weights of masks (`RoiMasks`). 0: a pixel weighs as much as in a
             whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
             2: photos that show the boxes small weigh more.
@@ -119,6 +122,7 @@ class TrainConfig:
     box_budget: float = 0.0
     box_grad_threshold: float = 0.0
     full_every: int = 1
+    outside_rate: float = 0.0
     view_weighting: float = 0.0
     prune_opacity: float = 0.005
     prune_size: float = 0.1
@@ -142,6 +146,8 @@ class TrainConfig:
                 "contribution_every needs steps that use whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
+        if not self.outside_rate >= 0:
+            raise ConfigError(f"outside_rate is {self.outside_rate:g}.", "Use 0 or more.")
         if self.backdrop_cells < 0:
             raise ConfigError(f"backdrop_cells is {self.backdrop_cells}.", "Use 0 or more.")
         if not 0 <= self.opacity_decay < 1:

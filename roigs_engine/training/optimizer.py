@@ -39,6 +39,9 @@ class VisibleAdam:
         parameters: the leaf tensors by name.
         exp_avg: first moments by name, in the parameters' shapes.
         exp_avg_sq: second moments by name.
+        row_rates: (N,) float32, factors of the learning rates of each Gaussian in the next steps;
+            None: all learn at these rates. It does not follow the rows in `replace`, and is no part
+            of the state.
         step_count: number of steps taken.
         skipped_rows: number of rows skipped so far for a NaN or Inf gradient; a tensor on a GPU,
             since reading it would wait for the GPU.
@@ -74,6 +77,7 @@ class VisibleAdam:
         self.parameters: dict[str, Tensor] = {}
         self.exp_avg: dict[str, Tensor] = {}
         self.exp_avg_sq: dict[str, Tensor] = {}
+        self.row_rates: Tensor | None = None
         self.step_count = 0
         self.skipped_rows: int | Tensor = 0
         self._learning_rates: dict[str, Tensor] = {}
@@ -149,7 +153,10 @@ class VisibleAdam:
             entry.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
             entry.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
             entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
-        adam = bindings.Adam(parameters, len(parameters), self.betas, self.eps, self.step_count)
+        rates = None if self.row_rates is None else self.row_rates.data_ptr()
+        adam = bindings.Adam(
+            parameters, len(parameters), self.betas, self.eps, self.step_count, rates
+        )
         skipped = kernel(ctypes.byref(adam))
         self.skipped_rows += skipped
         return skipped
@@ -191,6 +198,7 @@ class VisibleAdam:
             betas=self.betas,
             eps=self.eps,
             step_count=self.step_count,
+            row_rates=self.row_rates,
         )
         parameter.grad = None
         return skipped
@@ -211,6 +219,8 @@ class VisibleAdam:
         mean.copy_(torch.where(on, beta1 * mean + (1 - beta1) * usable, mean))
         square.copy_(torch.where(on, beta2 * square + (1 - beta2) * usable**2, square))
         denominator = (square / (1 - beta2**self.step_count)).sqrt() + self.eps
+        if self.row_rates is not None:
+            lr = lr * self.row_rates.to(lr.dtype).view(row)
         change = lr * mean / (1 - beta1**self.step_count) / denominator
         parameter.copy_(torch.where(on, parameter - change, parameter))
         gradient.copy_(torch.where(visible.view(row), 0, gradient))

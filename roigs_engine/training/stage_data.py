@@ -14,7 +14,9 @@ from ..cuda.photos import Photos
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, PosedImage
 from .budget import BoxBudget
+from .config import TrainConfig
 from .cutouts import Cutouts
+from .densification import DensityInputs
 from .masks import RoiMasks
 from .photo_order import PhotoAt
 
@@ -64,3 +66,15 @@ class StageData:
     seed: int = 0
     device: torch.device = CPU
     card_photos: int | None = None
+
+    def density_inputs(self, config: TrainConfig) -> DensityInputs:
+        """What density control knows of the stage."""
+        return DensityInputs(
+            config=config,
+            extent=self.extent,
+            rois=self.rois,
+            budgets=self.budgets,
+            photos=len(self.images),
+            seed=self.seed,
+            device=self.device,
+        )

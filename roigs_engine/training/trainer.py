@@ -25,7 +25,7 @@ from .averaging import ModelMean
 from .callbacks import PeriodicCallback
 from .config import TrainConfig
 from .cutouts import Cutout
-from .densification import DensityControl, DensityInputs, Edit, density_control
+from .densification import Edit, density_control
 from .densification.edits import unchanged
 from .faint import faint_gaussians
 from .figures import Figures
@@ -37,6 +37,7 @@ from .opacity_decay import decay_opacities
 from .optimizer import VisibleAdam, learning_rates, leaves
 from .photo_order import is_whole
 from .photo_views import PhotoViews
+from .row_rates import whole_photo_rates
 from .stage_data import StageData
 from .steps_ahead import StepsAhead
 from .threads import one_torch_thread
@@ -65,7 +66,8 @@ class Trainer:
         gaussians = replace(gaussians.to(data.device), antialiased=config.antialiased)
         self._parameters = leaves(gaussians.rows(morton_order(gaussians.means)))
         self._optimizer = self._new_optimizer()
-        self._density = self._new_density(len(gaussians))
+        self._density = density_control(data.density_inputs(config), len(gaussians))
+        self._whole_rates = self._new_whole_rates()
         self._mean = ModelMean()
         self._faint_pruned = False
         self.health = Health([image.name for image in data.images])
@@ -144,6 +146,7 @@ class Trainer:
             self._views(step).prefetch(data.photo_at(step))
         target, counted = split_mask(self._views(self.step).photo(index))
         mask = self._mask(index)
+        self._optimizer.row_rates = self._whole_rates if mask is None else None
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
@@ -337,6 +340,7 @@ class Trainer:
             self._mean.clear()
             self._parameters = leaves(edit.gaussians)
             self._optimizer.replace(self._parameters.tensors(), edit.rows)
+            self._whole_rates = self._new_whole_rates()
             release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
@@ -344,18 +348,10 @@ class Trainer:
                 self._parameters.logit_opacities.clamp_(max=logit)
             self._optimizer.zero_moments("logit_opacities")
 
-    def _new_density(self, count: int) -> DensityControl:
-        data = self.data
-        inputs = DensityInputs(
-            config=self.config,
-            extent=data.extent,
-            rois=data.rois,
-            budgets=data.budgets,
-            photos=len(data.images),
-            seed=data.seed,
-            device=data.device,
-        )
-        return density_control(inputs, count)
+    def _new_whole_rates(self) -> Tensor | None:
+        """As of now: they stay as they are until Gaussians are added or removed."""
+        factor = 0.0 if self.config.full_every == 1 else self.config.outside_rate
+        return whole_photo_rates(self._parameters, self.data.rois, factor)
 
     def _new_optimizer(self) -> VisibleAdam:
         tensors = self._parameters.tensors()
@@ -376,6 +372,7 @@ class Trainer:
             "mean": self._mean.state_dict(),
             "density": self._density.state_dict(),
             "faint_pruned": self._faint_pruned,
+            "whole_rates": self._whole_rates,
         }
         return dict(on_device(state, CPU))
 
@@ -390,6 +387,8 @@ class Trainer:
         self._optimizer = self._new_optimizer()
         self._optimizer.load_state_dict(state["optimizer"])
         self._mean.load_state_dict(state["mean"])
-        self._density = self._new_density(len(self._parameters))
+        inputs = self.data.density_inputs(self.config)
+        self._density = density_control(inputs, len(self._parameters))
         self._density.load_state_dict(state["density"])
+        self._whole_rates = state.get("whole_rates", self._new_whole_rates())
         self._faint_pruned = bool(state.get("faint_pruned"))  # None: an older checkpoint

@@ -74,12 +74,13 @@ struct Element {
         mean = p.exp_avg[at];
         square = p.exp_avg_sq[at];
     }
-    ROIGS_INLINE void step(const Step& s, float rate, float gradient) {
+    ROIGS_INLINE void step(const Step& s, int64_t n, float rate, float gradient) {
         constexpr float kTinyMoment = 1e-30f;
         mean = mean + s.add1 * (gradient - mean);
         if (fabsf(mean) < kTinyMoment) mean = 0.0f;
         square = square + s.add2 * (gradient * gradient - square);
         const float denominator = sqrt(square) * s.inverse_sqrt_correction2 + s.epsilon;
+        if (s.row_rates) rate *= s.row_rates[n];
         value -= s.rate_scale * rate * mean / denominator;
     }
     ROIGS_INLINE void store(const AdamParameter& p, int64_t at) const {
@@ -105,7 +106,7 @@ struct AdamRow {
                 return;
             }
         for (int k = 0; k < kWidth; ++k) {
-            elements[k].step(s, p.rates[k], gradient[k]);
+            elements[k].step(s, n, p.rates[k], gradient[k]);
             elements[k].store(p, n * kWidth + k);
         }
     }
@@ -166,7 +167,7 @@ __device__ void update_wide_rows(const Step& s, const WideRows& rows, int64_t fi
                 if (owner[i] < 0) continue;
                 const float gradient =
                     rows.basis[owner[i]][column / 3] * rows.colour[owner[i]][column % 3];
-                element[i].step(s, rate, gradient);
+                element[i].step(s, first + owner[i], rate, gradient);
                 element[i].store(p, (first + owner[i]) * width + column);
             }
         }

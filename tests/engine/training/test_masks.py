@@ -136,3 +136,5 @@ def test_settings_that_do_not_go_together_are_refused() -> None:
         dataclasses.replace(config, view_weighting=-1.0)
     with pytest.raises(ConfigError, match="full_every is 0"):
         dataclasses.replace(config, full_every=0)
+    with pytest.raises(ConfigError, match="outside_rate is -1"):
+        dataclasses.replace(config, outside_rate=-1.0)

@@ -150,6 +150,27 @@ def test_rows_out_of_view_stay_as_they_are(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("longest", [1, 5, 40])
+def test_rows_may_learn_faster(backend: str, longest: int) -> None:
+    """A factor of 4 moves a row as four times the learning rates do; moments are not changed."""
+    count = 120
+    plain, fast, mixed = (make(count, backend=backend) for _ in range(3))
+    for name, rates in fast._learning_rates.items():
+        fast.set_lr(name, 4 * rates)
+    quick = torch.arange(count) // longest % 2 == 0
+    mixed.row_rates = torch.where(quick, 4.0, 1.0)
+    for step in range(3):
+        visible = torch.rand(count, generator=torch.Generator().manual_seed(step)) < 0.8
+        for optimizer in (plain, fast, mixed):
+            give(optimizer, gradients(count, seed=step), visible)
+            optimizer.step(visible)
+    slow_state, fast_state = everything(plain), everything(fast)
+    for name, value in everything(mixed).items():
+        assert torch.equal(value[quick], fast_state[name][quick]), name
+        assert torch.equal(value[~quick], slow_state[name][~quick]), name
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_broken_gradients_are_skipped_and_counted(backend: str, value: float) -> None:
     count = 40

@@ -37,7 +37,7 @@ SHORT = TrainConfig(
     contribution_every=20,
 )
 RESTING = TrainConfig(steps=20, densify_until=0)
-SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, small_until=25)
+SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, outside_rate=2.0, small_until=25)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
 RESTARTED = replace(SHORT, densify_until=25, restarts=2)
 FADING = replace(AVERAGED, opacity_decay=0.1)

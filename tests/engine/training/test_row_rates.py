@@ -1,0 +1,98 @@
+"""Learning rates outside the boxes: larger in steps on whole photos, and in no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from roigs_engine.model.gaussians import Gaussians
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.training import photo_order
+from roigs_engine.training.config import TrainConfig
+from roigs_engine.training.masks import RoiMasks
+from roigs_engine.training.row_rates import whole_photo_rates
+from roigs_engine.training.stage_data import StageData
+from roigs_engine.training.trainer import Trainer
+from tests.engine.synthetic_scene import BOX, make_scene
+
+CONFIG = TrainConfig(steps=30, densify_until=0, full_every=3, outside_rate=4.0)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
+    return make_scene(tmp_path_factory.mktemp("photos"))
+
+
+def trainer(scene: SfmScene, config: TrainConfig) -> Trainer:
+    data = StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=photo_order.shuffled(range(len(scene.images)), 3),
+        extent=scene.extent(),
+        rois=[BOX],
+        masks=RoiMasks(scene.images, [BOX], range(len(scene.images))),
+    )
+    return Trainer(Gaussians.from_points(scene.points, scene.colors), data, config)
+
+
+def values(of: Trainer) -> Tensor:
+    """(N, P): all parameters of the Gaussians."""
+    tensors = of.gaussians.tensors().values()
+    return torch.cat([t.detach().reshape(len(t), -1) for t in tensors], dim=1).clone()
+
+
+def inside(of: Trainer) -> Tensor:
+    """(N,) bool"""
+    return torch.from_numpy(BOX.contains(of.gaussians.means.detach().double().numpy()))
+
+
+def test_factors_follow_the_boxes() -> None:
+    places = np.array([BOX.centre, BOX.centre + 9.0, BOX.centre])
+    gaussians = Gaussians.from_points(places, np.zeros((3, 3), dtype=np.uint8))
+    rates = whole_photo_rates(gaussians, [BOX], 2.0)
+    assert rates is not None and rates.dtype == torch.float32
+    assert rates.tolist() == [1.0, 2.0, 1.0]
+    assert whole_photo_rates(gaussians, [BOX], 0.0) is None
+
+
+def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None:
+    """The first step is on a whole photo; what differs after it stays, nothing is added to it."""
+    fast, plain = trainer(scene, CONFIG), trainer(scene, replace(CONFIG, outside_rate=0.0))
+    start, within = values(fast), inside(fast)
+    assert within.any() and not within.all()
+    fast.train_step(), plain.train_step()
+    moved, usual = values(fast) - start, values(plain) - start
+    assert torch.equal(moved[within], usual[within])
+    seen = (usual != 0) & ~within[:, None]
+    assert seen.any() and torch.allclose(moved[seen], 4 * usual[seen], rtol=1e-3, atol=1e-6)
+    assert fast._optimizer.row_rates is not None
+    fast.train_step()
+    assert fast._optimizer.row_rates is None  # this step is on a mask
+
+
+def test_stages_on_whole_photos_have_none(scene: SfmScene) -> None:
+    alike = replace(CONFIG, full_every=1)
+    fast, plain = trainer(scene, alike), trainer(scene, replace(alike, outside_rate=0.0))
+    for _ in range(3):
+        fast.train_step(), plain.train_step()
+    assert torch.equal(values(fast), values(plain))
+
+
+def test_a_stopped_stage_keeps_its_factors(scene: SfmScene) -> None:
+    """Gaussians may have crossed a box's side since the factors were set."""
+    whole, stopped = trainer(scene, CONFIG), trainer(scene, CONFIG)
+    for _ in range(4):
+        whole.train_step(), stopped.train_step()
+    for one in (whole, stopped):  # as if they had crossed: a new trainer would find other factors
+        assert one._whole_rates is not None
+        one._whole_rates[::2] = 5.0 - one._whole_rates[::2]
+    resumed = trainer(scene, CONFIG)
+    resumed.load_state_dict(stopped.state_dict())
+    for _ in range(5):
+        whole.train_step(), resumed.train_step()
+    assert torch.equal(values(whole), values(resumed))
