@@ -167,7 +167,11 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
         share: of the photos that see boxes, those that see this block's.
         photos: share of all photos that the block has.
     """
-    config = replace(config, opacity_decay=0.0)  # other photos show what is beside the block
+    config = replace(
+        config,
+        opacity_decay=0.0,  # other photos show what is beside the block
+        outside_rate=0.0,  # and of its whole photos, each has nearly twice as many steps
+    )
     if config.full_every == 1:
         return shortened(config, max(share, photos))
     masked = (1 - 1 / config.full_every) * share

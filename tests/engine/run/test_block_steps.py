@@ -33,6 +33,7 @@ def test_boxes_and_whole_photos_have_their_shares() -> None:
     assert near.full_every > far.full_every >= 2
     for config in (near, far):
         assert config.steps / config.full_every == pytest.approx(0.3 * whole.steps, rel=0.4)
+        assert config.outside_rate == 0 < whole.outside_rate
     none = surroundings_stage(whole, 0.5)
     assert none.full_every == 1 and none.steps == pytest.approx(0.3 * whole.steps, abs=1)
     assert not none.densify_in_boxes and none.grad_threshold == whole.outside_grad_threshold
