@@ -11,7 +11,8 @@ covers would decide: without the fog its error falls to a fraction, and most Gau
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -33,8 +34,9 @@ WHOLE, EACH = 16, 8  # photos that are asked: of all, and of those that see a bo
 MOST = 0.9  # share of the Gaussians that may go
 HALVINGS = 5  # of that range: to 3 % of the Gaussians
 
-Errors = tuple[Tensor, ...]
-"""Squared errors of a model on single photos: on whole photos, then in each box."""
+Errors = Iterable[tuple[int, float]]
+"""Squared errors of a model in single photos, each with its part: 0 is the whole photo, the others
+are the boxes. They are found as they are asked for."""
 
 
 def faint_gaussians(
@@ -115,13 +117,11 @@ class PhotoErrors:
             for roi in rois
         ]
 
-    @torch.no_grad()
-    def __call__(self, gaussians: Gaussians) -> Errors:
-        """The error on each whole photo, then on each box's silhouette in each of its photos.
+    def __call__(self, gaussians: Gaussians) -> Iterator[tuple[int, float]]:
+        """Photo by photo, the error on the whole, and on the silhouette of each box that it judges.
 
         Only pixels that count; what has none is left out.
         """
-        found: list[list[float]] = [[] for _ in range(1 + len(self._rois))]
         for index in sorted(self._whole.union(*self._seeing)):
             self._context.check_cancelled()
             squares, counted = self._squares(gaussians, index)
@@ -132,13 +132,13 @@ class PhotoErrors:
                     parts.append((box, counted & silhouette))
             for part, pixels in parts:
                 if pixels.any():
-                    found[part].append(float(squares[pixels].mean(dtype=torch.float64)))
-        return tuple(torch.tensor(errors, dtype=torch.float64) for errors in found if errors)
+                    yield part, float(squares[pixels].mean(dtype=torch.float64))
 
     def _silhouette(self, index: int, box: int) -> Tensor:
         image = self._views.images[index]
         return torch.from_numpy(self._rois[box].silhouette(image.camera, image.world_to_camera))
 
+    @torch.no_grad()
     def _squares(self, gaussians: Gaussians, index: int) -> tuple[Tensor, Tensor]:
         """(H, W) squared errors, and (H, W) bool: which pixels count."""
         photo, counted = split_mask(self._views.photo(index))
@@ -169,7 +169,7 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
     Args:
         worth: (N,) of each.
         errors: of the model with some of its rows, (N,) bool; where there are none, none go.
-        growth: largest mean growth of the photos' errors, in any of these parts.
+        growth: largest mean growth of the photos' errors, in any part.
     """
     order = worth.argsort(stable=True)
     order = order[worth[order] > 0]  # what no photo shows, the photos cannot judge
@@ -179,18 +179,26 @@ def faintest(worth: Tensor, errors: Callable[[Tensor], Errors], growth: float) -
         found[order[: int(share * len(order))]] = True
         return found
 
-    before = errors(~least(0.0))
+    before = list(errors(~least(0.0)))
     if not before:
         return least(0.0)
     few, many = 0.0, MOST
     for _ in range(HALVINGS):
         share = (few + many) / 2
-        after = errors(~least(share))
-        holds = all(grown(a, b) <= growth for a, b in zip(before, after, strict=True))
+        holds = is_within(before, errors(~least(share)), growth)
         few, many = (share, many) if holds else (few, share)
     return least(few)
 
 
-def grown(before: Tensor, after: Tensor) -> float:
-    """By which share (P,) errors of photos have grown, in the mean; those that fell count as 0."""
-    return float((after / before.clamp(min=1e-12) - 1).clamp(min=0).mean())
+def is_within(before: Sequence[tuple[int, float]], after: Errors, growth: float) -> bool:
+    """Whether errors have grown by no more than a share, in the mean over the photos of each part.
+
+    Errors that fell count as the same. Asks for no more errors than it takes to say no.
+    """
+    photos = Counter(part for part, _ in before)
+    grown = dict.fromkeys(photos, 0.0)
+    for (part, was), (_, now) in zip(before, after, strict=True):
+        grown[part] += max(now / max(was, 1e-12) - 1, 0.0)
+        if not grown[part] <= growth * photos[part]:  # or it is NaN
+            return False
+    return True

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 
@@ -22,7 +23,15 @@ from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize.view import rasterize_view
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.faint import EACH, WHOLE, PhotoErrors, faintest, visible_worth
+from roigs_engine.training.faint import (
+    EACH,
+    WHOLE,
+    Errors,
+    PhotoErrors,
+    faintest,
+    is_within,
+    visible_worth,
+)
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.photo_views import PhotoViews
 from roigs_engine.training.stage_data import StageData
@@ -67,14 +76,22 @@ def same_bits(a: Gaussians, b: Gaussians) -> bool:
     return all(torch.equal(x, b.tensors()[name]) for name, x in a.tensors().items())
 
 
-def photo(*errors: float) -> Tensor:
+def photo(*errors: float, part: int = 0) -> list[tuple[int, float]]:
     """The errors of a part, photo by photo."""
-    return torch.tensor(errors, dtype=torch.float64)
+    return [(part, error) for error in errors]
 
 
-def squares(dropped: Tensor) -> tuple[Tensor, ...]:
+def squares(dropped: Tensor) -> list[tuple[int, float]]:
     """An error that grows by the dropped worth, from 100."""
-    return (photo(100.0 + float(dropped)),)
+    return photo(100.0 + float(dropped))
+
+
+def by_part(errors: Errors) -> list[list[float]]:
+    """The errors of each part that has some."""
+    parts: dict[int, list[float]] = {}
+    for part, error in errors:
+        parts.setdefault(part, []).append(error)
+    return [parts[part] for part in sorted(parts)]
 
 
 @pytest.mark.parametrize("growth", [0.01, 0.1, 0.5])
@@ -91,8 +108,8 @@ def test_as_many_go_as_the_error_allows(growth: float) -> None:
 def test_each_error_counts() -> None:
     worth = torch.arange(1, 101, dtype=torch.float64)
 
-    def errors(kept: Tensor) -> tuple[Tensor, ...]:
-        return photo(1.0), photo(1.0 if bool(kept[:20].all()) else 2.0)
+    def errors(kept: Tensor) -> Errors:
+        return photo(1.0) + photo(1.0 if bool(kept[:20].all()) else 2.0, part=1)
 
     assert not faintest(worth, errors, 0.1).any()
 
@@ -100,18 +117,42 @@ def test_each_error_counts() -> None:
 def test_a_photo_that_gains_does_not_pay_for_others() -> None:
     """As one does that fog covers, which goes with the faint."""
     worth = torch.rand(2000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    usual = faintest(worth, lambda kept: (photo(100 + float(worth[~kept].sum())),), 0.1)
+    usual = faintest(worth, lambda kept: photo(100 + float(worth[~kept].sum())), 0.1)
 
-    def fogged(kept: Tensor) -> tuple[Tensor, ...]:
+    def fogged(kept: Tensor) -> Errors:
         lost = float(worth[~kept].sum())
-        return (photo(100 + 2 * lost, 5000 if bool(kept.all()) else 50),)
+        return photo(100 + 2 * lost, 5000 if bool(kept.all()) else 50)
 
     assert torch.equal(faintest(worth, fogged, 0.1), usual)
 
 
+@pytest.mark.parametrize(
+    ("after", "within", "asked"),
+    [
+        ([(0, 1.0), (1, 1.0), (0, 1.0), (1, 1.2)], True, 4),
+        ([(0, 1.2), (1, 1.0), (0, 0.1), (1, 1.0)], True, 4),  # what one gains, no other may lose
+        ([(0, 1.3), (1, 1.0), (0, 0.1), (1, 1.0)], False, 1),  # whatever the rest are
+        ([(0, 1.15), (1, 1.0), (0, 1.15), (1, 1.0)], False, 3),
+        ([(0, 1.0), (1, math.nan), (0, 1.0), (1, 1.0)], False, 2),
+    ],
+)
+def test_no_more_photos_are_drawn_than_it_takes(
+    after: list[tuple[int, float]], within: bool, asked: int
+) -> None:
+    before, drawn = [(0, 1.0), (1, 1.0), (0, 1.0), (1, 1.0)], []
+
+    def drawing() -> Iterator[tuple[int, float]]:
+        for error in after:
+            drawn.append(error)
+            yield error
+
+    assert is_within(before, drawing(), 0.125) is within
+    assert len(drawn) == asked
+
+
 def test_what_no_photo_shows_stays() -> None:
     worth = torch.tensor([0.0, 0.0, 1.0, 2.0, 3.0, 0.0], dtype=torch.float64)
-    found = faintest(worth, lambda kept: (photo(1.0),), 0.1)
+    found = faintest(worth, lambda kept: photo(1.0), 0.1)
     assert found.tolist() == [False, False, True, True, False, False]
 
 
@@ -144,10 +185,9 @@ def test_errors_are_those_of_the_photos(scene: SfmScene) -> None:
             pixels = box.silhouette(image.camera, image.world_to_camera)
             if pixels.any():
                 squares[place].append(float(difference[torch.from_numpy(pixels)].mean()))
-    found = errors_of(data, [BOX, behind, small])(model)
-    assert [part.tolist() for part in found] == [pytest.approx(p, rel=1e-4) for p in squares]
-    (whole,) = errors_of(data)(model)
-    assert torch.equal(whole, found[0])
+    found = by_part(errors_of(data, [BOX, behind, small])(model))
+    assert found == [pytest.approx(p, rel=1e-4) for p in squares]
+    assert by_part(errors_of(data)(model)) == found[:1]
 
 
 def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
@@ -162,7 +202,7 @@ def test_a_box_that_few_photos_show_is_judged(scene: SfmScene) -> None:
         seen = [box.projected_area(i.camera, i.world_to_camera) > 0 for i in images]
         assert sum(seen) == errors - 1
         data = replace(stage_data(scene), images=images, photos=PhotoCache(images), masks=None)
-        assert len(errors_of(data, [box])(model_of(scene))) == errors
+        assert len(by_part(errors_of(data, [box])(model_of(scene)))) == errors
 
 
 def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
@@ -180,15 +220,15 @@ def test_pixels_that_photos_leave_out_are_left_out(scene: SfmScene) -> None:
     model = model_of(scene)
     drawn = rasterize_view(model, image.camera, image.world_to_camera).image[0]
     expected = (drawn[:5] - torch.from_numpy(pixels[:5, :, :3]) / 255).square().mean()
-    (found,) = errors_of(data)(model)
-    assert found.tolist() == pytest.approx([float(expected)], rel=1e-4)
+    (found,) = by_part(errors_of(data)(model))
+    assert found == pytest.approx([float(expected)], rel=1e-4)
     pixels[..., 3] = 0
-    assert errors_of(data)(model) == ()
+    assert not list(errors_of(data)(model))
 
 
 def test_without_anything_to_judge_by_all_stay() -> None:
     worth = torch.arange(1, 101, dtype=torch.float64)
-    assert not faintest(worth, lambda kept: (), 0.1).any()
+    assert not faintest(worth, lambda kept: [], 0.1).any()
 
 
 def test_nothing_is_pruned_where_nothing_was_added(scene: SfmScene) -> None:
