@@ -6,7 +6,8 @@ int64_t roigs_adam(int64_t rows, const roigs::Adam* adam, const uint8_t* visible
     using namespace roigs;
     constexpr int64_t kRowsPerTask = 512;  // worth a task, little enough to balance
     std::vector<AdamRows> steps;
-    for (int64_t k = 0; k < adam->count; ++k) steps.emplace_back(*adam, adam->parameters[k]);
+    for (int64_t k = 0; k < adam->count; ++k)
+        steps.emplace_back(*adam, adam->parameters[k], adam->parameters[k].width);
     const int64_t parts = chunks(rows, kRowsPerTask), tasks = parts * adam->count;
     std::vector<int64_t> broken(tasks, 0);
     parallel_for(tasks, [&](int64_t task) {

@@ -14,15 +14,17 @@
 
 namespace roigs {
 
-// The step on one parameter, for some rows at a time.
+// The step on one parameter, for some rows at a time. Only the first `columns` of a row are updated;
+// the others' gradients must be zero. While their moments are zero, too, that changes nothing.
 class AdamRows {
 public:
     static constexpr int64_t kTile = 16;  // rows updated together
 
-    AdamRows(const Adam& adam, const AdamParameter& parameter)
+    AdamRows(const Adam& adam, const AdamParameter& parameter, int64_t columns)
         : buffers_{parameter.values, parameter.exp_avg, parameter.exp_avg_sq},
           row_rates_(adam.row_rates),
           width_(parameter.width),
+          columns_(columns),
           tile_rates_(kTile * parameter.width) {
         const double correction1 = 1.0 - std::pow(adam.beta1, double(adam.step));
         const double correction2 = 1.0 - std::pow(adam.beta2, double(adam.step));
@@ -113,9 +115,9 @@ private:
         }
         if (total == 0) return 0;
         const int64_t broken = drop_broken_rows(gradient, on, count);
-        if (total - broken == count)
+        if (total - broken == count && columns_ == width_)
             elements<false>(first, gradient, count * width_, nullptr);
-        else if (width_ >= kWide)
+        else if (width_ >= kWide || columns_ < width_)
             runs(first, gradient, on, count);
         else
             masked(first, gradient, on, count);
@@ -130,7 +132,7 @@ private:
         int64_t broken = 0;
         for (int64_t i = 0; i < count; ++i) {
             float* row = gradient + i * width_;
-            if (!on[i] || !has_non_finite(row, width_)) continue;
+            if (!on[i] || !has_non_finite(row, columns_)) continue;
             std::fill(row, row + width_, 0.0f);
             on[i] = false;
             ++broken;
@@ -150,11 +152,11 @@ private:
     void runs(int64_t first, float* gradient, const bool* on, int64_t count) const {
         for (int64_t begin = 0; begin < count; ++begin) {
             if (!on[begin]) continue;
-            int64_t end = begin;
-            while (end < count && on[end]) ++end;
-            elements<false>(first + begin, gradient + begin * width_, (end - begin) * width_,
-                            nullptr);
-            begin = end;
+            int64_t end = begin + 1;
+            while (columns_ == width_ && end < count && on[end]) ++end;
+            elements<false>(first + begin, gradient + begin * width_,
+                            (end - begin - 1) * width_ + columns_, nullptr);
+            begin = end - 1;
         }
     }
 
@@ -168,7 +170,7 @@ private:
 
     const Buffers buffers_;
     const float* const row_rates_;
-    const int64_t width_;
+    const int64_t width_, columns_;
     Constants constants_;
     std::vector<float> tile_rates_;
 };

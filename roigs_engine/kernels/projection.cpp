@@ -76,7 +76,7 @@ void colour_splats(const Gaussians& gaussians, const Camera& camera, Splat* spla
     for (int first = 0; first < count; first += kLanes) {
         const int lanes = std::min(kLanes, count - first);
         for (int i = first + kLanes; i < std::min(first + 2 * kLanes, count); ++i)
-            prefetch_row<false>(gaussians.sh, stride, splats[i].id);
+            prefetch_row<false>(gaussians.sh + int64_t(splats[i].id) * stride, 3 * used);
         int32_t ids[kLanes];
         for (int i = 0; i < kLanes; ++i) ids[i] = splats[first + std::min(i, lanes - 1)].id;
         Floats mean[4], direction[3], basis[kMaxCoefficients], sh[3 * kMaxCoefficients];

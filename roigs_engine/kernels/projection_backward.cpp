@@ -110,17 +110,20 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
 template <int kMatrices>
 void prefetch_batch(const View& view, const Gaussians& gaussians, int32_t first, int32_t end,
                     const float* const (&matrices)[kMatrices], const int (&widths)[kMatrices]) {
+    const int colours = 3 * used_coefficients(gaussians);  // all other rows are in one line
     for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
         const int64_t row = view.splats[i].id;
         for (int t = 0; t < view.tiles_of[i].count; ++t)
             __builtin_prefetch(&view.slot_gradients[view.slot(i) + t]);
-        prefetch_row<false>(gaussians.sh, 3 * gaussians.sh_coefficients, row);
+        prefetch_row<false>(gaussians.sh + row * 3 * gaussians.sh_coefficients, colours);
         for (int k = 0; k < kMatrices; ++k)
-            if (matrices[k]) prefetch_row<true>(matrices[k], widths[k], row);
+            if (matrices[k])
+                prefetch_row<true>(matrices[k] + row * widths[k], std::min(widths[k], colours));
     }
 }
 
 constexpr int kParameters = 5;  // means, quats, scales, opacities, sh
+constexpr int kColours = 4;     // sh; those of higher degrees than are drawn stay as they are
 
 // Takes Adam's step on the visible Gaussians of a chunk, a group at a time: the group's gradients
 // stay in the first cache until they are used.
@@ -204,7 +207,11 @@ int64_t roigs_project_backward_adam(roigs::View* view, const roigs::Gaussians* g
                                     const roigs::Adam* adam, float* grad2d) {
     using namespace roigs;
     std::vector<AdamRows> steps;
-    for (int k = 0; k < kParameters; ++k) steps.emplace_back(*adam, adam->parameters[k]);
+    for (int k = 0; k < kParameters; ++k) {
+        const AdamParameter& parameter = adam->parameters[k];
+        steps.emplace_back(*adam, parameter,
+                           k == kColours ? 3 * used_coefficients(*gaussians) : parameter.width);
+    }
     const int64_t tasks = int64_t(view->chunks.size());
     std::vector<int64_t> broken(tasks, 0);
     parallel_for(tasks, [&](int64_t c) {

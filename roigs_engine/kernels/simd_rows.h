@@ -215,12 +215,12 @@ struct Larger {
     ROIGS_INLINE Floats operator()(Floats a, Floats b) const { return max(a, b); }
 };
 
-// Starts fetching a row that will be read, or written, soon. Rows that belong to visible Gaussians
-// follow no pattern that the processor would fetch ahead by.
+// Starts fetching the first columns of a row that will be read, or written, soon. Rows that belong to
+// visible Gaussians follow no pattern that the processor would fetch ahead by.
 template <bool kWrite>
-ROIGS_INLINE void prefetch_row(const float* matrix, int stride, int64_t row) {
+ROIGS_INLINE void prefetch_row(const float* row, int columns) {
     constexpr int kLine = 16;  // floats
-    for (int i = 0; i < stride; i += kLine) __builtin_prefetch(matrix + row * stride + i, kWrite);
+    for (int i = 0; i < columns; i += kLine) __builtin_prefetch(row + i, kWrite);
 }
 
 // values[rows[i]] in lane i.

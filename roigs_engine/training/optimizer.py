@@ -6,7 +6,7 @@ Two rules make a step's cost depend on the view and not on the scene:
 * There is no dense gradient. Normally each parameter's `.grad` is allocated once, as zeros; the
   rasterizer's backward pass adds to the rows of visible Gaussians in place; `VisibleAdam.step`
   applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
-  (`VisibleAdam.backward_step`).
+  (`VisibleAdam.backward_step`). It leaves SH of higher degrees than are drawn as they are.
 
 With gsplat a gradient is dense in any case: the step applies it and then drops it.
 """

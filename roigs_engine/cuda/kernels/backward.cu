@@ -152,8 +152,8 @@ struct WideRows {
 __device__ void update_wide_rows(const Step& s, const WideRows& rows, int64_t first, int lane,
                                  unsigned todo) {
     const AdamParameter& p = s.parameters[4];
-    const int width = int(p.width);
-    for (int column = lane; column < width; column += kWarp) {
+    const int width = int(p.width), used = 3 * used_coefficients(s.frame.gaussians);
+    for (int column = lane; column < used; column += kWarp) {
         const float rate = p.rates[column];
         for (unsigned left = todo; left;) {
             int owner[kSide];

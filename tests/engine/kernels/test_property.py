@@ -210,7 +210,8 @@ def agrees_with_float64(kind: SceneKind) -> None:
     if max(errors.values()) > GRADIENT_TOLERANCE:
         limits = conditioning(scene, truth)
         for name, error in errors.items():
-            assert error <= max(GRADIENT_TOLERANCE, limits[name]), (name, errors, limits)
+            # a jump, and the usual rounding beside it
+            assert error <= GRADIENT_TOLERANCE + limits[name], (name, errors, limits)
 
 
 def conditioning(scene: Scene, truth: list[Tensor]) -> dict[str, float]:
@@ -254,6 +255,7 @@ def bits_of_training(scene: Scene, threads: int, *, fused: bool) -> dict[str, by
     leaves = [p.clone() for p in scene.parameters]
     parameters = {n: (leaf, 0.01) for n, leaf in zip(NAMES, leaves, strict=True)}
     adam = VisibleAdam(parameters, fused=fused)
+    adam.row_rates = 1.0 + (torch.arange(len(leaves[0])) // 7 % 3)
     left: dict[str, Tensor] = {}
     for k in range(2):
         output = step(scene, leaves, "cpu", adam if fused else None)

@@ -84,6 +84,19 @@ def test_rows_learn_as_much_faster_as_in_a_step() -> None:
         assert not same[faster].any() and same[~faster].all(), name
 
 
+def test_harmonics_that_are_not_drawn_stay() -> None:
+    optimizer = adam()
+    (render(optimizer).image.sum()).backward()
+    before = {name: parameter.clone() for name, parameter in optimizer.parameters.items()}
+    output = render(optimizer, sh_degree=1)
+    output.image.sum().backward()
+    seen, sh = output.visible[0], optimizer.parameters["sh"]
+    assert torch.equal(sh[:, 4:], before["sh"][:, 4:])
+    assert optimizer.exp_avg["sh"][seen, 4:].any()  # they would have moved on
+    assert not (sh == before["sh"])[seen, :4].all(dim=(1, 2)).any()
+    assert not torch.equal(optimizer.parameters["means"], before["means"])
+
+
 def test_rendering_alone_takes_no_step() -> None:
     optimizer = adam()
     with torch.no_grad():
