@@ -110,7 +110,7 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
 template <int kMatrices>
 void prefetch_batch(const View& view, const Gaussians& gaussians, int32_t first, int32_t end,
                     const float* const (&matrices)[kMatrices], const int (&widths)[kMatrices]) {
-    const int colours = 3 * used_coefficients(gaussians);  // all other rows are in one line
+    const int colours = 3 * used_coefficients(gaussians);  // other rows are shorter than a line
     for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
         const int64_t row = view.splats[i].id;
         for (int t = 0; t < view.tiles_of[i].count; ++t)

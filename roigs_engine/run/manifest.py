@@ -35,7 +35,10 @@ SWITCHED = {
         *("as elsewhere", "more than elsewhere"),
     ),
     "opacity_decay": ("opacity decay was {}, now {}", "off", "on"),
-    "outside_rate": ("Gaussians outside the boxes learned {}, now {}", "as others", "faster"),
+    "outside_rate": (
+        "Gaussians outside the boxes had {}, now {}",
+        *("the learning rates of the others", "their own"),
+    ),
 }
 MOST_TEXT = 120  # characters; a longer difference is not spelled out
 # Results of the run as a whole, not of one stage.

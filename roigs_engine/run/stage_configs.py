@@ -23,6 +23,7 @@ SETTLED: dict[str, Any] = {
     "opacity_decay": 0.0,
     "box_budget": 0.0,
     "faint_growth": 0.0,
+    "outside_rate": 0.0,
 }
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
 

@@ -64,8 +64,8 @@ class TrainConfig:
         full_every: one step in `full_every` uses a whole photo, drawn from all photos; the others
             use the masks of photos that see a box (`masks.py`). 1: all steps use whole photos
             (paper).
-        outside_rate: in steps on whole photos, Gaussians outside the boxes have learning rates so
-            many times as large, if other steps use masks (`row_rates.py`); 0: they have the same.
+        outside_rate: in steps on whole photos, the learning rates of Gaussians outside the boxes
+            are multiplied by this, if other steps use masks (`row_rates.py`); 0: they are not.
         view_weighting: loss weights of masks (`RoiMasks`). 0: a pixel weighs as much as in a
             whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
             2: photos that show the boxes small weigh more.
@@ -146,7 +146,7 @@ class TrainConfig:
                 "contribution_every needs steps that use whole photos.",
                 "Set full_every to 1, or contribution_every to 0.",
             )
-        if not self.outside_rate >= 0:
+        if not 0 <= self.outside_rate < math.inf:
             raise ConfigError(f"outside_rate is {self.outside_rate:g}.", "Use 0 or more.")
         if self.backdrop_cells < 0:
             raise ConfigError(f"backdrop_cells is {self.backdrop_cells}.", "Use 0 or more.")
@@ -177,6 +177,11 @@ class TrainConfig:
         """Whether a step uses a photo of half the size."""
         whole = is_whole(step, self.full_every)
         return step < (max(self.small_until, self.whole_small_until) if whole else self.small_until)
+
+    @property
+    def has_whole_rates(self) -> bool:
+        """Whether Gaussians have learning rates of their own in steps on whole photos."""
+        return self.full_every > 1 and self.outside_rate > 0
 
     @property
     def prunes_faint(self) -> bool:

@@ -39,9 +39,9 @@ class VisibleAdam:
         parameters: the leaf tensors by name.
         exp_avg: first moments by name, in the parameters' shapes.
         exp_avg_sq: second moments by name.
-        row_rates: (N,) float32, factors of the learning rates of each Gaussian in the next steps;
-            None: all learn at these rates. It does not follow the rows in `replace`, and is no part
-            of the state.
+        row_rates: (N,) float32, a factor of the learning rates for each Gaussian in the next steps;
+            None: 1. It does not follow the rows in `replace`, and is no part of the state or of a
+            `part`.
         step_count: number of steps taken.
         skipped_rows: number of rows skipped so far for a NaN or Inf gradient; a tensor on a GPU,
             since reading it would wait for the GPU.
@@ -126,6 +126,7 @@ class VisibleAdam:
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
+        self._check_row_rates()
         backend = self._backend()
         if backend == "cpu":
             on, kernels = visible.contiguous(), bindings.kernels()
@@ -144,6 +145,7 @@ class VisibleAdam:
         Args: `kernel`: gets a pointer to a `bindings.Adam`, whose tensors are float32 on their
             device, and returns the number of skipped rows.
         """
+        self._check_row_rates()
         self.step_count += 1
         parameters = (bindings.AdamParameter * len(self.parameters))()
         for entry, (name, parameter) in zip(parameters, self.parameters.items(), strict=True):
@@ -160,6 +162,18 @@ class VisibleAdam:
         skipped = kernel(ctypes.byref(adam))
         self.skipped_rows += skipped
         return skipped
+
+    def _check_row_rates(self) -> None:
+        """The kernels trust it."""
+        rates, first = self.row_rates, next(iter(self.parameters.values()))
+        if rates is None:
+            return
+        fits = rates.shape == first.shape[:1] and rates.device == first.device
+        if not (fits and rates.dtype == torch.float32 and rates.is_contiguous()):
+            raise EngineError(
+                f"row_rates is {tuple(rates.shape)} {rates.dtype} on {rates.device} "
+                f"for {len(first)} Gaussians on {first.device}."
+            )
 
     @property
     def fused(self) -> bool:

@@ -47,10 +47,11 @@ def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
     summed = shapes if _count(mean, "count", config.steps) else {}
     for name, tensor in _tensors(_dict(mean, "sums"), summed).items():
         _refuse(name, ~tensor.isfinite())
+    rows = shapes["means"][:1]
+    _check_whole_rates(state.get("whole_rates"), config, rows)
     density = _dict(state, "density")
     if keeps_statistics(config):
         _count(density, "window", step)
-        rows = shapes["means"][:1]
         for name, tensor in _tensors(
             _dict(density, "stats"), dict.fromkeys(STATISTICS, rows)
         ).items():
@@ -83,6 +84,14 @@ def _check_optimizer(
     widths = {name: (math.prod(shape[1:]),) for name, shape in shapes.items()}
     for name, tensor in _tensors(_dict(optimizer, "rates"), widths).items():
         _refuse(f"learning rate of {name}", ~((tensor >= 0) & tensor.isfinite()))
+
+
+def _check_whole_rates(rates: Any, config: TrainConfig, rows: tuple[int, ...]) -> None:
+    given = {} if rates is None else {"whole_rates": rates}
+    for name, tensor in _tensors(
+        given, {"whole_rates": rows} if config.has_whole_rates else {}
+    ).items():
+        _refuse(name, ~((tensor >= 0) & tensor.isfinite()))
 
 
 def _dict(state: Mapping[str, Any], key: str) -> dict[str, Any]:

@@ -350,8 +350,9 @@ class Trainer:
 
     def _new_whole_rates(self) -> Tensor | None:
         """As of now: they stay as they are until Gaussians are added or removed."""
-        factor = 0.0 if self.config.full_every == 1 else self.config.outside_rate
-        return whole_photo_rates(self._parameters, self.data.rois, factor)
+        if not self.config.has_whole_rates:
+            return None
+        return whole_photo_rates(self._parameters, self.data.rois, self.config.outside_rate)
 
     def _new_optimizer(self) -> VisibleAdam:
         tensors = self._parameters.tensors()
@@ -390,5 +391,5 @@ class Trainer:
         inputs = self.data.density_inputs(self.config)
         self._density = density_control(inputs, len(self._parameters))
         self._density.load_state_dict(state["density"])
-        self._whole_rates = state.get("whole_rates", self._new_whole_rates())
+        self._whole_rates = state.get("whole_rates")  # None: an older checkpoint, too
         self._faint_pruned = bool(state.get("faint_pruned"))  # None: an older checkpoint

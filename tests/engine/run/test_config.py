@@ -252,7 +252,10 @@ def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
             "near the boxes, Gaussians were densified as elsewhere, now more than elsewhere",
         ),
         ("scene", "opacity_decay", "opacity decay was off, now on"),
-        ("roi", "outside_rate", "Gaussians outside the boxes learned as others, now faster"),
+        (
+            *("roi", "outside_rate"),
+            "Gaussians outside the boxes had the learning rates of the others, now their own",
+        ),
     ],
 )
 def test_manifests_from_before_a_setting_say_so(stage: str, field: str, told: str) -> None:

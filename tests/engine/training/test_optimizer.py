@@ -171,6 +171,19 @@ def test_rows_may_learn_faster(backend: str, longest: int) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "rates",
+    [torch.ones(19), torch.ones(20, 1), torch.ones(20, dtype=torch.float64), torch.ones(40)[::2]],
+)
+def test_factors_that_do_not_fit_are_refused(backend: str, rates: Tensor) -> None:
+    optimizer = make(20, backend=backend)
+    optimizer.row_rates = rates
+    with pytest.raises(EngineError, match="row_rates"):
+        optimizer.step(torch.ones(20, dtype=torch.bool))
+    assert optimizer.step_count == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_broken_gradients_are_skipped_and_counted(backend: str, value: float) -> None:
     count = 40

@@ -12,6 +12,8 @@ from torch import Tensor
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.cache import PhotoCache
+from roigs_engine.run import stage_configs
+from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.masks import RoiMasks
@@ -55,9 +57,8 @@ def test_factors_follow_the_boxes() -> None:
     places = np.array([BOX.centre, BOX.centre + 9.0, BOX.centre])
     gaussians = Gaussians.from_points(places, np.zeros((3, 3), dtype=np.uint8))
     rates = whole_photo_rates(gaussians, [BOX], 2.0)
-    assert rates is not None and rates.dtype == torch.float32
+    assert rates.dtype == torch.float32
     assert rates.tolist() == [1.0, 2.0, 1.0]
-    assert whole_photo_rates(gaussians, [BOX], 0.0) is None
 
 
 def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None:
@@ -81,6 +82,23 @@ def test_stages_on_whole_photos_have_none(scene: SfmScene) -> None:
     for _ in range(3):
         fast.train_step(), plain.train_step()
     assert torch.equal(values(fast), values(plain))
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_who_has_them(name: str) -> None:
+    """Only the box stage of a whole scene: it was measured there."""
+    config = in_strategy(preset(name), "joint")
+    assert config.roi.has_whole_rates and not config.scene.has_whole_rates
+    tuned = stage_configs.tuned_baseline(config)
+    others = [
+        tuned.fine,
+        stage_configs.baseline(config),
+        stage_configs.cutout_stage(config),
+        stage_configs.refine_stage(in_strategy(config, "independent")),
+        stage_configs.block_stage(config.roi, 0.5, 0.5),
+        stage_configs.surroundings_stage(config.roi, 0.5),
+    ]
+    assert not any(other.has_whole_rates for other in others)
 
 
 def test_a_stopped_stage_keeps_its_factors(scene: SfmScene) -> None:

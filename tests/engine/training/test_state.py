@@ -24,7 +24,15 @@ from roigs_engine.training.state import check_state
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import make_scene
 
-CONFIG = TrainConfig(steps=20, densify_from=2, densify_until=15, densify_every=5, average_steps=20)
+CONFIG = TrainConfig(
+    steps=20,
+    densify_from=2,
+    densify_until=15,
+    densify_every=5,
+    average_steps=20,
+    full_every=3,
+    outside_rate=2.0,
+)
 State = dict[str, Any]
 
 
@@ -111,6 +119,13 @@ FORGED = {
     "no statistics": put("density", "stats", value=...),
     "statistics of other rows": put("density", "stats", "views", value=lambda t: t[:-1]),
     "statistics of another type": put("density", "stats", "views", value=torch.Tensor.int),
+    "no rates": put("whole_rates", value=...),
+    "rates none": put("whole_rates", value=None),
+    "rates a number": put("whole_rates", value=2.0),
+    "rates of other rows": put("whole_rates", value=lambda t: t[:-1]),
+    "rates of another type": put("whole_rates", value=torch.Tensor.double),
+    "negative rates": put("whole_rates", value=spoilt(-1.0)),
+    "rates NaN": put("whole_rates", value=spoilt(math.nan)),
     "statistics NaN": put("density", "stats", "weight", value=spoilt(math.nan)),
 }  # fmt: skip
 
