@@ -20,7 +20,7 @@ TURNS = [np.linalg.matrix_power(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), k)
 RECORDED = {
     "draft": {
         "scene": "fecdf281",
-        "joint": "9cab34f3",
+        "joint": "5a27e5c1",
         "compare-independent/scene": "bb801c16",
         "compare-independent/object-vase": "ee8606ea",
         "compare-independent/object-tin": "e9e01d89",
@@ -37,7 +37,7 @@ RECORDED = {
         "object-vase": "1b128121",
         "object-tin": "0d914ac2",
         "compare-joint/scene": "b3c92c8c",
-        "compare-joint/joint": "bf965a0e",
+        "compare-joint/joint": "3134f352",
         "full-scene": "0f27950c",
         "tuned-coarse-scene": "b3c92c8c",
         "tuned-scene": "67ed997e",
