@@ -65,7 +65,7 @@ class TrainConfig:
             use the masks of photos that see a box (`masks.py`). 1: all steps use whole photos
             (paper).
         outside_rate: in steps on whole photos, the learning rates of Gaussians outside the boxes
-            are multiplied by this, if other steps use masks (`row_rates.py`); 0: they are not.
+            are multiplied by this, if other steps use masks (`outside.py`); 0: they are not.
         view_weighting: loss weights of masks (`RoiMasks`). 0: a pixel weighs as much as in a
             whole photo. 1: all photos weigh the same, however large the boxes are in them. Up to
             2: photos that show the boxes small weigh more.
@@ -86,7 +86,8 @@ class TrainConfig:
         backdrop_cells: a stage that starts from the sparse points gets Gaussians where photos show
             none, too (`backdrop.py`): cells along a photo's longer side; 0: it gets none.
         opacity_decay: the share of its opacity that each Gaussian loses whenever the photos have
-            gone round (`is_decayed`, `opacity_decay.py`); 0: none.
+            gone round (`is_decayed`, `opacity_decay.py`); outside the boxes, `full_every` times
+            less. 0: none.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.
@@ -179,9 +180,9 @@ class TrainConfig:
         return step < (max(self.small_until, self.whole_small_until) if whole else self.small_until)
 
     @property
-    def has_whole_rates(self) -> bool:
-        """Whether Gaussians have learning rates of their own in steps on whole photos."""
-        return self.full_every > 1 and self.outside_rate > 0
+    def tells_outside(self) -> bool:
+        """Whether Gaussians outside the boxes train in another way than those inside."""
+        return self.full_every > 1 and (self.outside_rate > 0 or self.opacity_decay > 0)
 
     @property
     def prunes_faint(self) -> bool:

@@ -48,7 +48,7 @@ def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
     for name, tensor in _tensors(_dict(mean, "sums"), summed).items():
         _refuse(name, ~tensor.isfinite())
     rows = shapes["means"][:1]
-    _check_whole_rates(state.get("whole_rates"), config, rows)
+    _check_outside(state.get("outside"), config, rows)
     density = _dict(state, "density")
     if keeps_statistics(config):
         _count(density, "window", step)
@@ -86,12 +86,14 @@ def _check_optimizer(
         _refuse(f"learning rate of {name}", ~((tensor >= 0) & tensor.isfinite()))
 
 
-def _check_whole_rates(rates: Any, config: TrainConfig, rows: tuple[int, ...]) -> None:
-    given = {} if rates is None else {"whole_rates": rates}
-    for name, tensor in _tensors(
-        given, {"whole_rates": rows} if config.has_whole_rates else {}
-    ).items():
-        _refuse(name, ~((tensor >= 0) & tensor.isfinite()))
+def _check_outside(outside: Any, config: TrainConfig, rows: tuple[int, ...]) -> None:
+    if not config.tells_outside:
+        if outside is not None:
+            raise ValueError("'outside' is unknown")
+    elif not (isinstance(outside, Tensor) and outside.dtype == torch.bool):
+        raise ValueError("'outside' is not a bool tensor")
+    elif tuple(outside.shape) != rows:
+        raise ValueError("'outside' has a wrong shape")
 
 
 def _dict(state: Mapping[str, Any], key: str) -> dict[str, Any]:

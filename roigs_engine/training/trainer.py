@@ -35,9 +35,9 @@ from .losses import photo_loss
 from .masks import RoiMask, counted_weights, split_mask
 from .opacity_decay import decay_opacities
 from .optimizer import VisibleAdam, learning_rates, leaves
+from .outside import outside_boxes, row_rates
 from .photo_order import is_whole
 from .photo_views import PhotoViews
-from .row_rates import whole_photo_rates
 from .stage_data import StageData
 from .steps_ahead import StepsAhead
 from .threads import one_torch_thread
@@ -67,7 +67,7 @@ class Trainer:
         self._parameters = leaves(gaussians.rows(morton_order(gaussians.means)))
         self._optimizer = self._new_optimizer()
         self._density = density_control(data.density_inputs(config), len(gaussians))
-        self._whole_rates = self._new_whole_rates()
+        self._outside = outside_boxes(self._parameters, data.rois, config)
         self._mean = ModelMean()
         self._faint_pruned = False
         self.health = Health([image.name for image in data.images])
@@ -146,7 +146,8 @@ class Trainer:
             self._views(step).prefetch(data.photo_at(step))
         target, counted = split_mask(self._views(self.step).photo(index))
         mask = self._mask(index)
-        self._optimizer.row_rates = self._whole_rates if mask is None else None
+        rates = row_rates(self._outside, config.outside_rate, whole=mask is None)
+        self._optimizer.row_rates = rates
         output = self._render(index, mask, counted)
         # squeeze, not [0]: its gradient is a view, that of an index is a copy into zeros
         image, weights = output.image.squeeze(0), None
@@ -211,7 +212,8 @@ class Trainer:
             self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
         self._average()
         if decays:
-            decay_opacities(self._parameters.logit_opacities, self.config.opacity_decay)
+            how = self.config.opacity_decay, self._outside, self.config.full_every
+            decay_opacities(self._parameters.logit_opacities, *how)
 
     def _taken_back(self, *, wait: bool) -> bool:
         """Whether steps must be done again; then the trainer is where the first of them begins."""
@@ -340,19 +342,13 @@ class Trainer:
             self._mean.clear()
             self._parameters = leaves(edit.gaussians)
             self._optimizer.replace(self._parameters.tensors(), edit.rows)
-            self._whole_rates = self._new_whole_rates()
+            self._outside = outside_boxes(self._parameters, self.data.rois, self.config)
             release_freed_memory()
         if edit.opacity_cap is not None:
             logit = float(np.log(edit.opacity_cap / (1 - edit.opacity_cap)))
             with torch.no_grad():
                 self._parameters.logit_opacities.clamp_(max=logit)
             self._optimizer.zero_moments("logit_opacities")
-
-    def _new_whole_rates(self) -> Tensor | None:
-        """As of now: they stay as they are until Gaussians are added or removed."""
-        if not self.config.has_whole_rates:
-            return None
-        return whole_photo_rates(self._parameters, self.data.rois, self.config.outside_rate)
 
     def _new_optimizer(self) -> VisibleAdam:
         tensors = self._parameters.tensors()
@@ -373,7 +369,7 @@ class Trainer:
             "mean": self._mean.state_dict(),
             "density": self._density.state_dict(),
             "faint_pruned": self._faint_pruned,
-            "whole_rates": self._whole_rates,
+            "outside": self._outside,
         }
         return dict(on_device(state, CPU))
 
@@ -391,5 +387,5 @@ class Trainer:
         inputs = self.data.density_inputs(self.config)
         self._density = density_control(inputs, len(self._parameters))
         self._density.load_state_dict(state["density"])
-        self._whole_rates = state.get("whole_rates")  # None: an older checkpoint, too
+        self._outside = state.get("outside")  # an older checkpoint has none
         self._faint_pruned = bool(state.get("faint_pruned"))  # None: an older checkpoint

@@ -119,13 +119,11 @@ FORGED = {
     "no statistics": put("density", "stats", value=...),
     "statistics of other rows": put("density", "stats", "views", value=lambda t: t[:-1]),
     "statistics of another type": put("density", "stats", "views", value=torch.Tensor.int),
-    "no rates": put("whole_rates", value=...),
-    "rates none": put("whole_rates", value=None),
-    "rates a number": put("whole_rates", value=2.0),
-    "rates of other rows": put("whole_rates", value=lambda t: t[:-1]),
-    "rates of another type": put("whole_rates", value=torch.Tensor.double),
-    "negative rates": put("whole_rates", value=spoilt(-1.0)),
-    "rates NaN": put("whole_rates", value=spoilt(math.nan)),
+    "outside missing": put("outside", value=...),
+    "outside none": put("outside", value=None),
+    "outside a number": put("outside", value=2.0),
+    "outside of other rows": put("outside", value=lambda t: t[:-1]),
+    "outside of another type": put("outside", value=torch.Tensor.float),
     "statistics NaN": put("density", "stats", "weight", value=spoilt(math.nan)),
 }  # fmt: skip
 

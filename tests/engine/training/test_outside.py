@@ -1,4 +1,4 @@
-"""Learning rates outside the boxes: larger in steps on whole photos, and in no others."""
+"""Outside the boxes: larger learning rates in steps on whole photos, and slower opacity decay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.row_rates import whole_photo_rates
+from roigs_engine.training.outside import outside_boxes, row_rates
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene
@@ -56,9 +56,18 @@ def inside(of: Trainer) -> Tensor:
 def test_factors_follow_the_boxes() -> None:
     places = np.array([BOX.centre, BOX.centre + 9.0, BOX.centre])
     gaussians = Gaussians.from_points(places, np.zeros((3, 3), dtype=np.uint8))
-    rates = whole_photo_rates(gaussians, [BOX], 2.0)
-    assert rates.dtype == torch.float32
+    outside = outside_boxes(gaussians, [BOX], CONFIG)
+    assert outside is not None and outside.tolist() == [False, True, False]
+    rates = row_rates(outside, 2.0, whole=True)
+    assert rates is not None and rates.dtype == torch.float32
     assert rates.tolist() == [1.0, 2.0, 1.0]
+    for none in (
+        row_rates(outside, 2.0, whole=False),
+        row_rates(outside, 0.0, whole=True),
+        row_rates(None, 2.0, whole=True),
+        outside_boxes(gaussians, [BOX], replace(CONFIG, full_every=1)),
+    ):
+        assert none is None
 
 
 def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None:
@@ -88,7 +97,7 @@ def test_stages_on_whole_photos_have_none(scene: SfmScene) -> None:
 def test_who_has_them(name: str) -> None:
     """Only the box stage of a whole scene: it was measured there."""
     config = in_strategy(preset(name), "joint")
-    assert config.roi.has_whole_rates and not config.scene.has_whole_rates
+    assert config.roi.tells_outside and not config.scene.tells_outside
     tuned = stage_configs.tuned_baseline(config)
     others = [
         tuned.fine,
@@ -98,17 +107,32 @@ def test_who_has_them(name: str) -> None:
         stage_configs.block_stage(config.roi, 0.5, 0.5),
         stage_configs.surroundings_stage(config.roi, 0.5),
     ]
-    assert not any(other.has_whole_rates for other in others)
+    assert not any(other.tells_outside for other in others)
 
 
-def test_a_stopped_stage_keeps_its_factors(scene: SfmScene) -> None:
-    """Gaussians may have crossed a box's side since the factors were set."""
+@pytest.mark.parametrize("full_every", [1, 3])
+def test_outside_opacities_decay_once_a_round_of_whole_photos(
+    scene: SfmScene, full_every: int
+) -> None:
+    config = replace(CONFIG, full_every=full_every, outside_rate=0.0, opacity_decay=0.06)
+    one = trainer(scene, config)
+    one.data = replace(one.data, images=one.data.images[:1])  # a round is DECAY_EVERY steps
+    one.step = 9
+    before, within = one.gaussians.logit_opacities.detach().sigmoid().clone(), inside(one)
+    one._end_step(0, torch.tensor(0.1))
+    lost = 1 - one.gaussians.logit_opacities.detach().sigmoid() / before
+    assert torch.allclose(lost[within], torch.tensor(0.06), atol=1e-5)
+    assert torch.allclose(lost[~within], torch.tensor(0.06 / full_every), atol=1e-5)
+
+
+def test_a_stopped_stage_keeps_who_is_outside(scene: SfmScene) -> None:
+    """Gaussians may have crossed a box's side since that was found."""
     whole, stopped = trainer(scene, CONFIG), trainer(scene, CONFIG)
     for _ in range(4):
         whole.train_step(), stopped.train_step()
-    for one in (whole, stopped):  # as if they had crossed: a new trainer would find other factors
-        assert one._whole_rates is not None
-        one._whole_rates[::2] = 5.0 - one._whole_rates[::2]
+    for one in (whole, stopped):  # as if they had crossed: a new trainer would find others
+        assert one._outside is not None
+        one._outside[::2] ^= True
     resumed = trainer(scene, CONFIG)
     resumed.load_state_dict(stopped.state_dict())
     for _ in range(5):
