@@ -86,8 +86,7 @@ class TrainConfig:
         backdrop_cells: a stage that starts from the sparse points gets Gaussians where photos show
             none, too (`backdrop.py`): cells along a photo's longer side; 0: it gets none.
         opacity_decay: the share of its opacity that each Gaussian loses whenever the photos have
-            gone round (`is_decayed`, `opacity_decay.py`); outside the boxes, `full_every` times
-            less. 0: none.
+            gone round (`is_decayed`, `opacity_decay.py`); 0: none.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.
@@ -182,7 +181,7 @@ class TrainConfig:
     @property
     def tells_outside(self) -> bool:
         """Whether Gaussians outside the boxes train in another way than those inside."""
-        return self.full_every > 1 and (self.outside_rate > 0 or self.opacity_decay > 0)
+        return self.full_every > 1 and self.outside_rate > 0
 
     @property
     def prunes_faint(self) -> bool:

@@ -1,7 +1,7 @@
 """The Gaussians outside the boxes, in a stage with masks (`masks.py`).
 
 Most of its steps look at the boxes alone. The surroundings have most of their steps on whole
-photos, which are fewer: they learn faster in these, and their opacities decay more slowly (ours).
+photos, which are fewer: they learn faster in these, to come as far (ours).
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def row_rates(outside: Tensor | None, outside_rate: float, *, whole: bool) -> Te
 
     Args:
         outside: see `outside_boxes`.
-        outside_rate: their factor in steps on whole photos; 0: 1.
+        outside_rate: their factor in steps on whole photos.
         whole: whether the step uses a whole photo.
     """
-    if outside is None or not outside_rate or not whole:
+    if outside is None or not whole:
         return None
     return torch.where(outside, outside_rate, 1.0).to(torch.float32)

@@ -212,8 +212,7 @@ class Trainer:
             self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
         self._average()
         if decays:
-            how = self.config.opacity_decay, self._outside, self.config.full_every
-            decay_opacities(self._parameters.logit_opacities, *how)
+            decay_opacities(self._parameters.logit_opacities, self.config.opacity_decay)
 
     def _taken_back(self, *, wait: bool) -> bool:
         """Whether steps must be done again; then the trainer is where the first of them begins."""

@@ -1,4 +1,4 @@
-"""Outside the boxes: larger learning rates in steps on whole photos, and slower opacity decay."""
+"""Outside the boxes, learning rates are larger in steps on whole photos, and in no others."""
 
 from __future__ import annotations
 
@@ -63,7 +63,6 @@ def test_factors_follow_the_boxes() -> None:
     assert rates.tolist() == [1.0, 2.0, 1.0]
     for none in (
         row_rates(outside, 2.0, whole=False),
-        row_rates(outside, 0.0, whole=True),
         row_rates(None, 2.0, whole=True),
         outside_boxes(gaussians, [BOX], replace(CONFIG, full_every=1)),
     ):
@@ -108,21 +107,6 @@ def test_who_has_them(name: str) -> None:
         stage_configs.surroundings_stage(config.roi, 0.5),
     ]
     assert not any(other.tells_outside for other in others)
-
-
-@pytest.mark.parametrize("full_every", [1, 3])
-def test_outside_opacities_decay_once_a_round_of_whole_photos(
-    scene: SfmScene, full_every: int
-) -> None:
-    config = replace(CONFIG, full_every=full_every, outside_rate=0.0, opacity_decay=0.06)
-    one = trainer(scene, config)
-    one.data = replace(one.data, images=one.data.images[:1])  # a round is DECAY_EVERY steps
-    one.step = 9
-    before, within = one.gaussians.logit_opacities.detach().sigmoid().clone(), inside(one)
-    one._end_step(0, torch.tensor(0.1))
-    lost = 1 - one.gaussians.logit_opacities.detach().sigmoid() / before
-    assert torch.allclose(lost[within], torch.tensor(0.06), atol=1e-5)
-    assert torch.allclose(lost[~within], torch.tensor(0.06 / full_every), atol=1e-5)
 
 
 def test_a_stopped_stage_keeps_who_is_outside(scene: SfmScene) -> None:
