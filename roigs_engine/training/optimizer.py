@@ -21,6 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..cuda.frame import address
 from ..cuda.library import has_triton, own_kernels
 from ..cuda.rooms import Room
 from ..errors import EngineError
@@ -126,13 +127,13 @@ class VisibleAdam:
                     f"visible is {tuple(visible.shape)} {visible.dtype}; "
                     f"{name} has {len(parameter)} rows."
                 )
-        self._check_row_rates()
         backend = self._backend()
         if backend == "cpu":
             on, kernels = visible.contiguous(), bindings.kernels()
             return self.step_by(
                 lambda adam: kernels.roigs_adam(len(on), adam, bindings.pointer(on))
             )
+        self._check_row_rates()
         self.step_count += 1
         step = self._cuda_step if backend == "cuda" else self._reference_step
         skipped: int | Tensor = sum(step(name, visible) for name in self.parameters)
@@ -153,12 +154,10 @@ class VisibleAdam:
             entry.values = parameter.data_ptr()
             entry.exp_avg = self.exp_avg[name].data_ptr()
             entry.exp_avg_sq = self.exp_avg_sq[name].data_ptr()
-            entry.gradient = None if parameter.grad is None else parameter.grad.data_ptr()
+            entry.gradient = address(parameter.grad)
             entry.rates, entry.width = learning_rates.data_ptr(), learning_rates.numel()
-        rates = None if self.row_rates is None else self.row_rates.data_ptr()
-        adam = bindings.Adam(
-            parameters, len(parameters), self.betas, self.eps, self.step_count, rates
-        )
+        rates, count = address(self.row_rates), len(parameters)
+        adam = bindings.Adam(parameters, count, self.betas, self.eps, self.step_count, rates)
         skipped = kernel(ctypes.byref(adam))
         self.skipped_rows += skipped
         return skipped

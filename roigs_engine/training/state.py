@@ -48,7 +48,12 @@ def check_state(state: Mapping[str, Any], config: TrainConfig) -> None:
     for name, tensor in _tensors(_dict(mean, "sums"), summed).items():
         _refuse(name, ~tensor.isfinite())
     rows = shapes["means"][:1]
-    _check_outside(state.get("outside"), config, rows)
+    outside = state.get("outside")
+    _tensors(
+        {} if outside is None else {"outside": outside},
+        {"outside": rows} if config.tells_outside else {},
+        torch.bool,
+    )
     density = _dict(state, "density")
     if keeps_statistics(config):
         _count(density, "window", step)
@@ -86,16 +91,6 @@ def _check_optimizer(
         _refuse(f"learning rate of {name}", ~((tensor >= 0) & tensor.isfinite()))
 
 
-def _check_outside(outside: Any, config: TrainConfig, rows: tuple[int, ...]) -> None:
-    if not config.tells_outside:
-        if outside is not None:
-            raise ValueError("'outside' is unknown")
-    elif not (isinstance(outside, Tensor) and outside.dtype == torch.bool):
-        raise ValueError("'outside' is not a bool tensor")
-    elif tuple(outside.shape) != rows:
-        raise ValueError("'outside' has a wrong shape")
-
-
 def _dict(state: Mapping[str, Any], key: str) -> dict[str, Any]:
     value = state.get(key)
     if not isinstance(value, dict):
@@ -120,15 +115,20 @@ def _number(state: Mapping[str, Any], key: str) -> float:
         raise ValueError(f"'{key}' is not a number") from error
 
 
-def _tensors(values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
-    """The tensors; ValueError unless they are exactly those of the shapes, float32."""
+def _tensors(
+    values: Mapping[str, Any],
+    shapes: Mapping[str, tuple[int, ...]],
+    dtype: torch.dtype = torch.float32,
+) -> dict[str, Tensor]:
+    """The tensors; ValueError unless they are exactly those of the shapes, and of the type."""
     for name in values:
         if name not in shapes:
             raise ValueError(f"'{name:.40}' is unknown")
     for name, shape in shapes.items():
         tensor = values.get(name)
-        if not isinstance(tensor, Tensor) or tensor.dtype != torch.float32:
-            raise ValueError(f"'{name}' is not a float32 tensor")
+        if not isinstance(tensor, Tensor) or tensor.dtype != dtype:
+            kind = str(dtype).removeprefix("torch.")
+            raise ValueError(f"'{name}' is not a {kind} tensor")
         if tuple(tensor.shape) != shape:
             raise ValueError(f"'{name}' has a wrong shape")
     return dict(values)
