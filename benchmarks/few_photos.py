@@ -23,6 +23,7 @@ from benchmarks.study.rows import changed, parse_variant
 from benchmarks.study.scenes import StudyScene, parse_scenes
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.console import Console
+from roigs_engine.commands.options import add_device_option, context_on_device
 from roigs_engine.commands.process import run_process
 from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.context import Context
@@ -149,14 +150,14 @@ def main(arguments: Sequence[str] | None = None, stop: StopRequest | None = None
     torch.set_num_threads(1)
     console = Console(json_lines=False, stop=stop)
     console.watch()
-    rows = []
+    context, rows = context_on_device(options, console), []
     with one_torch_thread():
         for source in parse_scenes(options.scenes):
             for seed in options.seeds:
                 for kind in options.kinds:
                     for count in options.counts:
                         case = Case(scene=source.name, kind=kind, count=count, seed=seed)
-                        record = read_json(measured(case, source, options, console.context))
+                        record = read_json(measured(case, source, options, context))
                         rows.append(line(case, Evaluation.from_dict(record)))
                         console.print(" | ".join(rows[-1]))
     console.print("\n".join(table(HEAD, rows, names=1)))
@@ -174,6 +175,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--steps", type=float, default=1.0, metavar="F")
     parser.add_argument("--max-side", type=int, default=640)
     parser.add_argument("--threads", type=int)
+    add_device_option(parser)
     parser.add_argument("--change", metavar="FIELD=VALUE,...", help="other settings of the preset")
     return parser.parse_args(arguments)
 

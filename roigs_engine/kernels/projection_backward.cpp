@@ -8,16 +8,30 @@
 namespace roigs {
 namespace {
 
-// kLanes splats of one chunk; beyond `count`, the last one is repeated.
+// The splats of a chunk that have a gradient.
+struct ChunkSplats {
+    int count = 0;
+    int32_t splat[kChunk];
+
+    ChunkSplats(const View& view, int64_t chunk) {
+        const int32_t begin = int32_t(chunk * kChunk);
+        for (int32_t i = begin; i < begin + view.chunks[chunk].visible; ++i) {
+            splat[count] = i;  // no branch: which have one cannot be guessed
+            count += view.splats[i].has_gradient;
+        }
+    }
+};
+
+// kLanes of them, from the one at `first` on; beyond `count`, the last one is repeated.
 struct SplatBatch {
     int count;
     int32_t splat[kLanes], id[kLanes];
     int32_t row[kLanes];  // in the gradients, which begin with that of Gaussian `first_id`
 
-    SplatBatch(const View& view, int32_t first, int32_t end, int32_t first_id)
+    SplatBatch(const View& view, const ChunkSplats& chunk, int first, int end, int32_t first_id)
         : count(std::min(kLanes, end - first)) {
         for (int i = 0; i < kLanes; ++i) {
-            splat[i] = first + std::min(i, count - 1);
+            splat[i] = chunk.splat[first + std::min(i, count - 1)];
             id[i] = view.splats[splat[i]].id;
             row[i] = id[i] - first_id;
         }
@@ -108,13 +122,15 @@ void batch_gradient(const View& view, const Gaussians& gaussians, const Gradient
 // Starts fetching what the batch at `first` will read, and the rows of `matrices` (widths: those
 // of the parameters) that it will write.
 template <int kMatrices>
-void prefetch_batch(const View& view, const Gaussians& gaussians, int32_t first, int32_t end,
-                    const float* const (&matrices)[kMatrices], const int (&widths)[kMatrices]) {
+void prefetch_batch(const View& view, const Gaussians& gaussians, const ChunkSplats& chunk,
+                    int first, const float* const (&matrices)[kMatrices],
+                    const int (&widths)[kMatrices]) {
     const int colours = 3 * used_coefficients(gaussians);  // other rows are shorter than a line
-    for (int32_t i = first; i < std::min(first + kLanes, end); ++i) {
-        const int64_t row = view.splats[i].id;
-        for (int t = 0; t < view.tiles_of[i].count; ++t)
-            __builtin_prefetch(&view.slot_gradients[view.slot(i) + t]);
+    for (int i = first; i < std::min(first + kLanes, chunk.count); ++i) {
+        const int32_t splat = chunk.splat[i];
+        const int64_t row = view.splats[splat].id;
+        for (int t = 0; t < view.tiles_of[splat].count; ++t)
+            __builtin_prefetch(&view.slot_gradients[view.slot(splat) + t]);
         prefetch_row<false>(gaussians.sh + row * 3 * gaussians.sh_coefficients, colours);
         for (int k = 0; k < kMatrices; ++k)
             if (matrices[k])
@@ -125,28 +141,33 @@ void prefetch_batch(const View& view, const Gaussians& gaussians, int32_t first,
 constexpr int kParameters = 5;  // means, quats, scales, opacities, sh
 constexpr int kColours = 4;     // sh; those of higher degrees than are drawn stay as they are
 
-// Takes Adam's step on the visible Gaussians of a chunk, a group at a time: the group's gradients
-// stay in the first cache until they are used.
+// Takes Adam's step on the Gaussians of a chunk that have a gradient, a group at a time: the group's
+// gradients stay in the first cache until they are used.
 class ChunkStep {
 public:
     ChunkStep(const View& view, const Gaussians& gaussians, const Adam& adam,
-              const std::vector<AdamRows>& steps, float* grad2d)
-        : view_(view), gaussians_(gaussians), adam_(adam), steps_(steps), grad2d_(grad2d) {}
+              const std::vector<AdamRows>& steps, int64_t chunk, float* grad2d)
+        : view_(view),
+          gaussians_(gaussians),
+          adam_(adam),
+          steps_(steps),
+          splats_(view, chunk),
+          grad2d_(grad2d) {}
 
     // Returns the number of rows left out, see roigs_adam.
-    int64_t take(int32_t begin, int32_t end) {
+    int64_t take() {
         int64_t broken = 0;
-        for (int32_t first = begin; first < end;) {
+        for (int first = 0; first < splats_.count;) {
             const int32_t first_id = id(first);
-            int32_t next = first;
-            while (next < end && next - first < kSplats && id(next) - first_id < kRows)
-                visible_[id(next++) - first_id] = 1;
-            group_gradient(first, next, end);
+            int next = first;
+            while (next < splats_.count && next - first < kSplats && id(next) - first_id < kRows)
+                moves_[id(next++) - first_id] = 1;
+            group_gradient(first, next);
             const int32_t rows = id(next - 1) - first_id + 1;
             float* const gradients[] = {means_, quats_, scales_, opacities_, sh_};
             for (int k = 0; k < kParameters; ++k)
-                broken += steps_[k].update(first_id, rows, gradients[k], visible_);
-            std::fill_n(visible_, rows, 0);
+                broken += steps_[k].update(first_id, rows, gradients[k], moves_);
+            std::fill_n(moves_, rows, 0);
             first = next;
         }
         return broken;
@@ -154,11 +175,11 @@ public:
 
 private:
     static constexpr int kSplats = 64;  // of a group: whole batches
-    static constexpr int kRows = 256;   // that a group may span, the visible ones and the others
+    static constexpr int kRows = 256;   // that a group may span, its own and others
 
-    int32_t id(int32_t splat) const { return view_.splats[splat].id; }
+    int32_t id(int i) const { return view_.splats[splats_.splat[i]].id; }
 
-    void group_gradient(int32_t first, int32_t next, int32_t end) {
+    void group_gradient(int first, int next) {
         const Gradients gradients{means_, quats_, scales_, opacities_, sh_};
         const float* moments[2 * kParameters];
         int widths[2 * kParameters];
@@ -167,10 +188,10 @@ private:
             moments[k + kParameters] = adam_.parameters[k].exp_avg_sq;
             widths[k] = widths[k + kParameters] = int(adam_.parameters[k].width);
         }
-        for (int32_t i = first; i < next; i += kLanes) {
-            prefetch_batch(view_, gaussians_, i + kLanes, end, moments, widths);
-            batch_gradient(view_, gaussians_, gradients, SplatBatch(view_, i, next, id(first)),
-                           grad2d_);
+        for (int i = first; i < next; i += kLanes) {
+            prefetch_batch(view_, gaussians_, splats_, i + kLanes, moments, widths);
+            batch_gradient(view_, gaussians_, gradients,
+                           SplatBatch(view_, splats_, i, next, id(first)), grad2d_);
         }
     }
 
@@ -178,9 +199,10 @@ private:
     const Gaussians& gaussians_;
     const Adam& adam_;
     const std::vector<AdamRows>& steps_;
+    const ChunkSplats splats_;
     float* grad2d_;
     // zero between groups
-    uint8_t visible_[kRows] = {};
+    uint8_t moves_[kRows] = {};
     alignas(64) float means_[3 * kRows] = {}, quats_[4 * kRows] = {}, scales_[3 * kRows] = {},
         opacities_[kRows] = {}, sh_[3 * kMaxCoefficients * kRows] = {};
 };
@@ -195,10 +217,11 @@ void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians
     const float* const matrices[] = {out.means, out.quats, out.scales, out.opacities, out.sh};
     const int widths[] = {3, 4, 3, 1, 3 * gaussians->sh_coefficients};
     parallel_for(int64_t(view->chunks.size()), [&](int64_t c) {
-        const int32_t begin = int32_t(c * kChunk), end = begin + view->chunks[c].visible;
-        for (int32_t first = begin; first < end; first += kLanes) {
-            prefetch_batch(*view, *gaussians, first + kLanes, end, matrices, widths);
-            batch_gradient(*view, *gaussians, out, SplatBatch(*view, first, end, 0), grad2d);
+        const ChunkSplats chunk(*view, c);
+        for (int first = 0; first < chunk.count; first += kLanes) {
+            prefetch_batch(*view, *gaussians, chunk, first + kLanes, matrices, widths);
+            const SplatBatch batch(*view, chunk, first, chunk.count, 0);
+            batch_gradient(*view, *gaussians, out, batch, grad2d);
         }
     });
 }
@@ -215,8 +238,7 @@ int64_t roigs_project_backward_adam(roigs::View* view, const roigs::Gaussians* g
     const int64_t tasks = int64_t(view->chunks.size());
     std::vector<int64_t> broken(tasks, 0);
     parallel_for(tasks, [&](int64_t c) {
-        const int32_t begin = int32_t(c * kChunk), end = begin + view->chunks[c].visible;
-        broken[c] = ChunkStep(*view, *gaussians, *adam, steps, grad2d).take(begin, end);
+        broken[c] = ChunkStep(*view, *gaussians, *adam, steps, c, grad2d).take();
     });
     int64_t total = 0;
     for (int64_t count : broken) total += count;

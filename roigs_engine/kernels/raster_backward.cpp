@@ -42,9 +42,8 @@ void load_tile(const TilePlace& place, const float* image, const float* gradient
 }
 
 // Takes splat `s` off block b's pixels and adds what it finds to `sum`: the code that training spends
-// most of its time in. Returns false when the block has ended: no transmittance is above `least`.
-ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats least, PixelBlock& p,
-                        Floats (&sum)[kMoments]) {
+// most of its time in.
+ROIGS_INLINE void visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)[kMoments]) {
     Floats u, v;
     Mask moves;
     const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
@@ -54,10 +53,9 @@ ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats least, PixelBlock& p,
     const Floats colour = p.red * s.red + p.green * s.green + p.blue * s.blue;
     const Floats behind = p.behind - weight * colour;
     const Floats alpha_gradient = p.transmittance * colour - behind * reciprocal(1.0f - alpha);
-    const Floats transmittance = p.transmittance - weight;
     const Floats gradient = keep(moves, alpha * alpha_gradient);
     p.behind = behind;
-    p.transmittance = transmittance;
+    p.transmittance -= weight;
 
     const Floats gu = gradient * u, gv = gradient * v;
     sum[kS] += gradient;
@@ -69,7 +67,15 @@ ROIGS_INLINE bool visit(const LocalSplat& s, int b, Floats least, PixelBlock& p,
     sum[kRed] += weight * p.red;
     sum[kGreen] += weight * p.green;
     sum[kBlue] += weight * p.blue;
-    return any(greater(transmittance, least));
+}
+
+// Pixels whose gradient is zero, those that a mask ignores, give a splat none. Other tiles may say
+// the same at the same time.
+ROIGS_INLINE void note_gradient(const SlotGradient& slot, Splat& s) {
+    bool found = false;
+    for (int k = 0; k < 16; k += kLanes) found |= any(not_zero(load(slot.sum + k)));
+    if (found && !__atomic_load_n(&s.has_gradient, __ATOMIC_RELAXED))
+        __atomic_store_n(&s.has_gradient, 1, __ATOMIC_RELAXED);
 }
 
 void tile_gradient(View& view, int64_t tile, const float* image, const float* gradient) {
@@ -83,29 +89,27 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
     }
     load_tile(place, image, gradient, blocks);
 
-    const Floats least = splat(view.camera.min_transmittance);
-    uint64_t live = kAllBlocks;
     for (int64_t k = begin; k < end; ++k) {
         const TileEntry entry = view.entries[k], ahead = view.entries[std::min(k + kAhead, end - 1)];
         __builtin_prefetch(&view.splats[ahead.splat]);
         __builtin_prefetch(&view.slot_gradients[ahead.slot], 1);
-        // every slot is written: what is not zero there is from an earlier frame
+        // every slot is written: what is there is from an earlier frame
         SlotGradient& slot = view.slot_gradients[entry.slot];
-        uint64_t todo = view.touched[k] & live;
+        uint64_t todo = view.seen_in[k];
         if (!todo) {
             slot = SlotGradient{};
             continue;
         }
-        const Splat& s = view.splats[entry.splat];
+        Splat& s = view.splats[entry.splat];
         const LocalSplat local(s, entry.slot, s.x - float(place.x), s.y - float(place.y));
         Floats sum[kMoments] = {};
         do {
             const int b = __builtin_ctzll(todo);
-            if (__builtin_expect(!visit(local, b, least, blocks[b], sum), 0))
-                live &= ~(uint64_t(1) << b);
+            visit(local, b, blocks[b], sum);
             todo &= todo - 1;
         } while (todo);
         fold_lanes(sum, slot.sum, Sum{});
+        note_gradient(slot, s);
     }
 }
 

@@ -61,9 +61,11 @@ private:
 // Blends the splats of a batch whose bits are set in `todo` into block b. With the block's state
 // in registers, this is the loop that rendering spends its time in. Returns false when the block
 // has ended: no pixel's transmittance is above `least`. What is left in `todo` was not visited then.
+// Sets the bits in `seen` of those with a weight above `least`.
 template <bool kDepth, bool kMax, bool kSum>
-ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Floats least,
-                              Gathered& gathered, TileWeights<kMax, kSum>& weights) {
+ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, uint64_t& seen, int b,
+                              Floats least, Gathered& gathered,
+                              TileWeights<kMax, kSum>& weights) {
     const Floats x = load(kLayout.x[b]), y = load(kLayout.y[b]);
     Floats transmittance = gathered.transmittance[b];
     Floats red = gathered.red[b], green = gathered.green[b], blue = gathered.blue[b];
@@ -76,6 +78,7 @@ ROIGS_INLINE bool blend_block(const Batch& batch, uint64_t& todo, int b, Floats 
             const int i = next.index[k];
             const LocalSplat& s = batch.splats[i];
             const Floats weight = next.alpha[k] * transmittance;
+            seen |= any(greater(weight, least)) ? next.bit[k] : 0;
             transmittance -= weight;
             red += weight * s.red;
             green += weight * s.green;
@@ -132,22 +135,27 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     int64_t visits = 0;
     int64_t k = view.tile_begin[tile];
     while (k < end && live) {
-        BlockSet* touched = &view.touched[k];
-        k += take_batch(view, &view.entries[k], end - k, place, live, batch,
-                        [&](int i, uint64_t these) { touched[i] = BlockSet(these); });
+        BlockSet* seen_in = &view.seen_in[k];
+        const int taken = take_batch(view, &view.entries[k], end - k, place, live, batch);
+        k += taken;
         if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
-            uint64_t splats = batch.splats_of[b];
+            uint64_t splats = batch.splats_of[b], seen = 0;
             if (!splats) continue;
             visits += __builtin_popcountll(splats);
-            if (!blend_block<kDepth>(batch, splats, b, least, gathered, weights))
+            if (!blend_block<kDepth>(batch, splats, seen, b, least, gathered, weights))
                 live &= ~(uint64_t(1) << b);
             visits -= __builtin_popcountll(splats);
+            batch.splats_of[b] = seen;
         }
+        transpose_to_splats(batch.splats_of);
+        std::fill_n(seen_in, taken, BlockSet{0});
+        for (int i = 0; i < batch.count; ++i)
+            seen_in[batch.entry_of[i]] = BlockSet(batch.splats_of[i]);
         if (kMax || kSum) weights.store_to_slots(view, batch);
     }
-    std::fill_n(&view.touched[k], end - k, BlockSet{0});
+    std::fill_n(&view.seen_in[k], end - k, BlockSet{0});
     store_tile(view, place, gathered, out);
     view.tile_visits[tile] = visits;
 }
@@ -232,7 +240,7 @@ int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
     using namespace roigs;
     const Outputs& out = *outputs;
     if (!view->tile_visits.reserve(view->tiles)) return kOutOfMemory;
-    if (!view->touched.reserve(view->intersections)) return kOutOfMemory;
+    if (!view->seen_in.reserve(view->intersections)) return kOutOfMemory;
     if (out.max_weight && !clear_slots(view->slot_max_weights, view->intersections))
         return kOutOfMemory;
     if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))

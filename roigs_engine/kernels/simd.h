@@ -61,6 +61,9 @@ ROIGS_INLINE void store(float* p, Floats x) { std::memcpy(p, &x, sizeof x); }
 
 ROIGS_INLINE Mask greater(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
 ROIGS_INLINE Mask less(Floats a, Floats b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
+ROIGS_INLINE Mask not_zero(Floats a) {  // also where it is NaN
+    return _mm512_cmp_ps_mask(a, Floats{}, _CMP_NEQ_UQ);
+}
 ROIGS_INLINE Mask both(Mask a, Mask b) { return _kand_mask16(a, b); }
 ROIGS_INLINE Mask less(Ints a, Ints b) {
     return _mm512_cmplt_epi32_mask((__m512i)a, (__m512i)b);
@@ -84,6 +87,7 @@ ROIGS_INLINE Floats reciprocal(Floats x) {
 
 ROIGS_INLINE Mask greater(Floats a, Floats b) { return a > b; }
 ROIGS_INLINE Mask less(Floats a, Floats b) { return a < b; }
+ROIGS_INLINE Mask not_zero(Floats a) { return a != Floats{}; }
 ROIGS_INLINE Mask less(Ints a, Ints b) { return a < b; }
 ROIGS_INLINE Mask both(Mask a, Mask b) { return a & b; }
 ROIGS_INLINE Mask first_lanes(int count) {

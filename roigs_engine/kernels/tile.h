@@ -154,12 +154,9 @@ ROIGS_INLINE uint64_t touched_blocks(const Splat& s, float centre_x, float centr
     return touched;
 }
 
-// Turns "blocks per splat" into "splats per block": bit i of words[b] becomes what bit b of
-// words[i] was. Transposes the bit matrix by swapping ever smaller squares; while a square is
-// wider than the matrix has columns, there is only one half to move.
-inline void transpose_bits(uint64_t (&words)[64]) {
-    for (int half = 32; half >= kBlocks; half /= 2)
-        for (int i = 0; i < half; ++i) words[i] |= words[i + half] << half;
+// Swaps bit i of words[b] with bit b of words[i], within squares of kBlocks by kBlocks bits: swaps
+// ever smaller squares.
+inline void transpose_squares(uint64_t (&words)[64]) {
     for (int half = std::min(kBlocks / 2, 32); half; half /= 2) {
         const uint64_t low = ~uint64_t(0) / ((uint64_t(1) << half) + 1);
         for (int base = 0; base < kBlocks; base += 2 * half)
@@ -171,9 +168,24 @@ inline void transpose_bits(uint64_t (&words)[64]) {
     }
 }
 
+// From "blocks per splat" to "splats per block": bit i of words[b] becomes what bit b of words[i]
+// was. Words have kBlocks bits at first, so there are squares to put side by side.
+inline void transpose_to_blocks(uint64_t (&words)[64]) {
+    for (int half = 32; half >= kBlocks; half /= 2)
+        for (int i = 0; i < half; ++i) words[i] |= words[i + half] << half;
+    transpose_squares(words);
+}
+
+// The way back; reads kBlocks words. Bits beyond the first kBlocks of a word are anything.
+inline void transpose_to_splats(uint64_t (&words)[64]) {
+    transpose_squares(words);
+    for (int i = kBlocks; i < 64; ++i) words[i] = words[i % kBlocks] >> (i - i % kBlocks);
+}
+
 struct Batch {
     LocalSplat splats[kBatch + 1];  // the last one draws nothing
     uint64_t splats_of[kBatch];     // per block, a bit for each splat that touches it
+    int16_t entry_of[kBatch];       // which of the entries taken a splat is
     int count = 0;
 
     Batch() {
@@ -182,12 +194,9 @@ struct Batch {
     }
 };
 
-// Takes up to kBatch entries and keeps those that touch a live block; calls note(i, blocks) with the
-// live blocks that entry i touches, which may be none. Returns the number of entries taken.
-template <class Note>
+// Takes up to kBatch entries and keeps those that touch a live block. Returns the number taken.
 ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t left,
-                            const TilePlace& place, uint64_t live, Batch& batch,
-                            const Note& note) {
+                            const TilePlace& place, uint64_t live, Batch& batch) {
     const int taken = int(std::min<int64_t>(left, kBatch));
     batch.count = 0;
     std::fill_n(batch.splats_of, kBatch, 0);
@@ -196,12 +205,12 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
         const Splat& s = view.splats[entries[i].splat];
         const float x = s.x - float(place.x), y = s.y - float(place.y);
         const uint64_t blocks = touched_blocks(s, x, y) & live;
-        note(i, blocks);
         if (!blocks) continue;
+        batch.entry_of[batch.count] = int16_t(i);
         batch.splats[batch.count] = LocalSplat(s, entries[i].slot, x, y);
         batch.splats_of[batch.count++] = blocks;  // blocks per splat, as yet
     }
-    transpose_bits(batch.splats_of);
+    transpose_to_blocks(batch.splats_of);
     return taken;
 }
 
@@ -225,13 +234,15 @@ ROIGS_INLINE Floats alpha_of(Floats exponent, Mask& moves) {
 // several chains among these, it works on one while another waits.
 template <int kTogether>
 struct Together {
-    int index[kTogether];  // in the batch
+    int index[kTogether];     // in the batch
+    uint64_t bit[kTogether];  // that it had in `todo`; 0: it draws nothing
     Floats alpha[kTogether];
 
     // Takes splats out of `todo`, front to back; when there are too few, some draw nothing.
     ROIGS_INLINE Together(const Batch& batch, uint64_t& todo, Floats x, Floats y) {
         for (int k = 0; k < kTogether; ++k) {
             index[k] = todo ? __builtin_ctzll(todo) : kBatch;
+            bit[k] = todo & -todo;
             todo &= todo - 1;
         }
         Floats exponent[kTogether], u, v;

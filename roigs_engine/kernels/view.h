@@ -86,7 +86,7 @@ struct alignas(64) Splat {
     float depth;
     float reach_x, reach_y;  // half size of the box that alpha >= 1/255 lies in, px
     int32_t id;              // row of the Gaussian
-    int32_t unused;
+    int32_t has_gradient;    // 0, until roigs_render_backward finds that a pixel gives it one
 };
 static_assert(sizeof(Splat) == 64, "a splat fills one cache line");
 
@@ -140,9 +140,9 @@ struct View {
     int64_t intersections = 0;  // (Gaussian, tile) pairs
     Scratch<int64_t> tile_begin;  // (tiles + 1,) where a tile's entries begin
     Scratch<TileEntry> entries;   // (intersections,), per tile, front to back
-    // (intersections,) per entry, the tile's blocks that roigs_render found it to touch and that
-    // had not ended
-    Scratch<BlockSet> touched;
+    // (intersections,) per entry, the tile's blocks in which roigs_render found a weight above
+    // Camera::min_transmittance
+    Scratch<BlockSet> seen_in;
 
     Scratch<uint32_t> depth_keys[2];  // (visible,), ping and pong of the radix sort
     Scratch<int32_t> depth_order[2];

@@ -1,8 +1,9 @@
-"""Adam (Kingma and Ba 2015) that updates only the Gaussians visible in the last photo.
+"""Adam (Kingma and Ba 2015) that updates only the Gaussians that the last photo gave a gradient.
 
-Two rules make a step's cost depend on the view and not on the scene:
+Two rules make a step's cost depend on what the photo shows and not on the scene:
 
-* Rows that are not visible keep their value and their moments: no decay.
+* Rows that are not visible, or whose gradient is zero, as others hide them, keep their value and
+  their moments: no decay.
 * There is no dense gradient. Normally each parameter's `.grad` is allocated once, as zeros; the
   rasterizer's backward pass adds to the rows of visible Gaussians in place; `VisibleAdam.step`
   applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
@@ -110,7 +111,7 @@ class VisibleAdam:
 
     @torch.no_grad()
     def step(self, visible: Tensor) -> int | Tensor:
-        """Update the visible rows of all parameters by their gradient, and zero that gradient.
+        """Update the visible rows that have a gradient in any parameter, and zero that gradient.
 
         Args:
             visible: (N,) bool. The gradient of all other rows must be zero; it is not touched.
@@ -128,17 +129,27 @@ class VisibleAdam:
                     f"{name} has {len(parameter)} rows."
                 )
         backend = self._backend()
+        on = visible & self._with_gradient(visible)
         if backend == "cpu":
-            on, kernels = visible.contiguous(), bindings.kernels()
+            kernels = bindings.kernels()
             return self.step_by(
                 lambda adam: kernels.roigs_adam(len(on), adam, bindings.pointer(on))
             )
         self._check_row_rates()
         self.step_count += 1
         step = self._cuda_step if backend == "cuda" else self._reference_step
-        skipped: int | Tensor = sum(step(name, visible) for name in self.parameters)
+        skipped: int | Tensor = sum(step(name, on) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
+
+    def _with_gradient(self, rows: Tensor) -> Tensor:
+        """As `rows`, (N,) bool: where a parameter has a gradient that is not zero; NaN is not."""
+        found = torch.zeros_like(rows)
+        for parameter in self.parameters.values():
+            if parameter.grad is not None:
+                width = parameter.shape[1:].numel()
+                found |= parameter.grad.reshape(len(rows), width).ne(0).any(dim=1)
+        return found
 
     def step_by(self, kernel: Callable[[Any], int | Tensor]) -> int | Tensor:
         """Take a step with a kernel; returns the number of skipped rows, as `step`.

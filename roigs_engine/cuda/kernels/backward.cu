@@ -35,11 +35,15 @@ __device__ void colour_gradient(const Frame& f, const Camera& camera, int64_t n,
         row.mean[k] += (d[k] - along * direction[k]) * inverse_distance;
 }
 
-__device__ void row_gradient(const Frame& f, int64_t n, RowGradient& row) {
+// False: no pixel gives it a gradient.
+__device__ bool row_gradient(const Frame& f, int64_t n, RowGradient& row) {
     float moments[16] = {};
     const int64_t first = f.first_slot[n];
     for (int i = 0; i < f.pair_counts[n]; ++i)
         for (int k = 0; k < kMoments; ++k) moments[k] += f.moments[(first + i) * kMoments + k];
+    bool has_gradient = false;
+    for (int k = 0; k < kMoments; ++k) has_gradient |= moments[k] != 0.0f;  // NaN is not zero
+    if (!has_gradient) return false;
     const int32_t id = int32_t(n);
     const Camera camera = f.camera();
     Geometry g;
@@ -56,6 +60,7 @@ __device__ void row_gradient(const Frame& f, int64_t n, RowGradient& row) {
         for (int k = 0; k < 3; ++k) row.scale[k] *= g.scale[k];
     const float x = 0.5f * camera.width * d.x, y = 0.5f * camera.height * d.y;
     f.grad2d[n] = sqrt(x * x + y * y);
+    return true;
 }
 
 template <int kWidth>
@@ -189,7 +194,7 @@ extern "C" __global__ void __launch_bounds__(128) project_backward(const Frame f
     const int64_t n = thread_index();
     if (n >= f.gaussians.count || !f.pair_counts[n]) return;
     RowGradient row;
-    row_gradient(f, n, row);
+    if (!row_gradient(f, n, row)) return;
     add_row(f.gradients.means, n, row.mean);
     add_row(f.gradients.quats, n, row.quat);
     add_row(f.gradients.scales, n, row.scale);
@@ -207,10 +212,10 @@ extern "C" __global__ void __launch_bounds__(kWarps * kWarp) project_backward_ad
     const Frame& f = s.frame;
     const int64_t n = thread_index();
     const int warp = int(threadIdx.x) / kWarp, lane = int(threadIdx.x) % kWarp;
-    bool takes_wide = n < f.gaussians.count && f.pair_counts[n];
+    RowGradient row;
+    bool takes_wide =
+        n < f.gaussians.count && f.pair_counts[n] && row_gradient(f, n, row);
     if (takes_wide) {
-        RowGradient row;
-        row_gradient(f, n, row);
         update_narrow_rows(s, n, row);
         takes_wide = rows[warp].set(lane, row, f.gaussians.sh_coefficients);
         if (!takes_wide) atomicAdd(s.skipped, 1);

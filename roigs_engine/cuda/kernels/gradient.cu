@@ -39,6 +39,7 @@ extern "C" __global__ void __launch_bounds__(kGroup) gradient(const Frame f) {
         const float weight = at.alpha * left;
         const float colour = pixel.x * s.red + pixel.y * s.green + pixel.z * s.blue;
         state -= weight * colour;
+        if (!(weight > f.shape.min_transmittance)) return;
         const float alpha_gradient = left * colour - __fdividef(state, 1.0f - at.alpha);
         const float g = at.is_capped ? 0.0f : at.alpha * alpha_gradient;
         const float gu = g * at.u, gv = g * at.v;

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.rasterize import RenderOutput, cuda, rasterize
-from roigs_engine.rasterize.limits import TRAINING_LIMITS, Limits
+from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS, Limits
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize.test_gsplat import ring
+from tests.engine.rasterize.test_light_left import with_gradient
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
@@ -68,6 +69,13 @@ CASES: dict[str, dict[str, Any]] = {
 def test_cases(name: str) -> None:
     options = CASES[name]
     agree(*both(gaussians(150, raw=options.get("raw", False)), (61, 43), **options))
+
+
+@pytest.mark.parametrize(
+    ("limits", "reached"), [(NO_LIMITS, [1, 1, 1, 1]), (TRAINING_LIMITS, [1, 1, 0, 1])]
+)
+def test_what_adds_hardly_anything_gets_no_gradient(limits: Limits, reached: list[int]) -> None:
+    assert with_gradient([0.95, 0.95, 0.2, 0.9], limits, "cuda") == reached
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9])

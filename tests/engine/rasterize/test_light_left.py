@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -9,18 +11,29 @@ from torch import Tensor
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS, Limits
-from tests.engine.rasterize_cases import cameras, gaussians
+from tests.engine.rasterize_cases import cameras, gaussians, relative_error
 
 SIZE = (80, 48)
 
 
-def layers(opacity: float) -> tuple[list[Tensor], Tensor, Tensor]:
+def layers(opacities: list[float]) -> tuple[list[Tensor], Tensor, Tensor]:
     """Four walls that fill the picture, one behind the other; a camera."""
     means = torch.tensor([[0.0, 0.0, z] for z in (4.0, 5.0, 6.0, 7.0)])
     quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(4, 1)
     scales = torch.tensor([[50.0, 50.0, 0.01]]).repeat(4, 1)
-    parameters = [means, quats, scales, torch.full((4,), opacity), torch.ones(4, 1, 3)]
+    parameters = [means, quats, scales, torch.tensor(opacities), torch.ones(4, 1, 3)]
     return parameters, torch.eye(4)[None], cameras(*SIZE)[1][:1]
+
+
+def with_gradient(opacities: list[float], limits: Limits, backend: str) -> list[int]:
+    """1 for each of the four walls that gets a gradient, else 0."""
+    parameters, view, intrinsics = layers(opacities)
+    leaves = [p.requires_grad_() for p in parameters]
+    options: dict[str, Any] = {"limits": limits, "backend": backend}
+    rasterize(*leaves, view, intrinsics, *SIZE, **options).image.sum().backward()
+    gradient = leaves[4].grad
+    assert gradient is not None
+    return (gradient.abs().sum(dim=(1, 2)) > 0).int().tolist()
 
 
 @pytest.mark.parametrize(
@@ -29,13 +42,34 @@ def layers(opacity: float) -> tuple[list[Tensor], Tensor, Tensor]:
 def test_what_hardly_any_light_reaches_is_not_drawn(
     isa: str, limits: Limits, drawn: list[int]
 ) -> None:
-    parameters, view, intrinsics = layers(opacity=0.98)  # 0.02, then 4e-4, are left behind them
-    leaves = [p.requires_grad_() for p in parameters]
-    rasterize(*leaves, view, intrinsics, *SIZE, limits=limits).image.sum().backward()
-    gradient = leaves[4].grad
-    assert gradient is not None
-    seen = (gradient.abs().sum(dim=(1, 2)) > 0).int().tolist()
-    assert seen == drawn
+    opacities = [0.98] * 4  # 0.02, then 4e-4 of the light are left behind them
+    assert with_gradient(opacities, limits, "cpu") == drawn
+
+
+@pytest.mark.parametrize(
+    ("limits", "reached"), [(NO_LIMITS, [1, 1, 1, 1]), (TRAINING_LIMITS, [1, 1, 0, 1])]
+)
+def test_what_adds_hardly_anything_gets_no_gradient(
+    isa: str, limits: Limits, reached: list[int]
+) -> None:
+    opacities = [0.95, 0.95, 0.2, 0.9]  # weights of 0.95, 0.05, 5e-4 and 2e-3
+    assert with_gradient(opacities, limits, "cpu") == reached
+
+
+def test_gradients_differ_by_as_little(isa: str) -> None:
+    scene = (*gaussians(4000, coefficients=4, size=0.2), *cameras(*SIZE), *SIZE)
+
+    def gradient(least: float) -> Tensor:
+        leaves = [p.clone().requires_grad_() for p in scene[:5]]
+        limits = Limits(min_transmittance=least)
+        image = rasterize(*leaves, *scene[5:], limits=limits).image
+        (image - 0.5).square().sum().backward()
+        assert leaves[4].grad is not None
+        return leaves[4].grad
+
+    exact = gradient(0.0)
+    for least in (1e-4, 1e-3):
+        assert 0 < relative_error(gradient(least), exact) < 10 * least
 
 
 def test_pictures_differ_by_as_much_at_most(isa: str) -> None:

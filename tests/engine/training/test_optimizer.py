@@ -220,15 +220,34 @@ def test_same_bits_at_any_thread_count(threads: int) -> None:
     assert_equal(*states)
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_visible_rows_without_a_gradient_stay_as_they_are(backend: str) -> None:
+    optimizer = make(40, backend=backend)
+    visible = torch.ones(40, dtype=torch.bool)
+    give(optimizer, gradients(40, seed=0), visible)
+    optimizer.step(visible)  # moments that would move the rows
+    before = everything(optimizer)
+    reached = torch.arange(40) % 3 == 0
+    gradient = optimizer.parameters["quats"].grad
+    assert gradient is not None
+    gradient[reached] = 1.0
+    optimizer.step(visible)
+    for name, tensor in everything(optimizer).items():
+        assert torch.equal(tensor[~reached], before[name][~reached]), name
+        if name.startswith("value"):
+            assert (tensor[reached] != before[name][reached]).any(), name
+
+
 def test_moments_do_not_become_subnormal() -> None:
     parameter = torch.zeros(32, 3)
     optimizer = VisibleAdam({"means": (parameter, 1e-3)})
     assert parameter.grad is not None
-    parameter.grad.fill_(1e-8)
     visible = torch.ones(32, dtype=torch.bool)
+    parameter.grad.fill_(1e-8)
     for _ in range(800):
         optimizer.step(visible)
-    assert not optimizer.exp_avg["means"].any()
+        parameter.grad[:, 0] = 1e-8  # rows without a gradient would keep their moments
+    assert not optimizer.exp_avg["means"][:, 1:].any()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
