@@ -1,5 +1,5 @@
 // Gradient of the projection: from the moments that the raster pass left in the slots to the
-// Gaussians' parameters. Batches of visible Gaussians, one per lane.
+// Gaussians' parameters. Batches of Gaussians that have one, one per lane.
 #include "adam.h"
 #include "geometry_gradient.h"
 #include "sh.h"

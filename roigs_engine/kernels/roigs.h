@@ -50,18 +50,19 @@ ROIGS_API void roigs_median_depth(roigs::View* view, const float* alpha, float* 
 // all block visits. For measurements.
 ROIGS_API int64_t roigs_pair_evaluations(const roigs::View* view);
 
-// Gradient of the blending. `image` is what roigs_render wrote, `image_gradient` dL / d(image).
+// Gradient of the blending, as far as Camera::min_transmittance asks for it. `image` is what
+// roigs_render wrote, `image_gradient` dL / d(image).
 ROIGS_API int64_t roigs_render_backward(roigs::View* view, const float* image,
                                         const float* image_gradient);
 
-// Gradient of the projection: adds dL / d(parameter) to the rows of the visible Gaussians, and
-// writes their |dL / d(mean2d)| in units of half the image size to `grad2d` (N,).
+// Gradient of the projection: adds dL / d(parameter) to the rows of the Gaussians that have one, and
+// writes their |dL / d(mean2d)| in units of half the image size to `grad2d` (N,), zeros before.
 ROIGS_API void roigs_project_backward(roigs::View* view, const roigs::Gaussians* gaussians,
                                       const roigs::Gradients* gradients, float* grad2d);
 
-// The same, and with each gradient at once the step of Adam on the visible rows: gradients are used
-// while they are in the cache, and fill no memory. `adam` has the members of `gaussians`, in that
-// order. The result has the bits of roigs_project_backward on zeros, then roigs_adam.
+// The same, and with each gradient at once the step of Adam on these rows: gradients are used while
+// they are in the cache, and fill no memory. `adam` has the members of `gaussians`, in that
+// order. The result has the bits of roigs_project_backward on zeros, then roigs_adam on its rows.
 ROIGS_API int64_t roigs_project_backward_adam(roigs::View* view, const roigs::Gaussians* gaussians,
                                               const roigs::Adam* adam, float* grad2d);
 

@@ -189,7 +189,7 @@ __device__ void update_wide_rows(const Step& s, const WideRows& rows, int64_t fi
 
 using namespace roigs;
 
-// Adds to the rows of the visible Gaussians.
+// Adds to the rows of the Gaussians that have a gradient.
 extern "C" __global__ void __launch_bounds__(128) project_backward(const Frame f) {
     const int64_t n = thread_index();
     if (n >= f.gaussians.count || !f.pair_counts[n]) return;
