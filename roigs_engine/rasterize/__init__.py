@@ -84,8 +84,8 @@ def rasterize(
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
-    With `backward_step` (one camera, not gsplat), `backward`, called once, takes the optimizer's step
-    on those that pixels give a gradient, and leaves no gradients.
+    With `backward_step` (one camera, not gsplat), `backward`, called once, takes the optimizer's
+    step on those that pixels give a gradient, and leaves no gradients.
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
     """
