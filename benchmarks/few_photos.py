@@ -176,6 +176,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--max-side", type=int, default=640)
     parser.add_argument("--threads", type=int)
     add_device_option(parser)
+    parser.set_defaults(device="cpu")
     parser.add_argument("--change", metavar="FIELD=VALUE,...", help="other settings of the preset")
     return parser.parse_args(arguments)
 

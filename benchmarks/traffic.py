@@ -14,7 +14,7 @@ HARMONICS = 4 * 48
 SPLAT = SLOT = 64  # view.h: Splat, SlotGradient
 SPAN = ENTRY = KEY = 8  # view.h: TileSpan, TileEntry; a depth and a row number
 INDEX = 4
-TOUCHED = {"avx512": 2, "avx2": 4, "generic": 8, "neon": 8}  # view.h: BlockSet
+SEEN_IN = {"avx512": 2, "avx2": 4, "generic": 8, "neon": 8}  # view.h: BlockSet
 PASSES = 3  # of the radix sort
 
 
@@ -27,18 +27,20 @@ class View:
         visible: of them, in the picture.
         intersections: of visible Gaussians and tiles.
         pixels: of the picture.
+        updated: the share of the visible that pixels give a gradient.
     """
 
     gaussians: float
     visible: float
     intersections: float
     pixels: float
+    updated: float = 1.0
 
 
 def stage_bytes(view: View, isa: str = "avx512") -> dict[str, tuple[float, float]]:
     """Stage -> bytes read and bytes written."""
     n, v, i, px = view.gaussians, view.visible, view.intersections, view.pixels
-    touched = TOUCHED[isa]
+    seen_in = SEEN_IN[isa]
     deal = 2 * (v * (INDEX + SPAN) + i * INDEX)  # counts, then lists
     return {
         "project": (n * SHAPE + v * HARMONICS, v * (SPLAT + SPAN + 1) + i * INDEX),
@@ -46,8 +48,11 @@ def stage_bytes(view: View, isa: str = "avx512") -> dict[str, tuple[float, float
             v * SPLAT + PASSES * v * (INDEX + KEY) + deal,  # a pass counts, then moves
             (1 + PASSES) * v * KEY + i * ENTRY,
         ),
-        "raster": (i * (ENTRY + SPLAT), i * touched + 16 * px),
+        "raster": (i * (ENTRY + SPLAT), i * seen_in + 16 * px),
         "loss": (px * (12 + 3), 12 * px),
-        "raster backward": (i * (ENTRY + touched + SPLAT) + 24 * px, i * SLOT),
-        "update": (v * (SPLAT + SPAN + 3 * PARAMETERS) + i * SLOT, v * (3 * PARAMETERS + 4)),
+        "raster backward": (i * (ENTRY + seen_in + SPLAT) + 24 * px, i * SLOT),
+        "update": (
+            v * SPLAT + view.updated * (v * (SPAN + 3 * PARAMETERS) + i * SLOT),
+            view.updated * v * (3 * PARAMETERS + 4),
+        ),
     }

@@ -1,4 +1,4 @@
-// Adam (Kingma and Ba 2015) on the rows of a parameter that the last image has seen.
+// Adam (Kingma and Ba 2015) on the rows of a parameter that the last image gave a gradient.
 //
 // A photo sees a part of the Gaussians only; the gradient of all others is zero. Leaving them as
 // they are (no decay of their moments) is what makes a step's cost follow the view and not the

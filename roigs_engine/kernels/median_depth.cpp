@@ -49,7 +49,8 @@ void find_medians(const View& view, int64_t tile, const float* alpha, float* dep
     const int64_t end = view.tile_begin[tile + 1];
     Batch batch;
     for (int64_t k = view.tile_begin[tile]; k < end && live;) {
-        k += take_batch(view, &view.entries[k], end - k, place, live, batch);
+        k += take_batch(view, &view.entries[k], end - k, place, live, batch,
+                        [](int, uint64_t) {});
         for (uint64_t todo = live; todo; todo &= todo - 1) {
             const int b = __builtin_ctzll(todo);
             if (batch.splats_of[b] && !pass_block(batch, batch.splats_of[b], b, medians))

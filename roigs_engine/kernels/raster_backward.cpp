@@ -69,6 +69,16 @@ ROIGS_INLINE void visit(const LocalSplat& s, int b, PixelBlock& p, Floats (&sum)
     sum[kBlue] += weight * p.blue;
 }
 
+// The same for a splat with hardly any weight: what is behind it gets its gradient, and it gets none.
+ROIGS_INLINE void pass(const LocalSplat& s, int b, PixelBlock& p) {
+    Floats u, v;
+    Mask moves;
+    const Floats exponent = exponent_at(s, load(kLayout.x[b]), load(kLayout.y[b]), u, v);
+    const Floats weight = alpha_of(exponent, moves) * p.transmittance;
+    p.behind -= weight * (p.red * s.red + p.green * s.green + p.blue * s.blue);
+    p.transmittance -= weight;
+}
+
 // Pixels whose gradient is zero, those that a mask ignores, give a splat none. Other tiles may say
 // the same at the same time.
 ROIGS_INLINE void note_gradient(const SlotGradient& slot, Splat& s) {
@@ -95,19 +105,22 @@ void tile_gradient(View& view, int64_t tile, const float* image, const float* gr
         __builtin_prefetch(&view.slot_gradients[ahead.slot], 1);
         // every slot is written: what is there is from an earlier frame
         SlotGradient& slot = view.slot_gradients[entry.slot];
-        uint64_t todo = view.seen_in[k];
-        if (!todo) {
-            slot = SlotGradient{};
-            continue;
-        }
+        uint64_t seen = view.seen_in[k], passed = view.passed_in[k];
+        if (!seen) slot = SlotGradient{};
+        if (!(seen | passed)) continue;
         Splat& s = view.splats[entry.splat];
         const LocalSplat local(s, entry.slot, s.x - float(place.x), s.y - float(place.y));
+        for (; passed; passed &= passed - 1) {
+            const int b = __builtin_ctzll(passed);
+            pass(local, b, blocks[b]);
+        }
+        if (!seen) continue;
         Floats sum[kMoments] = {};
         do {
-            const int b = __builtin_ctzll(todo);
+            const int b = __builtin_ctzll(seen);
             visit(local, b, blocks[b], sum);
-            todo &= todo - 1;
-        } while (todo);
+            seen &= seen - 1;
+        } while (seen);
         fold_lanes(sum, slot.sum, Sum{});
         note_gradient(slot, s);
     }

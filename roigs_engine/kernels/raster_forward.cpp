@@ -115,6 +115,18 @@ void store_tile(const View& view, const TilePlace& place, const Gathered& g, con
     }
 }
 
+// Leaves out of passed_in the blocks in which a splat is seen, and those in which none is behind it:
+// what is passed there changes no gradient. Entries from `taken` on were not looked at.
+void note_passed(const View& view, int64_t begin, int64_t taken, int64_t end) {
+    uint64_t later = 0;
+    for (int64_t k = taken - 1; k >= begin; --k) {
+        view.passed_in[k] &= BlockSet(later & ~view.seen_in[k]);
+        later |= view.seen_in[k];
+    }
+    std::fill_n(&view.seen_in[taken], end - taken, BlockSet{0});
+    std::fill_n(&view.passed_in[taken], end - taken, BlockSet{0});
+}
+
 template <bool kDepth, bool kMax, bool kSum>
 void render_tile(const View& view, int64_t tile, const Outputs& out) {
     const TilePlace place(view, tile);
@@ -135,8 +147,9 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
     int64_t visits = 0;
     int64_t k = view.tile_begin[tile];
     while (k < end && live) {
-        BlockSet* seen_in = &view.seen_in[k];
-        const int taken = take_batch(view, &view.entries[k], end - k, place, live, batch);
+        BlockSet *seen_in = &view.seen_in[k], *passed_in = &view.passed_in[k];
+        const int taken = take_batch(view, &view.entries[k], end - k, place, live, batch,
+                                     [&](int i, uint64_t blocks) { passed_in[i] = BlockSet(blocks); });
         k += taken;
         if (kMax || kSum) weights.begin(view, batch);
         for (uint64_t todo = live; todo; todo &= todo - 1) {
@@ -155,7 +168,7 @@ void render_tile(const View& view, int64_t tile, const Outputs& out) {
             seen_in[batch.entry_of[i]] = BlockSet(batch.splats_of[i]);
         if (kMax || kSum) weights.store_to_slots(view, batch);
     }
-    std::fill_n(&view.seen_in[k], end - k, BlockSet{0});
+    note_passed(view, view.tile_begin[tile], k, end);
     store_tile(view, place, gathered, out);
     view.tile_visits[tile] = visits;
 }
@@ -240,7 +253,9 @@ int64_t roigs_render(roigs::View* view, const roigs::Outputs* outputs) {
     using namespace roigs;
     const Outputs& out = *outputs;
     if (!view->tile_visits.reserve(view->tiles)) return kOutOfMemory;
-    if (!view->seen_in.reserve(view->intersections)) return kOutOfMemory;
+    if (!view->seen_in.reserve(view->intersections) ||
+        !view->passed_in.reserve(view->intersections))
+        return kOutOfMemory;
     if (out.max_weight && !clear_slots(view->slot_max_weights, view->intersections))
         return kOutOfMemory;
     if (out.weight_sum && !clear_slots(view->slot_weight_sums, view->intersections))

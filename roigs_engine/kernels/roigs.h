@@ -50,7 +50,7 @@ ROIGS_API void roigs_median_depth(roigs::View* view, const float* alpha, float* 
 // all block visits. For measurements.
 ROIGS_API int64_t roigs_pair_evaluations(const roigs::View* view);
 
-// Gradient of the blending, as far as Camera::min_transmittance asks for it. `image` is what
+// Gradient of the blending; Camera::min_transmittance says for which splats. `image` is what
 // roigs_render wrote, `image_gradient` dL / d(image).
 ROIGS_API int64_t roigs_render_backward(roigs::View* view, const float* image,
                                         const float* image_gradient);

@@ -194,9 +194,12 @@ struct Batch {
     }
 };
 
-// Takes up to kBatch entries and keeps those that touch a live block. Returns the number taken.
+// Takes up to kBatch entries and keeps those that touch a live block; calls note(i, blocks) with the
+// live blocks that entry i touches, which may be none. Returns the number of entries taken.
+template <class Note>
 ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t left,
-                            const TilePlace& place, uint64_t live, Batch& batch) {
+                            const TilePlace& place, uint64_t live, Batch& batch,
+                            const Note& note) {
     const int taken = int(std::min<int64_t>(left, kBatch));
     batch.count = 0;
     std::fill_n(batch.splats_of, kBatch, 0);
@@ -205,6 +208,7 @@ ROIGS_INLINE int take_batch(const View& view, const TileEntry* entries, int64_t 
         const Splat& s = view.splats[entries[i].splat];
         const float x = s.x - float(place.x), y = s.y - float(place.y);
         const uint64_t blocks = touched_blocks(s, x, y) & live;
+        note(i, blocks);
         if (!blocks) continue;
         batch.entry_of[batch.count] = int16_t(i);
         batch.splats[batch.count] = LocalSplat(s, entries[i].slot, x, y);

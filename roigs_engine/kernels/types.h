@@ -52,8 +52,8 @@ struct Camera {
     float stored_blur;  // .. with which a Gaussian has its stored opacity
     float left, top, right, bottom;  // px: Gaussians with a centre not inside are left out
     float min_sigmas;  // .. and those not farther than so many standard deviations along z
-    float min_transmittance;  // blending ends where less is left in all pixels of a block, and
-                              // a block in which no weight is larger has no part in a gradient
+    float min_transmittance;  // blending ends where less is left in all pixels of a block, and a
+                              // splat gets no gradient from a block in which no weight is larger
     int32_t width, height;
     int32_t tile_x0, tile_y0, tile_x1, tile_y1;  // tiles to work on, end exclusive
     int32_t window_x0, window_y0, window_x1, window_y1;  // px: whole tiles around these, see Outputs

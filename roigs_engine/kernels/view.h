@@ -141,8 +141,8 @@ struct View {
     Scratch<int64_t> tile_begin;  // (tiles + 1,) where a tile's entries begin
     Scratch<TileEntry> entries;   // (intersections,), per tile, front to back
     // (intersections,) per entry, the tile's blocks in which roigs_render found a weight above
-    // Camera::min_transmittance
-    Scratch<BlockSet> seen_in;
+    // Camera::min_transmittance, and others that it may draw in, before a splat that is seen there
+    Scratch<BlockSet> seen_in, passed_in;
 
     Scratch<uint32_t> depth_keys[2];  // (visible,), ping and pong of the radix sort
     Scratch<int32_t> depth_order[2];

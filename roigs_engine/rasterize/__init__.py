@@ -23,9 +23,9 @@ touches are active, forward and backward; other pixels get the background. `Acti
 and may have a window: images then hold that part of the picture alone.
 
 Gradients: if an input is a leaf with an allocated `.grad`, the cpu and cuda backends add to that
-buffer and touch only the rows of visible Gaussians. So the cost of a training step does not depend
-on the invisible Gaussians. Otherwise inputs get dense gradients, as in any torch function. Cameras
-and background get none.
+buffer and touch only the rows of Gaussians that pixels give a gradient. So the cost of a training
+step does not depend on the others. Otherwise inputs get dense gradients, as in any torch function.
+Cameras and background get none.
 """
 
 from __future__ import annotations

@@ -24,7 +24,8 @@ class Limits:
             be drawn, which changes a colour by as much at most. The cpu backend draws it as long as
             a pixel of the same block lets more through; reference draws it, gsplat has 1e-4.
             Nor does a Gaussian get a gradient from pixels (cpu: from blocks of pixels) in which its
-            weight alpha x T is not larger; from reference and gsplat, it does.
+            weight alpha x T is not larger; from reference and gsplat, it does. What others get
+            there does not change.
 
     Raises:
         EngineError: one is negative or NaN.
@@ -49,8 +50,7 @@ NO_LIMITS = Limits()
 
 TRAINING_LIMITS = Limits(min_transmittance=1e-3)
 """Of training. It culls none: what it does not draw costs no loss, and other viewers draw it. A
-thousandth of the light is a quarter of what 8 bits can tell apart, and most that is drawn at all
-adds less than four times as much (docs/lab_notebook.md)."""
+thousandth of the light is a quarter of what 8 bits can tell apart (docs/lab_notebook.md)."""
 
 PICTURE_LIMITS = Limits(max_slope=MAX_SLOPE, min_sigmas=MIN_SIGMAS)
 """Of every picture that is shown or measured."""

@@ -7,7 +7,8 @@ Two rules make a step's cost depend on what the photo shows and not on the scene
 * There is no dense gradient. Normally each parameter's `.grad` is allocated once, as zeros; the
   rasterizer's backward pass adds to the rows of visible Gaussians in place; `VisibleAdam.step`
   applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
-  (`VisibleAdam.backward_step`). It leaves SH of higher degrees than are drawn as they are.
+  (`VisibleAdam.backward_step`), on all rows to which a pixel hands a gradient, though that of each
+  parameter may be zero. It leaves SH of higher degrees than are drawn as they are.
 
 With gsplat a gradient is dense in any case: the step applies it and then drops it.
 """

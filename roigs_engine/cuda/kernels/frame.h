@@ -73,7 +73,7 @@ struct Frame {
     }
 };
 
-// A step of Adam on all parameters, kernels/adam.h.
+// A step of Adam on the rows that have a gradient, kernels/adam.h.
 struct Step {
     Frame frame;
     AdamParameter parameters[kParameters];  // in the order of Gaussians

@@ -13,7 +13,7 @@ from roigs_engine.rasterize import RenderOutput, cuda, rasterize
 from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS, Limits
 from tests.engine.cuda.shim import ShimProgram
 from tests.engine.rasterize.test_gsplat import ring
-from tests.engine.rasterize.test_light_left import with_gradient
+from tests.engine.rasterize.test_light_left import behind_a_haze, with_gradient
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,
@@ -76,6 +76,11 @@ def test_cases(name: str) -> None:
 )
 def test_what_adds_hardly_anything_gets_no_gradient(limits: Limits, reached: list[int]) -> None:
     assert with_gradient([0.95, 0.95, 0.2, 0.9], limits, "cuda") == reached
+
+
+def test_what_gets_no_gradient_still_hides_what_is_behind() -> None:
+    ours, truth = behind_a_haze("cuda")
+    assert ours == pytest.approx(truth, rel=1e-3)
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9])

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import RenderOutput, rasterize
+from roigs_engine.rasterize.limits import TRAINING_LIMITS
 from roigs_engine.training.optimizer import FusedStep, VisibleAdam
 from tests.engine.rasterize_cases import NAMES, cameras, gaussians
 
@@ -58,6 +59,40 @@ def test_no_gradient_is_kept_and_rows_out_of_view_stay() -> None:
         before = start.parameters[name]
         assert torch.equal(parameter[~seen], before[~seen]), name
         assert not torch.equal(parameter[seen], before[seen]), name
+
+
+def steps_of_walls(backend: str) -> list[dict[str, Tensor]]:
+    """The state of the last of three walls after a step, and after one in which others hide it."""
+    parameters = {
+        "means": torch.tensor([[0.0, 0.0, 4.0], [0.0, 0.0, 5.0], [0.0, 0.0, 6.0]]),
+        "quats": torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3, 1),
+        "log_scales": torch.tensor([[4.0, 4.0, -4.0]]).repeat(3, 1),
+        "logit_opacities": torch.tensor([3.0, 3.0, 3.0]),
+        "sh": torch.full((3, 1, 3), 0.3),
+    }
+    optimizer = VisibleAdam({name: (p, 0.01) for name, p in parameters.items()}, fused=True)
+    states = []
+    for _ in range(2):
+        output = render(optimizer, limits=TRAINING_LIMITS, backend=backend)
+        assert bool(output.visible.all())
+        output.image.mean().backward()
+        states.append(
+            {
+                f"{kind} {name}": tensors[name][2].detach().clone()
+                for kind in ("parameters", "exp_avg", "exp_avg_sq")
+                for name, tensors in ((n, getattr(optimizer, kind)) for n in parameters)
+            }
+        )
+        with torch.no_grad():
+            optimizer.parameters["logit_opacities"][:2] = 5.0  # 5e-5 of the light passes both
+    return states
+
+
+def test_what_others_hide_keeps_values_and_moments(isa: str) -> None:
+    first, second = steps_of_walls("cpu")
+    assert first["exp_avg sh"].any()
+    for name, tensor in first.items():
+        assert torch.equal(tensor, second[name]), name
 
 
 def test_broken_rows_are_skipped_as_by_a_step() -> None:

@@ -1,4 +1,4 @@
-"""Adam on visible rows: the dense Adam when all are visible, and nothing done where none is."""
+"""Adam on visible rows with a gradient: the dense Adam if all have one, nothing where none has."""
 
 from __future__ import annotations
 
