@@ -14,7 +14,8 @@ HARMONICS = 4 * 48
 SPLAT = SLOT = 64  # view.h: Splat, SlotGradient
 SPAN = ENTRY = KEY = 8  # view.h: TileSpan, TileEntry; a depth and a row number
 INDEX = 4
-SEEN_IN = {"avx512": 2, "avx2": 4, "generic": 8, "neon": 8}  # view.h: BlockSet
+# view.h: BlockSet, in seen_in and in passed_in
+BLOCKS = {"avx512": 2 * 2, "avx2": 2 * 4, "generic": 2 * 8, "neon": 2 * 8}
 PASSES = 3  # of the radix sort
 
 
@@ -40,7 +41,7 @@ class View:
 def stage_bytes(view: View, isa: str = "avx512") -> dict[str, tuple[float, float]]:
     """Stage -> bytes read and bytes written."""
     n, v, i, px = view.gaussians, view.visible, view.intersections, view.pixels
-    seen_in = SEEN_IN[isa]
+    blocks = BLOCKS[isa]
     deal = 2 * (v * (INDEX + SPAN) + i * INDEX)  # counts, then lists
     return {
         "project": (n * SHAPE + v * HARMONICS, v * (SPLAT + SPAN + 1) + i * INDEX),
@@ -48,9 +49,9 @@ def stage_bytes(view: View, isa: str = "avx512") -> dict[str, tuple[float, float
             v * SPLAT + PASSES * v * (INDEX + KEY) + deal,  # a pass counts, then moves
             (1 + PASSES) * v * KEY + i * ENTRY,
         ),
-        "raster": (i * (ENTRY + SPLAT), i * seen_in + 16 * px),
+        "raster": (i * (ENTRY + SPLAT), i * blocks + 16 * px),
         "loss": (px * (12 + 3), 12 * px),
-        "raster backward": (i * (ENTRY + seen_in + SPLAT) + 24 * px, i * SLOT),
+        "raster backward": (i * (ENTRY + blocks + SPLAT) + 24 * px, i * SLOT),
         "update": (
             v * SPLAT + view.updated * (v * (SPAN + 3 * PARAMETERS) + i * SLOT),
             view.updated * v * (3 * PARAMETERS + 4),

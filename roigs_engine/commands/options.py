@@ -257,7 +257,7 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="auto (the default) uses an NVIDIA GPU that passes its check, else the CPU",
+        help="auto uses an NVIDIA GPU that passes its check, else the CPU (default: %(default)s)",
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,8 +15,9 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage, SfmScene
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import rasterize
+from roigs_engine.training import photo_order
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.stage_data import SmallPhotos
+from roigs_engine.training.stage_data import SmallPhotos, StageData
 from tests.poses import look_at
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
@@ -79,6 +82,17 @@ def make_scene(folder: Path, views: int = 12) -> SfmScene:
         )
     colors = ((model.sh[:, 0].numpy() * SH_C0 + 0.5) * 255).astype(np.uint8)
     return SfmScene(images=tuple(images), points=points, colors=colors)
+
+
+def stage_data(scene: SfmScene, seed: int = 3, **changes: Any) -> StageData:
+    """What trains on whole photos, each once before any comes again; `changes` are fields of it."""
+    data = StageData(
+        images=scene.images,
+        photos=PhotoCache(scene.images),
+        photo_at=photo_order.shuffled(range(len(scene.images)), seed),
+        extent=scene.extent(),
+    )
+    return replace(data, **changes)
 
 
 def small_photos(scene: SfmScene, device: torch.device | None = None) -> SmallPhotos:

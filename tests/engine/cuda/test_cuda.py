@@ -6,7 +6,6 @@ reason.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -18,15 +17,13 @@ from roigs_engine.errors import KernelError
 from roigs_engine.evaluation.metrics import mean_in, psnr_from_mse, squared_error
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.view import render_view
-from roigs_engine.training import photo_order, steps_ahead
+from roigs_engine.training import steps_ahead
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.floaters.consistency import consistent_across_views
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.rasterize.test_gsplat import CASES, SIZE, ring
 from tests.engine.rasterize_cases import (
@@ -36,7 +33,7 @@ from tests.engine.rasterize_cases import (
     gradient_errors,
     relative_error,
 )
-from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
 pytestmark = pytest.mark.cuda
 CARD = torch.device("cuda")
@@ -136,14 +133,9 @@ def test_trainings_end_alike(tmp_path_factory: pytest.TempPathFactory) -> None:
     config = TrainConfig(steps=400, sh_every=100, densify_from=50, densify_until=200)
     found = []
     for device in (CPU, CARD):
-        data = StageData(
-            images=scene.images,
-            photos=PhotoCache(scene.images),
-            photo_at=photo_order.shuffled(range(len(scene.images)), 0),
-            extent=scene.extent(),
-        )
+        data = stage_data(scene, seed=0, device=device)
         start = Gaussians.from_points(scene.points[::3], scene.colors[::3])
-        trainer = Trainer(start, replace(data, device=device), config)
+        trainer = Trainer(start, data, config)
         assert trainer.run()
         model, scores = trainer.gaussians, []
         for index, image in enumerate(scene.images):
@@ -192,11 +184,5 @@ def test_views_without_room_are_drawn_again(
 
 
 def trainer_on_card(scene: SfmScene, config: TrainConfig) -> Trainer:
-    data = StageData(
-        images=scene.images,
-        photos=PhotoCache(scene.images),
-        photo_at=photo_order.shuffled(range(len(scene.images)), 0),
-        extent=scene.extent(),
-        device=CARD,
-    )
+    data = stage_data(scene, seed=0, device=CARD)
     return Trainer(Gaussians.from_points(scene.points, scene.colors), data, config)

@@ -29,16 +29,16 @@ from roigs_engine.rasterize import rasterize
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.run.strategies import plan_run
-from roigs_engine.training import photo_order, photo_views, trainer
+from roigs_engine.training import photo_views, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
-from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
+from tests.engine import synthetic_scene
 from tests.engine.runs import tiny
-from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
 CONFIG = TrainConfig(
     steps=8,
@@ -54,15 +54,6 @@ CONFIG = TrainConfig(
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"), views=6)
-
-
-def stage_data(scene: SfmScene) -> StageData:
-    return StageData(
-        images=scene.images,
-        photos=PhotoCache(scene.images),
-        photo_at=photo_order.shuffled(range(len(scene.images)), 3),
-        extent=scene.extent(),
-    )
 
 
 def trained(scene: SfmScene, config: TrainConfig = CONFIG) -> Trainer:
@@ -121,7 +112,7 @@ def test_masked_steps_without_kernels_are_those_with_them(
         sent.append(pixels.shape)
         return lambda: torch.from_numpy(pixels)
 
-    monkeypatch.setitem(globals(), "PhotoCache", Masked)
+    monkeypatch.setattr(synthetic_scene, "PhotoCache", Masked)  # of `stage_data`
     config = replace(CONFIG, densify_from=100)
     kernels = trained(scene, config)
     without_kernels(monkeypatch)

@@ -17,16 +17,17 @@ SIZE = (80, 48)
 
 
 def layers(opacities: list[float]) -> tuple[list[Tensor], Tensor, Tensor]:
-    """Four walls that fill the picture, one behind the other; a camera."""
-    means = torch.tensor([[0.0, 0.0, z] for z in (4.0, 5.0, 6.0, 7.0)])
-    quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(4, 1)
-    scales = torch.tensor([[50.0, 50.0, 0.01]]).repeat(4, 1)
-    parameters = [means, quats, scales, torch.tensor(opacities), torch.ones(4, 1, 3)]
+    """White walls that fill the picture, one behind the other; a camera."""
+    count = len(opacities)
+    means = torch.tensor([[0.0, 0.0, 4.0 + 3.0 * i / (count - 1)] for i in range(count)])
+    quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1)
+    scales = torch.tensor([[50.0, 50.0, 0.01]]).repeat(count, 1)
+    parameters = [means, quats, scales, torch.tensor(opacities), torch.ones(count, 1, 3)]
     return parameters, torch.eye(4)[None], cameras(*SIZE)[1][:1]
 
 
 def with_gradient(opacities: list[float], limits: Limits, backend: str) -> list[int]:
-    """1 for each of the four walls that gets a gradient, else 0."""
+    """1 for each wall that gets a gradient, else 0."""
     parameters, view, intrinsics = layers(opacities)
     leaves = [p.requires_grad_() for p in parameters]
     options: dict[str, Any] = {"limits": limits, "backend": backend}
@@ -58,20 +59,16 @@ def test_what_adds_hardly_anything_gets_no_gradient(
 
 def behind_a_haze(backend: str) -> tuple[float, float]:
     """The opacity gradient of a wall behind forty walls that get none, and the reference's."""
-    opacities = torch.tensor([0.9] + 40 * [0.0095] + [0.95])
-    means = torch.tensor([[0.0, 0.0, 4.0 + 0.1 * i] for i in range(42)])
-    quats, scales = torch.tensor([[1.0, 0.0, 0.0, 0.0]]), torch.tensor([[50.0, 50.0, 0.01]])
-    colours = torch.tensor([0.5] + 40 * [1.0] + [0.2])[:, None, None].repeat(1, 1, 3)
     found = []
     for name in (backend, "reference"):
-        leaf = opacities.clone().requires_grad_()
-        parameters = means, quats.repeat(42, 1), scales.repeat(42, 1), leaf, colours
-        _, view, intrinsics = layers([0.5] * 4)
+        parameters, view, intrinsics = layers([0.9] + 40 * [0.0095] + [0.95])
+        parameters[4][0], parameters[4][-1] = 0.5, 0.2
+        opacities = parameters[3].requires_grad_()
         options: dict[str, Any] = {"limits": TRAINING_LIMITS, "backend": name}
         rasterize(*parameters, view, intrinsics, *SIZE, **options).image.mean().backward()
-        assert leaf.grad is not None
-        found.append(float(leaf.grad[-1]))
-        hidden = leaf.grad[1:-1].any()
+        assert opacities.grad is not None
+        found.append(float(opacities.grad[-1]))
+        hidden = opacities.grad[1:-1].any()
         assert bool(hidden) == (name == "reference")
     return found[0], found[1]
 

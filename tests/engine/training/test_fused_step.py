@@ -61,8 +61,8 @@ def test_no_gradient_is_kept_and_rows_out_of_view_stay() -> None:
         assert not torch.equal(parameter[seen], before[seen]), name
 
 
-def steps_of_walls(backend: str) -> list[dict[str, Tensor]]:
-    """The state of the last of three walls after a step, and after one in which others hide it."""
+def keeps_what_others_hide(backend: str) -> None:
+    """The last of three walls takes a step; in the next one, the others hide it."""
     parameters = {
         "means": torch.tensor([[0.0, 0.0, 4.0], [0.0, 0.0, 5.0], [0.0, 0.0, 6.0]]),
         "quats": torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3, 1),
@@ -85,14 +85,14 @@ def steps_of_walls(backend: str) -> list[dict[str, Tensor]]:
         )
         with torch.no_grad():
             optimizer.parameters["logit_opacities"][:2] = 5.0  # 5e-5 of the light passes both
-    return states
-
-
-def test_what_others_hide_keeps_values_and_moments(isa: str) -> None:
-    first, second = steps_of_walls("cpu")
+    first, second = states
     assert first["exp_avg sh"].any()
     for name, tensor in first.items():
         assert torch.equal(tensor, second[name]), name
+
+
+def test_what_others_hide_keeps_values_and_moments(isa: str) -> None:
+    keeps_what_others_hide("cpu")
 
 
 def test_broken_rows_are_skipped_as_by_a_step() -> None:

@@ -19,8 +19,8 @@ from roigs_engine.training import trainer
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.health import Health
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import make_scene
-from tests.engine.training.test_trainer import SHORT, first_model, same_bits, stage_data
+from tests.engine.synthetic_scene import make_scene, stage_data
+from tests.engine.training.test_trainer import SHORT, first_model, same_bits
 
 STEP = 33  # where something goes wrong; Gaussians are added every ten steps
 

@@ -11,15 +11,12 @@ import torch
 
 from roigs_engine.errors import ConfigError
 from roigs_engine.model.gaussians import Gaussians
-from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run.presets import preset
 from roigs_engine.run.stage_configs import baseline, block_stage, tuned_baseline
-from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.opacity_decay import decay_opacities
-from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import make_scene
+from tests.engine.synthetic_scene import make_scene, stage_data
 
 
 @pytest.mark.parametrize("share", [1e-4, 0.025, 0.5, 0.999])
@@ -61,12 +58,7 @@ def test_a_share_is_less_than_one(share: float) -> None:
 def test_what_no_photo_shows_fades_and_the_rest_stays(tmp_path: Path) -> None:
     scene = make_scene(tmp_path)
     images = scene.images[:4]  # a quarter of the ring
-    data = StageData(
-        images=images,
-        photos=PhotoCache(images),
-        photo_at=photo_order.shuffled(range(len(images)), 3),
-        extent=scene.extent(),
-    )
+    data = stage_data(replace(scene, images=images), extent=scene.extent())
     shown = Gaussians.from_points(scene.points, scene.colors)
     place = 3 * np.mean([image.centre for image in images], axis=0, keepdims=True)
     behind = Gaussians.from_points(place, scene.colors[:1])  # the cameras

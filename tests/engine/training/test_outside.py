@@ -11,16 +11,13 @@ from torch import Tensor
 
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run import stage_configs
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
-from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.outside import outside_boxes, row_rates
-from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import BOX, make_scene
+from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
 CONFIG = TrainConfig(steps=30, densify_until=0, full_every=3, outside_rate=4.0)
 
@@ -31,14 +28,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
 
 
 def trainer(scene: SfmScene, config: TrainConfig) -> Trainer:
-    data = StageData(
-        images=scene.images,
-        photos=PhotoCache(scene.images),
-        photo_at=photo_order.shuffled(range(len(scene.images)), 3),
-        extent=scene.extent(),
-        rois=[BOX],
-        masks=RoiMasks(scene.images, [BOX], range(len(scene.images))),
-    )
+    masks = RoiMasks(scene.images, [BOX], range(len(scene.images)))
+    data = stage_data(scene, rois=[BOX], masks=masks)
     return Trainer(Gaussians.from_points(scene.points, scene.colors), data, config)
 
 

@@ -24,7 +24,7 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
-from tests.engine.synthetic_scene import BOX, make_scene, small_photos
+from tests.engine.synthetic_scene import BOX, make_scene, small_photos, stage_data
 
 SHORT = TrainConfig(
     steps=60,
@@ -46,16 +46,6 @@ FADING = replace(AVERAGED, opacity_decay=0.1)
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"))
-
-
-def stage_data(scene: SfmScene, **changes: object) -> StageData:
-    data = StageData(
-        images=scene.images,
-        photos=PhotoCache(scene.images),
-        photo_at=photo_order.shuffled(range(len(scene.images)), 3),
-        extent=scene.extent(),
-    )
-    return replace(data, **changes)
 
 
 def two_sizes(scene: SfmScene) -> StageData:
