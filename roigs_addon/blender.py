@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import bpy
 
@@ -149,6 +149,12 @@ def select_only(context: bpy.types.Context, item: bpy.types.Object) -> None:
     with suppress(RuntimeError):
         item.select_set(True)
         objects.active = item
+
+
+def is_rendering() -> bool:
+    """Whether Blender renders in a thread of its own, from a window: its data must not change."""
+    app: Any = bpy.app
+    return bool(app.is_job_running("RENDER"))
 
 
 def persistent(handler: Handler) -> Handler:

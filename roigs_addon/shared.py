@@ -12,6 +12,7 @@ if TYPE_CHECKING or __package__ == "roigs_addon":
     from roigs_engine.errors import EngineError
     from roigs_engine.formats import (
         clean_up,
+        drawable,
         events,
         files,
         frame_requests,
@@ -36,6 +37,7 @@ else:
     from ..roigs_engine.errors import EngineError
     from ..roigs_engine.formats import (
         clean_up,
+        drawable,
         events,
         files,
         frame_requests,
@@ -60,6 +62,7 @@ else:
 __all__ = [
     "EngineError",
     "clean_up",
+    "drawable",
     "events",
     "files",
     "frame_requests",

@@ -12,8 +12,13 @@ from .command import Engine
 from .process import EngineProcess
 
 PAUSE = 0.005
+LONGEST_PAUSE = 1.0  # seconds; a longer one was the computer's sleep
 END_SECONDS = 5.0
 ENDED = "The engine ended while rendering."
+SILENT_SECONDS = 600.0
+"""A frame without a sign of life for so long is given up. The longest silence of an engine that
+works is the reading of one model, or the drawing of one frame."""
+HUNG = "The render lacks the Gaussians: the engine was silent for {:.0f} minutes, and was ended."
 
 
 class FrameEngine:
@@ -27,40 +32,72 @@ class FrameEngine:
 
     def __init__(self, engine: Engine, requests: Path, options: list[str]) -> None:
         """Start it; raises OSError if the Python cannot be started."""
-        self._requests = requests
+        self._requests, self._hung = requests, False
         self._process = EngineProcess(engine, ["render-frames", str(requests), *options])
 
     def draw(self, request: dict[str, Any]) -> str:
-        """Draw a frame and wait for it; returns what is wrong, or nothing."""
+        """Draw a frame and wait for it; returns what is wrong, or nothing.
+
+        Blender tells only a render engine, not a handler, that the user has cancelled the render.
+        So the wait ends with the frame, or when the engine hangs.
+        """
         self._process.events()  # of the frame before
         path = self._requests / f"frame{frame_requests.REQUEST}"
         files.write_json(path, request, durable=False)
-        while path.exists():
-            if not self._process.running():
-                with suppress(OSError):
-                    path.unlink()
-                return self._process.result().message or ENDED
-            time.sleep(PAUSE)
-        warnings = []
-        while True:  # the request is gone before its answer has come
+        drawn, warnings, silence = False, [], _Silence()
+        while True:
+            # The engine deletes the request last, but its words may come later than that.
+            gone = not path.exists()
             for event in self._process.events():
-                if event["event"] == "preview":
-                    return ""
+                silence.end()
+                drawn = drawn or event["event"] == "preview"
                 if event["event"] == "message" and event.get("level") == "warning":
                     warnings.append(str(event["text"]))
-            if warnings:
-                return " ".join(warnings)
+            if gone and (drawn or warnings):
+                return "" if drawn else " ".join(warnings)
             if not self._process.running():
+                _forget(path)
                 return self._process.result().message or ENDED
+            if silence.seconds() > SILENT_SECONDS:
+                self._hung = True
+                self._process.kill()
+                _forget(path)
+                return HUNG.format(SILENT_SECONDS / 60)
             time.sleep(PAUSE)
 
     def alive(self) -> bool:
         """Whether it can draw."""
-        return self._process.running()
+        return not self._hung and self._process.running()
 
     def close(self) -> None:
-        """End it."""
+        """End it; a process that the system itself cannot end is left behind."""
         self._process.stop()
         if not self._process.wait(END_SECONDS):
             self._process.kill()
+            if not self._process.wait(END_SECONDS):
+                return
         self._process.result()
+
+
+class _Silence:
+    """How long nothing was heard, without the time in which the computer slept."""
+
+    def __init__(self) -> None:
+        self._seconds, self._last = 0.0, time.monotonic()
+
+    def end(self) -> None:
+        """Something was heard."""
+        self._seconds = 0.0
+
+    def seconds(self) -> float:
+        """Since the last sound; to be called often."""
+        now = time.monotonic()
+        self._seconds += min(now - self._last, LONGEST_PAUSE)
+        self._last = now
+        return self._seconds
+
+
+def _forget(path: Path) -> None:
+    """Delete a request that nobody will answer."""
+    with suppress(OSError):
+        path.unlink()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shared import EngineError, splat_ply
+from ..shared import EngineError, drawable, splat_ply
 
 Float32 = NDArray[np.float32]
 
@@ -44,32 +44,25 @@ class SplatCloud:
 
 
 def read_splats(path: str | Path) -> SplatCloud:
-    """Read a PLY of Gaussians.
-
-    Those that cannot be drawn are skipped: NaN or Inf, or a rotation of length zero.
+    """Read a PLY of Gaussians, without those that cannot be drawn (`drawable`).
 
     Raises:
         ValueError: the file cannot be read, see `splat_ply.read_ply`; one line that says why.
     """
     try:
-        stored, antialiased = splat_ply.read_ply(path), splat_ply.is_antialiased(path)
+        stored = drawable.usable(splat_ply.read_ply(path))
+        antialiased = splat_ply.is_antialiased(path)
     except EngineError as error:
         raise ValueError(str(error)) from error
     quats = stored["quats"]
-    with np.errstate(all="ignore"):  # what is out of range is skipped below
-        cloud = {
-            "means": stored["means"].astype(np.float32, copy=False),
-            "quats": quats / np.linalg.norm(quats, axis=1, keepdims=True),
-            "scales": np.exp(stored["log_scales"]),
-            "opacities": 1 / (1 + np.exp(-stored["logit_opacities"])),
-            "sh": stored["sh"],
-        }
-        usable = np.ones(len(quats), bool)
-        for values in cloud.values():
-            usable &= np.isfinite(values.sum(axis=tuple(range(1, values.ndim))))
-    if not usable.all():
-        cloud = {name: values[usable] for name, values in cloud.items()}
-    return SplatCloud(**cloud, antialiased=antialiased)
+    return SplatCloud(
+        means=stored["means"].astype(np.float32, copy=False),
+        quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        scales=np.exp(stored["log_scales"]),
+        opacities=1 / (1 + np.exp(-stored["logit_opacities"])),
+        sh=stored["sh"].astype(np.float32, copy=False),
+        antialiased=antialiased,
+    )
 
 
 def write_splats(path: Path, cloud: SplatCloud) -> None:

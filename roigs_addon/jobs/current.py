@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import bpy
 
-from ..blender import persistent
+from ..blender import is_rendering, persistent
 from ..engine.command import Engine
 from ..engine.process import JobResult
 from ..errors import AddonError
@@ -57,6 +57,12 @@ def warnings(title: str) -> list[str]:
 def device() -> str:
     """Which device the last training uses or has used, and why; empty if that is not known."""
     return _training.state.device if _training is not None else ""
+
+
+def warn(text: str) -> None:
+    """Warn of what the job that ends has brought in: in its panel, and in a terminal."""
+    if job is not None:
+        job.warn(text)
 
 
 def stopped() -> bool:
@@ -132,7 +138,7 @@ def _ended(job: Job) -> None:
 def _poll() -> bool:
     if job is None:
         return False
-    running = job.poll()
+    running = job.poll(rendering=is_rendering())
     if not running:
         redraw()
     elif job.news:  # the 3D views beside the sidebar are slow to draw, and have not changed

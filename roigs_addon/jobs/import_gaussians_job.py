@@ -9,20 +9,23 @@ import os
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ..blender import scene_of, select_only
 from ..engine.own_files import IMPORTED, OWN
 from ..engine.writing import made_folder
 from ..errors import AddonError
+from ..geometry.rounding import rounding
 from ..properties import scene_props
-from ..scene import splats
-from . import run_folders
+from ..scene import clouds, splats
+from . import current, run_folders
 from .spec import IMPORTING_GAUSSIANS, PACKAGES, JobSpec
 
 ENDINGS = (".compressed.ply", ".ply", ".spz", ".sog", ".glb", ".usdc", ".usda", ".usdz", ".splat")
 """Of the names of files that can be imported."""
 
 LOG = "import.log"
+TOO_FAR = "{} {}. Move it to the origin before you import it (docs/reliability.md says how)."
 MOST_LETTERS = 80  # of a name, which gets a number and an ending
 
 
@@ -55,6 +58,9 @@ def spec(context: bpy.types.Context, source: Path, up: str) -> JobSpec:
         if now is None:
             return
         item = splats.show_imported(now, path, name, in_model=in_model and has_model(now))
+        lost = rounding(clouds.positions(item) + np.array(item.location))
+        if lost:
+            current.warn(TOO_FAR.format(name, lost))
         if bpy.context.scene == now and bpy.context.mode == "OBJECT":  # what is edited stays so
             select_only(bpy.context, item)
 

@@ -14,7 +14,7 @@ from ..errors import AddonError
 from ..properties import scene_props
 from ..scene import importing, selections
 from ..shared import projects
-from . import run_folders
+from . import current, run_folders
 from .spec import IMPORTING, JobSpec
 
 LOG = "engine.log"
@@ -48,7 +48,9 @@ def spec(scene: bpy.types.Scene, chosen: str, images: str, *, same_frame: bool =
         now = find()
         if now is None:
             return
-        importing.import_folder(now, out, project_name(folder), same_frame=same_frame)
+        lost = importing.import_folder(now, out, project_name(folder), same_frame=same_frame)
+        if lost:
+            current.warn(lost)
         selections.mark_chosen(now)
         _hide_relationship_lines()
         scene_props(now).colmap, scene_props(now).images = str(folder), images

@@ -15,7 +15,7 @@ from ..engine.process import EngineProcess, JobResult
 from ..errors import AddonError
 from ..shared import EngineError, events
 from .spec import JobSpec, how_to_resume, nothing
-from .state import STOPPED, STOPPING, JobState
+from .state import STOPPED, STOPPING, WAITING, JobState
 
 
 class Job:
@@ -59,12 +59,21 @@ class Job:
         """Whether it has ended and its results are in."""
         return self.result is not None
 
-    def poll(self) -> bool:
-        """Take what has arrived; False once the job has ended and its results are in."""
+    def poll(self, *, rendering: bool = False) -> bool:
+        """Take what has arrived; False once the job has ended and its results are in.
+
+        Args:
+            rendering: Blender renders beside this call, and would crash if its data changed.
+                Previews and results then wait for a later call.
+        """
         running = self.process.running()
         for event in self.process.events():
             self._take(event)
             self.news = True
+        if rendering and not self.finished:
+            if not running and self.state.message != WAITING:
+                self.state.message, self.news = WAITING, True
+            return True
         # While it stops, the engine writes a last preview and a checkpoint: drawing the preview
         # now would delay that.
         if self._preview is not None and not (running and self.stopping):
@@ -79,6 +88,12 @@ class Job:
         self.stopping = self.news = True
         self.state.message = STOPPING
         self.process.stop()
+
+    def warn(self, text: str) -> None:
+        """Warn of the results, before whatever the engine has warned of."""
+        self.state.warnings.insert(0, text)
+        self.messages.append(text)
+        self.news = True
 
     def end_by_force(self, seconds: float) -> None:
         """End the engine at once, and wait for that."""

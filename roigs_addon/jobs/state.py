@@ -9,6 +9,7 @@ from ..shared import events
 
 STOPPING = "Stopping …"
 STOPPED = "Stopped."
+WAITING = "The engine has ended. What it made comes in when the render has ended."
 MOST_WARNINGS = 4  # that a panel has room for; all are in the log
 
 

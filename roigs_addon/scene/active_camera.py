@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 
-from ..blender import persistent
+from ..blender import is_rendering, persistent
 from . import cameras, lookup
 
 _active: dict[str, str] = {}  # scene -> its active camera, by name
@@ -24,8 +22,7 @@ def follow(scene: bpy.types.Scene, *_: object) -> None:
     _active[scene.name] = name
     if before is None or before == name or not camera or not lookup.is_photo_camera(camera):
         return
-    app: Any = bpy.app
-    if not app.is_job_running("RENDER"):  # cameras change with markers, the size must not
+    if not is_rendering():  # cameras change with markers, the size must not
         cameras.activate(scene, camera)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..blender import camera_of, mesh_of
 from ..errors import AddonError
 from ..geometry.photo import Photo
+from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
 from ..shared import upright
 from . import cameras, clouds, lookup, placement, start_cube
@@ -25,9 +26,15 @@ PHOTOS_OF_IMPORT = "roigs_photos"
 """Custom property that marks the collection of an import's cameras."""
 
 
+TOO_FAR = (
+    "The model {}. Cameras, points and boxes are off by up to half of that: move the model to the"
+    " origin before you import it (docs/reliability.md says how)."
+)
+
+
 def import_folder(
     scene: bpy.types.Scene, folder: Path, name: str, *, same_frame: bool = False
-) -> None:
+) -> str:
     """Import an exported model into the scene, replacing an earlier import.
 
     The root stays, and so do the boxes below it. If it is the same model, wherever it was read
@@ -38,6 +45,9 @@ def import_folder(
         folder: what `export --out` wrote.
         name: of the collection.
         same_frame: it is the earlier model with other cameras, so the root keeps its place.
+
+    Returns:
+        What the user should know of the import's precision; usually nothing.
 
     Raises:
         AddonError: the folder does not contain an exported model.
@@ -70,6 +80,9 @@ def import_folder(
     props.root, props.model_cache = root, str(folder)
     cameras.fit_clips(scene, lookup.root_scale(scene))
     props.skipped = skipped_in_words(record.get("skipped") or {})
+    centres = np.array([np.linalg.inv(photo.pose)[:3, 3] for photo in photos]).reshape(-1, 3)
+    lost = rounding(np.concatenate([centres, points]))
+    return TOO_FAR.format(lost) if lost else ""
 
 
 def deleted_photos(scene: bpy.types.Scene) -> list[str]:

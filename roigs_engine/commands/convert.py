@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ConfigError, RoiError
 from ..exchange.axes import UP, turn
+from ..formats.drawable import usable
 from ..formats.files import read_json
 from ..formats.text import counted
 from .console import Console
@@ -111,8 +112,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
         warn_of_axes(args.source, before, console)
     from_home = matrix @ home.T
     if listed:
-        arrays, antialiased, poses = _placed(args, matrix, plain=plain)
-        there = len(arrays["means"])
+        arrays, there, antialiased, poses = _placed(args, matrix, plain=plain)
     else:
         refuse_inputs([args.out], [args.source], OTHER)
         whole, antialiased = read_model(args.source, plain=plain, scene=args.page_scene)
@@ -182,15 +182,14 @@ def _cropped(arrays: Arrays, args: argparse.Namespace, home: Float64) -> Arrays:
 
 def _placed(
     args: argparse.Namespace, matrix: Float64, *, plain: bool
-) -> tuple[Arrays, bool, Float64 | None]:
+) -> tuple[Arrays, int, bool, Float64 | None]:
     """The models of a list, in their places, as one; `plain` as in `read_model`.
 
     Returns:
-        The model, whether it is drawn with anti-aliasing, and the poses of the list's photos, if
-        it has any.
+        The model, how many Gaussians there are with those that cannot be drawn, whether it is
+        drawn with anti-aliasing, and the poses of the list's photos, if it has any.
     """
     from ..exchange import formats
-    from ..exchange.arrays import usable
     from ..model.gaussians import Gaussians
     from ..rasterize.placed import PlacedModel
 
@@ -198,8 +197,8 @@ def _placed(
         raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
     try:
         record = read_json(args.source, ConfigError, HINT)
-        wanted, poses = placed_models(record), photo_poses(record)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        wanted, poses = placed_models(record, args.source.parent), photo_poses(record)
+    except (TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{args.source} is malformed ({error}).", HINT) from error
     refuse_inputs([args.out], [args.source, *(Path(item.file) for item in wanted)], OTHER)
     names = dict.fromkeys(item.file for item in wanted)
@@ -223,7 +222,8 @@ def _placed(
                 density=item.density,
             )
         )
-    return _merged(placed), antialiased, poses
+    there = sum(len(models[item.file][0]["means"]) for item in wanted)
+    return _merged(placed), there, antialiased, poses
 
 
 def _merged(models: list[PlacedModel]) -> Arrays:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ConfigError
+from ..formats.drawable import drawable, usable
 from ..formats.files import atomic_write, read_json
 from ..formats.text import counted
 from ..run.presets import preset
@@ -109,14 +110,13 @@ def _wanted(path: Path) -> list[Placed]:
     if path.suffix.lower() != LIST:
         return [Placed(str(path), np.eye(4), (1.0, 1.0, 1.0))]
     try:
-        return placed_models(read_json(path, ConfigError, HINT))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        return placed_models(read_json(path, ConfigError, HINT), path.parent)
+    except (TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
 
 
 def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[np.bool_]]:
     """All models as one in a frame, and which rows of the files it has: those that can be drawn."""
-    from ..exchange.arrays import drawable
     from ..exchange.merged import merged
     from ..formats.splat_ply import is_antialiased, read_ply
     from ..model.gaussians import Gaussians
@@ -131,10 +131,7 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
         mask = drawable(arrays)
         masks.append(mask)
         if mask.any():
-            kept, own = Gaussians.framed(
-                {name: values[mask] for name, values in arrays.items()},
-                antialiased=is_antialiased(path),
-            )
+            kept, own = Gaussians.framed(usable(arrays), antialiased=is_antialiased(path))
             models.append(PlacedModel(gaussians=kept, frame=own, matrix=into @ item.matrix))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,20 +31,24 @@ class Placed(NamedTuple):
     density: float = 1.0
 
 
-def placed_models(record: Any) -> list[Placed]:
+def placed_models(record: Any, folder: Path) -> list[Placed]:
     """The models of a record's `models`.
 
+    Args:
+        record: of a JSON file.
+        folder: of that file; relative paths start there, wherever the command is started.
+
     Raises:
-        KeyError, TypeError, ValueError, OverflowError: it is malformed.
+        TypeError, ValueError, OverflowError: it is malformed.
     """
     wanted = [
         Placed(
-            str(item["ply"]),
-            _affine(item["matrix"]),
+            str(folder / _needed(item, "ply", "a model")),
+            _affine(_needed(item, "matrix", "a model")),
             _gains(item.get("gains", (1, 1, 1))),
             _density(item.get("density", 1)),
         )
-        for item in record["models"]
+        for item in _needed(record, "models", "it")
     ]
     if not wanted:
         raise ValueError("it has no model")
@@ -58,6 +63,13 @@ def photo_poses(record: Any) -> Float64 | None:
     """
     wanted = record.get("photos", ())
     return np.array([_affine(rows) for rows in wanted]) if wanted else None
+
+
+def _needed(item: Any, name: str, whose: str) -> Any:
+    """A value of a JSON object; ValueError if it is not there."""
+    if name not in item:
+        raise ValueError(f"{whose} has no '{name}'")
+    return item[name]
 
 
 def _affine(rows: Any) -> Float64:

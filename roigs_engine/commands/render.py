@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError
 from ..formats.text import counted
 from .console import Console
+from .drawn_model import drawn_model
 from .options import add_device_option, add_size_options, context_on_device, load_scene
 from .run_scene import levelled_run
 from .values import NAME, PATH, Number
@@ -68,12 +69,11 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Render every camera to a PNG."""
     import torch
 
-    from ..model.gaussians import Gaussians
     from ..rasterize.sequence import render_sequence
 
     if args.path and args.images:
         raise ConfigError("--images has no meaning with --path.", "Leave it out.")
-    whole, frame = Gaussians.load_framed(args.ply)
+    whole, frame = drawn_model(args.ply, console.context.warn)
     context = context_on_device(args, console)
     device = torch.device(context.device)
     whole = whole.to(device)

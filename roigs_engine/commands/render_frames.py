@@ -8,28 +8,30 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..context import Context
 from ..errors import ConfigError, EngineError
 from ..formats.events import Preview
 from ..formats.files import read_json
 from ..formats.frame_requests import REQUEST, colour_file, depth_file
 from .console import Console
+from .drawn_model import drawn_model
 from .options import add_device_option, add_threads_option, context_on_device
 from .placed_models import HINT, placed_models
 from .values import PATH
 
 if TYPE_CHECKING:
-    import torch
-
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
 
 HELP = "render pictures for compositing, as another program asks for them in a folder"
 EXAMPLES = """\
   python -m roigs_engine render-frames requests --once"""
+STAGE = "models"
 PAUSE = 0.005  # seconds between two looks into the folder
 
 
@@ -45,8 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Answer requests, oldest name first, until asked to stop."""
-    import torch
-
     from ..kernels.library import set_threads
 
     if not args.folder.is_dir():
@@ -54,7 +54,8 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     if args.threads is not None:
         set_threads(args.threads)
     context = context_on_device(args, console)
-    models = Models()
+    # As information: a program that waits for a picture takes a warning for a refusal.
+    models = Models(context.info)
     while not console.should_stop():
         waiting = sorted(args.folder.glob(f"*{REQUEST}"))
         if not waiting:
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
             time.sleep(PAUSE)
             continue
         try:
-            out = answer(waiting[0], models, torch.device(context.device))
+            out = answer(waiting[0], models, context)
             console.emit(Preview(path=str(out)))
         except EngineError as error:
             if args.once:
@@ -76,28 +77,33 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
 
 
 class Models:
-    """PLYs by path; one that has changed is read again, one that is not asked for is dropped."""
+    """PLYs by path; one that has changed is read again, one that is not asked for is dropped.
 
-    def __init__(self) -> None:
+    Args:
+        say: gets a line for each file that is read and has Gaussians that cannot be drawn.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
         self._read: dict[str, tuple[tuple[int, int], Gaussians, LocalFrame]] = {}
 
-    def get(self, paths: list[str]) -> list[tuple[Gaussians, LocalFrame]]:
+    def get(self, paths: list[str], context: Context) -> list[tuple[Gaussians, LocalFrame]]:
         """The models, without what cannot be drawn, and the frames that they are in.
+
+        Args:
+            paths: of their files.
+            context: gets the progress: whoever waits for a picture sees that the engine works.
 
         Raises:
             EngineError: a file is missing or damaged.
         """
-        from ..exchange.arrays import usable
-        from ..formats.splat_ply import is_antialiased, read_ply
-        from ..model.gaussians import Gaussians
-
         known, self._read = self._read, {}
-        for path in dict.fromkeys(paths):
+        different, started = dict.fromkeys(paths), time.monotonic()
+        for step, path in enumerate(different, start=1):
             key, entry = _state(path), known.get(path)
             if entry is None or entry[0] != key:
-                file = Path(path)
-                arrays, smooth = usable(read_ply(file)), is_antialiased(file)
-                entry = key, *Gaussians.framed(arrays, antialiased=smooth)
+                entry = key, *drawn_model(Path(path), self._say)
+                context.progress(STAGE, step, len(different), started)
             self._read[path] = entry
         return [self._read[path][1:] for path in paths]
 
@@ -112,12 +118,19 @@ def _state(path: str) -> tuple[int, int]:
     return state.st_mtime_ns, state.st_size
 
 
-def answer(request: Path, models: Models, device: torch.device) -> Path:
+def answer(request: Path, models: Models, context: Context) -> Path:
     """Render what a request asks for; returns the picture, which is written last.
+
+    Args:
+        request: its file.
+        models: that were read before.
+        context: has the device, and gets the progress.
 
     Raises:
         EngineError: the request is malformed, or a model cannot be read.
     """
+    import torch
+
     from ..rasterize.camera_path import camera_from_record
     from ..rasterize.image_files import save_layer
     from ..rasterize.placed import PlacedModel, render_placed
@@ -125,11 +138,11 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
     record = read_json(request, ConfigError, HINT)
     try:
         _, camera, pose = camera_from_record(record["camera"])
-        out = Path(record["out"])
-        wanted = placed_models(record)
+        out = request.parent / record["out"]
+        wanted = placed_models(record, request.parent)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
-    read = models.get([item.file for item in wanted])
+    read = models.get([item.file for item in wanted], context)
     placed = [
         PlacedModel(
             gaussians=gaussians,
@@ -140,6 +153,6 @@ def answer(request: Path, models: Models, device: torch.device) -> Path:
         )
         for (gaussians, frame), item in zip(read, wanted, strict=True)
     ]
-    layer = render_placed(placed, camera, pose, device)
+    layer = render_placed(placed, camera, pose, torch.device(context.device))
     save_layer(colour_file(out), depth_file(out), layer)
     return colour_file(out)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ConfigError
+from ..formats.drawable import usable
 from .console import Console
 from .run_scene import up_in_run
 
@@ -43,8 +44,6 @@ def turned(arrays: Arrays, matrix: Float64) -> Arrays:
 
 def _drawable(arrays: Arrays) -> Arrays:
     """The Gaussians that can be turned."""
-    from ..exchange.arrays import usable
-
     arrays = usable(arrays)
     if not len(arrays["means"]):
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")

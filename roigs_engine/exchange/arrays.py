@@ -45,44 +45,6 @@ def logits(opacity: Float32) -> Float32:
     return values
 
 
-MOST = {"means": 1e15, "quats": 1e15, "log_scales": 60.0, "sh": 1e6}
-"""Largest numbers with which a Gaussian can be drawn."""
-
-FLAT = -60.0
-"""Logarithm of a size that is 0 to everyone: codebooks would be wasted on smaller ones."""
-
-CERTAIN = 80.0
-"""Logit of an opacity that is 1 to float32."""
-
-
-def drawable(arrays: Arrays) -> NDArray[np.bool_]:
-    """(N,) which Gaussians can be drawn: not those with a number that is not finite or too large,
-    or a rotation of length zero.
-    """
-    good: NDArray[np.bool_] = np.isfinite(arrays["logit_opacities"])
-    for name, most in MOST.items():
-        values = arrays[name]
-        # Scales may be as small as they like.
-        inside = np.isfinite(values) & ((values if name == "log_scales" else np.abs(values)) < most)
-        good &= inside.all(axis=tuple(range(1, values.ndim)))
-    good &= (arrays["quats"] != 0).any(axis=1)
-    return good
-
-
-def usable(arrays: Arrays) -> Arrays:
-    """Without Gaussians that cannot be drawn."""
-    good = drawable(arrays)
-    found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
-    sizes: Floats = found["log_scales"]
-    if (sizes < FLAT).any():
-        found = {**found, "log_scales": np.maximum(sizes, np.float32(FLAT))}
-    opacity: Floats = found["logit_opacities"]
-    if (np.abs(opacity) > CERTAIN).any():
-        clipped: Floats = np.clip(opacity, -CERTAIN, CERTAIN).astype(np.float32)
-        found = {**found, "logit_opacities": clipped}
-    return found
-
-
 def extent(means: Float64) -> float:
     """The size of the model (N, 3) along its longest axis, without what lies far outside."""
     return float(np.ptp(np.quantile(means, (0.01, 0.99), axis=0), axis=0).max())

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..errors import ConfigError, RunFolderError
 from ..formats import splat_ply
+from ..formats.drawable import usable
 from ..formats.files import regular, remove_leftovers_of
-from .arrays import Arrays, Check, extent, flaw, nothing, usable
+from .arrays import Arrays, Check, extent, flaw, nothing
 from .damage import HINT, damaged
 
 FAR = 1e4

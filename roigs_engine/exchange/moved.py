@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..formats.drawable import usable
 from ..model.gaussians import Gaussians
 from ..model.scene import Float64
 from ..rasterize.placed import PlacedModel
-from .arrays import Arrays, flaw, usable
+from .arrays import Arrays, flaw
 from .merged import merged
 
 FLATTEST = 1e-9  # least determinant of a matrix, of 1 for the same size in all directions

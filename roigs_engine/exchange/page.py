@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, EngineError
+from ..formats.drawable import usable
 from ..formats.files import atomic_write
 from ..formats.text import printable
 from ..model.local_frame import LocalFrame
@@ -25,7 +26,7 @@ from ..model.scene import Float64
 from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, NEAR
 from ..rasterize.limits import PICTURE_LIMITS
 from . import spz
-from .arrays import Arrays, usable
+from .arrays import Arrays
 from .page_views import FIELD, Ball, overview, photographed, viewpoint
 from .scratch import scratch
 

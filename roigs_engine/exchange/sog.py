@@ -35,6 +35,9 @@ ROUNDS = 8  # of k-means
 MOST = 50_000_000  # Gaussians
 MOST_PALETTE = 1 << 24  # pixels: 65,536 sets of 15 are a million
 MOST_META = 16 << 20  # bytes
+META = "meta.json"
+GENERATOR = "ROI-GS"
+"""What `asset` in a `meta.json` says of our files."""
 ANTIALIASED = "antialiased"
 """The `model` of a `meta.json` whose Gaussians are drawn with anti-aliasing; others have none."""
 COARSEST = 2e-3  # of the model's size: a step of its positions that is still hard to see
@@ -87,7 +90,7 @@ def files_of(
     }
     meta: dict[str, Any] = {
         "version": 2,
-        "asset": {"generator": "ROI-GS"},
+        "asset": {"generator": GENERATOR},
         **({"model": ANTIALIASED} if antialiased else {}),
         "count": count,
         "means": bounds | {"files": ["means_l.webp", "means_u.webp"]},
@@ -107,7 +110,7 @@ def files_of(
             "codebook": codes,
             "files": ["shN_centroids.webp", "shN_labels.webp"],
         }
-    files = {"meta.json": json.dumps(meta).encode()}
+    files = {META: json.dumps(meta).encode()}
     for name, data in pictures.items():
         check()
         files[name] = _webp(data)
@@ -285,7 +288,7 @@ def is_antialiased(path: Path) -> bool:
         RunFolderError: the file is damaged.
         OSError: it cannot be read.
     """
-    with reading(path, TITLE), zipfile.ZipFile(path) as packed, packed.open("meta.json") as file:
+    with reading(path, TITLE), zipfile.ZipFile(path) as packed, packed.open(META) as file:
         return bool(json.loads(file.read(MOST_META)).get("model") == ANTIALIASED)
 
 
@@ -294,10 +297,10 @@ def _check(path: Path) -> None:
     images: Any = package("PIL.Image", "Pillow", TITLE)
     with reading(path, TITLE), zipfile.ZipFile(path) as packed:
         sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
-        if len(sizes) < len(packed.infolist()) or sizes.get("meta.json", 0) > MOST_META:
+        if len(sizes) < len(packed.infolist()) or sizes.get(META, 0) > MOST_META:
             raise ValueError("two entries of one name, or a meta.json of another kind")
         refuse_bomb(path, TITLE, sum(sizes.values()))
-        meta = json.loads(packed.read("meta.json"))
+        meta = json.loads(packed.read(META))
         parts = [meta[name] for name in ("means", "scales", "quats", "sh0")]
         count = meta["count"] if "version" in meta else meta["means"]["shape"][0]
         if type(count) is not int or not 0 < count <= MOST:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError
+from ..formats.drawable import FLAT
 from ..formats.files import atomic_write
 from .arrays import Arrays, Check, Float32, in_morton_order, nothing, unit_quats
 from .compressed_ply import arrays_of
@@ -65,7 +66,9 @@ def write(
     """
     arrays = in_morton_order(arrays)
     scales = arrays["log_scales"]
-    outside = (scales < SCALES[0]).all(axis=1) | (scales > SCALES[1]).any(axis=1)
+    # Points without any size do not count: they would have none in a model of another scale.
+    small = (scales < SCALES[0]).all(axis=1) & (scales > FLAT / 2).any(axis=1)
+    outside = small | (scales > SCALES[1]).any(axis=1)
     if outside.mean() > LOST:
         raise ConfigError(
             "The Gaussians are too small or too large for SPZ.",

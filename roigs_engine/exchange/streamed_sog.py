@@ -1,23 +1,42 @@
 """PlayCanvas's Streamed SOG: a model in levels of detail, of which a viewer loads what it needs.
 
-`lod-meta.json` lists parts with their bounds, and for each level of a part the folder of a SOG.
+`lod-meta.json` lists parts with their bounds, and for each level of a part the folder of a SOG. The
+folder's name has a hash of its files, so writing a new model changes nothing that the old
+`lod-meta.json` names: that one is right until the new one takes its place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import hashlib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from ..formats.files import atomic_write, own_folder, write_json
+from ..errors import RunFolderError
+from ..formats.files import (
+    atomic_write,
+    is_link,
+    matching,
+    own_folder,
+    read_json,
+    remove_leftovers,
+    remove_leftovers_of,
+    write_json,
+)
 from . import sog
 from .arrays import Arrays, Check, nothing
 from .formats import storable
 
 NAME = "lod-meta.json"
 TITLE = "Streamed SOG"
+DIGITS = 16  # of the hash in a folder's name
+FOLDER = re.compile(rf"\d+_\d+(-[0-9a-f]{{{DIGITS}}})?")
+"""Level, part and hash; the first versions of this engine wrote no hash."""
 
 
 def write(
@@ -28,6 +47,9 @@ def write(
     antialiased: bool = False,
 ) -> int:
     """Write a model into the folder of `path`; returns the number of Gaussians of the whole one.
+
+    At the end, folders of ours that `path` does not name are deleted: the old model's, or, after an
+    error, the new one's.
 
     Args:
         path: of the `lod-meta.json`, written last.
@@ -40,39 +62,105 @@ def write(
         EngineError: a package is missing, or a file cannot be written.
     """
     ladders = [[storable(level, TITLE) for level in part] for part in parts]
-    levels = max(map(len, ladders))
     names: list[str] = []
     nodes: list[dict[str, Any]] = []
-    for number, ladder in enumerate(ladders):
-        node: dict[str, Any] = {"bound": _bound(ladder), "lods": {}}
-        for level, arrays in enumerate(ladder):
-            count = len(arrays["means"])
-            node["lods"][str(level)] = {"file": len(names), "offset": 0, "count": count}
-            folder = own_folder(path.parent, f"{level}_{number}")
-            names.append(f"{folder.name}/meta.json")
-            for name, data in sog.files_of(arrays, check, antialiased=antialiased).items():
-                with atomic_write(folder / name) as file:
-                    file.write(data)
-        nodes.append(node)
-    sizes = [[len(arrays["means"]) for arrays in ladder] for ladder in ladders]
-    counts = [sum(each[k] for each in sizes if k < len(each)) for k in range(levels)]
+    try:
+        for number, ladder in enumerate(ladders):
+            node: dict[str, Any] = {"bound": _bound(ladder), "lods": {}}
+            for level, arrays in enumerate(ladder):
+                count = len(arrays["means"])
+                node["lods"][str(level)] = {"file": len(names), "offset": 0, "count": count}
+                files = sog.files_of(arrays, check, antialiased=antialiased)
+                names.append(_write_sog(path.parent, f"{level}_{number}", files))
+            nodes.append(node)
+        sizes = [[len(arrays["means"]) for arrays in ladder] for ladder in ladders]
+        levels = range(max(map(len, ladders)))
+        counts = [sum(each[k] for each in sizes if k < len(each)) for k in levels]
+        write_json(path, _record(counts, names, nodes))
+    finally:
+        _clean_up(path)
+    return counts[0]
+
+
+def _write_sog(root: Path, name: str, files: Mapping[str, bytes]) -> str:
+    """Write the files of a SOG; returns the path of its `meta.json` below `root`."""
+    digest = hashlib.sha256()
+    for data in files.values():
+        digest.update(hashlib.sha256(data).digest())
+    folder = own_folder(root, f"{name}-{digest.hexdigest()[:DIGITS]}")
+    for file_name, data in files.items():
+        with atomic_write(folder / file_name) as file:
+            file.write(data)
+    return f"{folder.name}/{sog.META}"
+
+
+def _record(counts: list[int], names: list[str], nodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """The content of `lod-meta.json`.
+
+    Args:
+        counts: Gaussians of each level.
+        names: paths of the parts' `meta.json`.
+        nodes: for each part its bounds, and for each level the place in `names`.
+    """
     low, high = (
         pick([node["bound"][end] for node in nodes], axis=0).tolist()
         for pick, end in ((np.min, "min"), (np.max, "max"))
     )
-    write_json(
-        path,
-        {
-            "version": 1,
-            "asset": {"generator": "ROI-GS"},
-            "count": sum(counts),
-            "counts": counts,
-            "lodLevels": levels,
-            "filenames": names,
-            "tree": {"bound": {"min": low, "max": high}, "children": nodes},
-        },
-    )
-    return counts[0]
+    return {
+        "version": 1,
+        "asset": {"generator": sog.GENERATOR},
+        "count": sum(counts),
+        "counts": counts,
+        "lodLevels": len(counts),
+        "filenames": names,
+        "tree": {"bound": {"min": low, "max": high}, "children": nodes},
+    }
+
+
+def _clean_up(path: Path) -> None:
+    """Delete what engines that were killed have left, and our folders that `path` does not name."""
+    remove_leftovers_of(path)
+    named = _named(path)
+    for folder in matching(path.parent, "*_*/"):
+        if FOLDER.fullmatch(folder.name) and not is_link(folder):
+            remove_leftovers(folder)
+            if named is not None and folder.name not in named:
+                _remove(folder)
+
+
+def _named(path: Path) -> set[str] | None:
+    """The folders that a `lod-meta.json` names; none if there is no file; None: it is damaged."""
+    if not os.path.lexists(path):
+        return set()
+    with suppress(RunFolderError):
+        record = read_json(path)
+        names = record.get("filenames") if isinstance(record, dict) else None
+        if isinstance(names, list):
+            return {part for name in map(str, names) for part in PurePosixPath(name).parts[:1]}
+    return None
+
+
+def _remove(folder: Path) -> None:
+    """Delete a SOG of ours; others' files, and so their folders, stay."""
+    files: tuple[str, ...] = ()
+    with suppress(RunFolderError):
+        files = _files_of_ours(read_json(folder / sog.META))
+    with suppress(OSError, ValueError):  # a damaged `meta.json` may hold any text
+        for name in files:
+            (folder / name).unlink(missing_ok=True)
+        folder.rmdir()  # also an empty one, of an engine that was killed at its first file
+
+
+def _files_of_ours(meta: Any) -> tuple[str, ...]:
+    """The files of a SOG by its `meta.json`, which is the last; none if another program wrote it.
+
+    If an engine is killed while it deletes them, `meta.json` still tells the next one the others.
+    """
+    if not isinstance(meta, dict) or meta.get("asset") != {"generator": sog.GENERATOR}:
+        return ()
+    parts = [part.get("files") for part in meta.values() if isinstance(part, dict)]
+    names = [name for files in parts if isinstance(files, list) for name in map(str, files)]
+    return (*(name for name in names if Path(name).name == name), sog.META)
 
 
 def _bound(ladder: Sequence[Arrays]) -> dict[str, list[float]]:

@@ -33,7 +33,10 @@ DAMAGED = "Write the file again, or choose another."
 # What `atomic_write` calls its temporary files: the process, and a number of its own.
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.part")
 ABANDONED = 86400.0  # seconds without a change, where the file system has no locks
-IN_THE_WAY = {errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.EINVAL, errno.ELOOP, errno.ENXIO}
+IN_THE_WAY = {
+    *(errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR),
+    *(errno.EINVAL, errno.ELOOP, errno.ENXIO),
+}
 JUNCTION = 0xA0000003  # Windows: the reparse tag of a folder's link; `stat` has it there only
 
 

@@ -8,9 +8,9 @@ A request is a JSON file, written in one go (docs/files.md):
 
 `matrix` leads from the model's own world to the camera's; any affine one. `gains` multiply red,
 green and blue; `density`, above 0 and at most 1, is how much of the model is there. Both may be
-missing. The answer is a PNG with sRGB colours and transparency, and a TIFF with the depth along
-the camera's axis in world units. The request is deleted when it is answered, or refused with a
-warning.
+missing. Relative paths start at the request's folder. The answer is a PNG with sRGB colours and
+transparency, and a TIFF with the depth along the camera's axis in world units. The request is
+deleted when it is answered, or refused with a warning.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ the origin, as in map coordinates, are `double x y z`: float32 would be too coar
 
 Gaussians that were trained with anti-aliasing must be drawn with it. A comment says so:
 `SplatRenderMode: mip`, as Brush, gsplat and PlayCanvas's splat-transform have it; Postshot's
-`antialiased 1` is read too.
+`antialiased 1` is read too. So is Mip-Splatting's property `filter_3D`: such Gaussians were trained
+with anti-aliasing, and as they are stored, they lack a blur in space that belongs to them.
 """
 
 from __future__ import annotations
@@ -36,13 +37,16 @@ SCALARS = {
     "uint32": "<u4", "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
 REST_SIZES = (0, 9, 24, 45)  # numbers of `f_rest` columns for SH of degrees 0 to 3
-MAX_HEADER = 1 << 16  # bytes
+MAX_HEADER = 1 << 20  # bytes; some programs write all their settings into comments
 ANTIALIASED = "comment SplatRenderMode: mip"
 """Header line of Gaussians that are drawn with anti-aliasing."""
 RENDER_MODE = re.compile(
     rb"^comment\s+(?:splatrendermode:\s*(mip|default)|antialiased\s+([01]))\s*$",
     re.IGNORECASE | re.MULTILINE,
 )
+FILTER = "filter_3D"
+"""Property of Mip-Splatting: standard deviation of the blur in space."""
+FILTER_LINE = re.compile(rb"^property\s+\S+\s+" + FILTER.encode() + rb"\s*$", re.MULTILINE)
 
 
 def _columns(rest: int) -> list[str]:
@@ -90,10 +94,11 @@ def write_ply(path: Path, arrays: Mapping[str, Floats], *, antialiased: bool = F
 
 
 def read_ply(path: str | Path) -> dict[str, Floats]:
-    """The arrays of `write_ply`, read by property name; extra properties are ignored.
+    """The arrays of `write_ply`, read by property name.
 
     `means` is float64 if the file has double `x y z`; everything else is float32. Files without
-    normals and with fewer SH bands are accepted.
+    normals and with fewer SH bands are accepted. Mip-Splatting's `filter_3D` is applied; other
+    extra properties are ignored.
 
     Raises:
         RunFolderError: the file is missing, truncated, or not a binary little-endian PLY of
@@ -114,7 +119,9 @@ def is_antialiased(path: str | Path) -> bool:
     except OSError as error:
         raise RunFolderError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
     said = [mode.lower() or flag for mode, flag in RENDER_MODE.findall(head)]
-    return said[-1:] in ([b"mip"], [b"1"])
+    if not said:
+        return FILTER_LINE.search(head) is not None
+    return said[-1] in (b"mip", b"1")
 
 
 def check_ply(path: str | Path) -> None:
@@ -141,8 +148,11 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype[np.voi
     """Number and type of the rows; leaves `file` at the first row."""
     head = file.read(MAX_HEADER)
     end = re.search(rb"\nend_header\r?\n", head)
-    if not re.match(rb"ply\r?\n", head) or end is None:
+    if not re.match(rb"ply\r?\n", head) or (end is None and len(head) < MAX_HEADER):
         raise RunFolderError(f"{path} is not a PLY file.", HINT)
+    if end is None:
+        text = f"{path}: the header of this PLY is longer than {MAX_HEADER >> 20} MB."
+        raise RunFolderError(text, "Write it again with shorter comments.")
     file.seek(end.end())
     count, element, form = -1, "", ""
     fields: dict[str, str] = {}
@@ -201,10 +211,35 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     means: Floats = columns(["x", "y", "z"])
     if any(table.dtype[name] == np.dtype("<f8") for name in "xyz"):
         means = np.stack([table[name].astype(np.float64) for name in "xyz"], axis=1)
+    log_scales = columns([f"scale_{k}" for k in range(3)])
+    logit_opacities = columns(["opacity"])[:, 0]
+    if FILTER in names:
+        blur = columns([FILTER])[:, 0]
+        log_scales, logit_opacities = _blurred(log_scales, logit_opacities, blur)
     return {
         "means": means,
         "quats": columns([f"rot_{k}" for k in range(4)]),
-        "log_scales": columns([f"scale_{k}" for k in range(3)]),
-        "logit_opacities": columns(["opacity"])[:, 0],
+        "log_scales": log_scales,
+        "logit_opacities": logit_opacities,
         "sh": columns(sh).reshape(len(table), 1 + rest // 3, 3),
     }
+
+
+def _blurred(
+    log_scales: Float32, logit_opacities: Float32, blur: Float32
+) -> tuple[Float32, Float32]:
+    """Logarithms of scales (N, 3), and logits (N,), after a blur in space (N,), world units.
+
+    Mip-Splatting's 3D smoothing filter (Yu et al. 2024, sec. 5.1), as its renderer applies it: the
+    opacity falls as the volume grows, so that the integral is the same.
+    """
+    log_scales, logit_opacities = log_scales.copy(), logit_opacities.copy()
+    rows = blur != 0  # the others stay as they are, flat ones included
+    before, logits = (a[rows].astype(np.float64) for a in (log_scales, logit_opacities))
+    with np.errstate(all="ignore"):  # NaN stays NaN; the logarithm of an opacity of 0 is -Inf
+        own = np.log(np.abs(blur[rows].astype(np.float64)))
+        after = np.logaddexp(2 * before, 2 * own[:, None]) / 2
+        opacity = (before - after).sum(axis=1) - np.logaddexp(0, -logits)  # its logarithm
+        logit_opacities[rows] = opacity - np.log(-np.expm1(opacity))
+    log_scales[rows] = after
+    return log_scales, logit_opacities

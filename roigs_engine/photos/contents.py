@@ -1,6 +1,6 @@
-"""What the photos' files hold: a hash of each, and whether it is whole.
+"""What the photos' files hold: a hash of each, whether it is whole, and whether it is too dark.
 
-Both are remembered in a small file with the size and times of the photo's file. So a photo is read
+All are remembered in a small file with the size and times of the photo's file. So a photo is read
 for them only once, and again when its file has changed.
 """
 
@@ -18,12 +18,12 @@ from ..context import QUIET, Context
 from ..errors import RunFolderError
 from ..formats.events import StageStarted
 from ..formats.files import read_json, write_json
-from ..formats.text import json_digest
+from ..formats.text import counted, first_of, json_digest
 from .headers import PhotoError, content_digest, photo_size
 from .parallel import decoding_bytes, in_parallel, threads_for
 
 FILE = "photos.json"
-VERSION = 1  # increase it if what is found of a photo changes
+VERSION = 2  # increase it if what is found of a photo changes
 STAGE = "photos"
 CHECKSUM = "checksum"  # key of the file
 DIGEST = re.compile("[0-9a-f]{32}|")
@@ -38,6 +38,7 @@ class Content:
         size, modified, changed: of the file: bytes, and two times in ns.
         digest: hash of its bytes, 32 hexadecimal digits; empty: they cannot be read.
         whole: whether the photo can be decoded and is complete; None: not known.
+        tone: "black" or "white" if it is nearly that, though it has more than 8 bits a channel.
     """
 
     size: int
@@ -45,6 +46,7 @@ class Content:
     changed: int
     digest: str = ""
     whole: bool | None = None
+    tone: str = ""
 
 
 UNREAD = Content(size=-1, modified=0, changed=0, whole=False)
@@ -70,7 +72,7 @@ class Contents:
 
         Args:
             photos: name -> file.
-            context: gets the progress; checked for cancellation.
+            context: gets the progress and warnings; checked for cancellation.
             check: decode the photos too; otherwise `whole` may stay unknown, and nothing is
                 remembered.
 
@@ -97,7 +99,10 @@ class Contents:
         finally:
             if missing and check:
                 self._write()
-        return {name: content for name, content in found.items() if content is not None}
+        known = {name: content for name, content in found.items() if content is not None}
+        if check:
+            _warn_of_tones(known, context)
+        return known
 
     def _current(self, name: str, path: Path, check: bool) -> Content | None:
         """What is known, if the file is still the same."""
@@ -105,7 +110,7 @@ class Contents:
         if known is None or (check and known.whole is None):
             return None
         with suppress(OSError):
-            if _stamp(path) == replace(known, digest="", whole=None):
+            if _stamp(path) == replace(known, digest="", whole=None, tone=""):
                 return known
         return None
 
@@ -138,12 +143,23 @@ def _read(path: Path, check: bool, context: Context) -> Content:
     if not check:
         return content
     try:
-        check_whole(path)
+        tone = check_whole(path)
     except PhotoError as error:
         # A disk that fails once is no reason to remember that the photo is damaged.
         passing = getattr(error.__cause__, "errno", None) is not None
         return UNREAD if passing else replace(content, whole=False)
-    return replace(content, whole=True)
+    return replace(content, whole=True, tone=tone)
+
+
+def _warn_of_tones(found: Mapping[str, Content], context: Context) -> None:
+    """Name photos whose values do not fill the type of their file."""
+    for tone in sorted({content.tone for content in found.values()} - {""}):
+        names = sorted(name for name, content in found.items() if content.tone == tone)
+        context.warn(
+            f"{counted(len(names), 'photo')} of more than 8 bits a channel read as nearly {tone}:"
+            f" {first_of(names)}. Scale the values to the whole range of the file's type (floats:"
+            " 0 to 1), or save 8 bits a channel."
+        )
 
 
 def _memory(path: Path) -> int:
@@ -176,5 +192,6 @@ def _content(value: Any) -> Content | None:
     numbers = (value["size"], value["modified"], value["changed"])
     good = all(isinstance(number, int) for number in numbers) and isinstance(value["whole"], bool)
     digest = value["digest"]
+    good = good and isinstance(value["tone"], str)
     good = good and isinstance(digest, str) and DIGEST.fullmatch(digest) is not None
     return Content(**value) if good else None

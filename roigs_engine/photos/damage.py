@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from .decode import Pixels, to_rgb
+from .decode import Pixels, tone_if_deep
 from .headers import PhotoError, jpeg_segments, open_photo, unreadable
 
 NOISE = np.random.default_rng(0).integers(1, 255, 1 << 15, dtype=np.uint8).tobytes()
@@ -23,8 +23,8 @@ END = b"\xff\xd9"
 RESTART_INTERVAL, RESTARTS = 0xDD, range(0xD0, 0xD8)  # markers: of the headers, within the data
 
 
-def check_whole(path: Path) -> None:
-    """Decode the photo, and check that all of it is in the file.
+def check_whole(path: Path) -> str:
+    """Decode the photo, and check that all of it is in the file; returns its `tone_if_deep`.
 
     Raises:
         PhotoError: the file is missing, damaged or incomplete; names it.
@@ -36,8 +36,7 @@ def check_whole(path: Path) -> None:
                 photo.verify()  # the checksums of all its parts; decoding checks those of pixels
         if kind not in ("JPEG", "MPO"):
             with open_photo(path) as photo:
-                to_rgb(photo)
-            return
+                return tone_if_deep(photo)
         with open(path, "rb") as file:
             whole = not _flat_corner(_eighth(file)) or not _ends_early(file)
     except (MemoryError, PhotoError):
@@ -46,6 +45,7 @@ def check_whole(path: Path) -> None:
         raise unreadable(path, error) from error
     if not whole:
         raise unreadable(path, ValueError("its data end before the photo does"))
+    return ""  # a JPEG has 8 bits a channel
 
 
 def _eighth(file: BinaryIO) -> Pixels:

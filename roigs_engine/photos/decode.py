@@ -18,12 +18,17 @@ Pixels = NDArray[np.uint8]
 
 # A JPEG is decoded at a fraction of its size if that is at least this multiple of the target size.
 GAP = 2.0
+BLACK, WHITE = "black", "white"
+# Of 255. Values of 14 bits in a 16-bit file end at 63; photos that show anything are brighter.
+BRIGHTEST_BLACK, MEAN_WHITE = 63, 250
 
 
 def decode(path: Path, size: tuple[int, int] | None = None) -> Pixels:
     """(H, W, 3) uint8 sRGB of a photo, resampled to `size` = (width, height) if given.
 
-    Grey, palette, CMYK and 16-bit files are converted; an alpha channel is dropped.
+    Grey, palette, CMYK, 16-bit and float files are converted; an alpha channel is dropped. White is
+    the largest value of the file's type, 1 for floats, whatever the values in the photo: otherwise
+    a dark photo would become brighter than the others of its scene.
 
     Raises:
         PhotoError: the file is missing or cannot be decoded; names it.
@@ -92,9 +97,13 @@ def _draft_factor(full: tuple[int, int], drafted: tuple[int, int]) -> int:
 
 def to_rgb(photo: Image.Image) -> Image.Image:
     """The photo, decoded, as 8-bit RGB; on damaged files Pillow raises many kinds of errors."""
-    if photo.mode == "I" or photo.mode.startswith("I;16"):
-        values = np.asarray(photo)
-        grey = values >> 8 if values.max(initial=0) > 255 else values
+    if photo.mode == "F":
+        values = np.nan_to_num(np.array(photo), copy=False)  # one copy of a large photo
+        np.multiply(values.clip(0, 1, out=values), 255, out=values)
+        return Image.fromarray(values.round(out=values).astype(np.uint8)).convert("RGB")
+    if photo.mode == "I" or photo.mode.startswith("I;16"):  # "I": 16 bits in a wider type
+        extra = 4 if "I;12" in _packing(photo) else 8
+        grey = np.asarray(photo) >> extra
         return Image.fromarray(grey.clip(0, 255).astype(np.uint8)).convert("RGB")
     if photo.mode in ("P", "PA"):
         return photo.convert("RGBA").convert("RGB")
@@ -102,3 +111,24 @@ def to_rgb(photo: Image.Image) -> Image.Image:
         photo.load()
         return photo
     return photo.convert("RGB")
+
+
+def tone_if_deep(photo: Image.Image) -> str:
+    """BLACK or WHITE if a photo of more than 8 bits a channel decodes to nearly that, else "".
+
+    Its values then probably do not fill their type: 12 bits in a file of 16, or floats up to 255.
+    Decodes the photo, which must be freshly opened; raises as `to_rgb`.
+    """
+    deep = photo.mode[0] in "IF" or ";16" in _packing(photo)  # before decoding, which clears it
+    rgb = to_rgb(photo)
+    if not deep:
+        return ""
+    pixels = np.asarray(rgb)
+    if pixels.max(initial=0) <= BRIGHTEST_BLACK:
+        return BLACK
+    return WHITE if pixels.mean() > MEAN_WHITE else ""
+
+
+def _packing(photo: Image.Image) -> str:
+    """How a file stores values, in Pillow's words: "RGB;16B" for 16 bits a channel."""
+    return " ".join(str(tile.args) for tile in getattr(photo, "tile", ()))

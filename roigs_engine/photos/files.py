@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import unicodedata
-from collections.abc import Callable, Iterable, Set
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Set
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from ..errors import SceneError
+from ..formats.files import is_link
 from ..formats.projects import PHOTO_FOLDERS, SPARSE
 
 EXTENSIONS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm"}
@@ -58,10 +60,9 @@ class PhotoFolder:
     def _files(self) -> dict[str, Path]:
         """Name on disk (with `/`) -> path, of every photo below the folder, except hidden ones."""
         files = {}
-        for parent, folders, names in os.walk(self.folder):
-            folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for parent, names in _folders(self.folder):
             for name in sorted(names):
-                path = Path(parent, name)
+                path = parent / name
                 known = path.suffix.lower() in self.extensions and self.keep(name)
                 if not known or name.startswith("."):
                     continue
@@ -98,6 +99,27 @@ class PhotoFolder:
         """Names of the photos on disk that a model's `names` do not include."""
         found = {self.find(name) for name in names}
         return [name for name, path in self._files.items() if path not in found]
+
+
+def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Each folder at and below `root` with its files' names, except hidden folders.
+
+    Links to folders are followed, after all other folders: one that can be reached in several ways
+    comes once, if possible under its real name.
+    """
+    links, seen = deque([root]), set()
+    while links:
+        for place, folders, names in os.walk(links.popleft()):
+            parent, real = Path(place), os.path.realpath(place)
+            if real in seen:  # a link may also lead to a folder above it
+                folders.clear()
+                continue
+            seen.add(real)
+            below = sorted(name for name in folders if not name.startswith("."))
+            linked = [name for name in below if is_link(parent / name)]
+            links += [parent / name for name in linked]
+            folders[:] = [name for name in below if name not in linked]
+            yield parent, names
 
 
 def same_name(name: str) -> str:

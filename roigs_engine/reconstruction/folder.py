@@ -11,6 +11,8 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Set
 from contextlib import contextmanager, suppress
+from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +159,9 @@ class Folder:
             if self.model.exists():
                 kept = self.work("earlier")
                 kept.mkdir(exist_ok=True)
-                self.model.rename(kept / str(len(list(kept.iterdir()))))
+                places = (kept / str(number) for number in count())
+                # The first free name: users may have deleted some of the earlier models.
+                self.model.rename(next(path for path in places if not os.path.lexists(path)))
             source.rename(self.model)
         except OSError as error:
             raise cannot_write(self.model, error) from error
@@ -193,12 +197,16 @@ class Folder:
         """Name -> file, of those below a folder, except this folder's own."""
         own = [Path(os.path.realpath(path)) for path in (self.images, self.root / WORK)]
         here = Path(os.path.realpath(source))
-        skipped = [path for path in own if path != here and path.is_relative_to(here)]
-        return {
-            name: source / name
-            for name in PhotoFolder(source, extensions).others([])
-            if not any((here / name).is_relative_to(folder) for folder in skipped)
-        }
+        skipped = [path for path in own if not here.is_relative_to(path)]
+
+        @cache
+        def is_own(folder: Path) -> bool:
+            """By its real path: a link may lead there."""
+            real = Path(os.path.realpath(folder))
+            return any(real.is_relative_to(path) for path in skipped)
+
+        files = {name: source / name for name in PhotoFolder(source, extensions).others([])}
+        return {name: path for name, path in files.items() if not is_own(path.parent)}
 
     def take_photos(self, photos: list[Photo]) -> None:
         """Put the photos into `images`: as second names of the files if possible, else as copies.

@@ -57,15 +57,27 @@ def archive_damaged(folder: Path, names: Iterable[str]) -> Path:
 
 
 def archive_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
-    """Move the files `names` of `folder`, as far as they exist, to one folder in its archive."""
-    place = _free(archived(folder / ARCHIVED_RESULTS, fingerprint))
-    for name in names:
-        if (folder / name).exists():
-            move(folder / name, place / name)
+    """Move the files `names` of `folder`, as far as they exist, to one folder in its archive.
+
+    If an engine was killed in between, the rest joins what it has moved. An older result of the
+    same fingerprint, which still has some of these files, gets a number.
+
+    Raises:
+        RunFolderError: one cannot be moved, or the archive is a link.
+    """
+    place = archived(folder / ARCHIVED_RESULTS, fingerprint)
+    found = [name for name in names if (folder / name).exists()]
+    if any((place / name).exists() for name in found):
+        move(place, _free(place))
+    for name in found:
+        move(folder / name, place / name)
 
 
 def restore_parts(folder: Path, names: Iterable[str], fingerprint: str) -> None:
-    """Move the files that `archive_parts` archived under that fingerprint back."""
+    """Move the files that `archive_parts` archived under that fingerprint back.
+
+    Files that `folder` has already stay, and so do their archived ones. Raises as `archive_parts`.
+    """
     place = archived(folder / ARCHIVED_RESULTS, fingerprint)
     for name in names:
         if (place / name).exists() and not (folder / name).exists():

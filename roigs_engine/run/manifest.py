@@ -35,6 +35,10 @@ SWITCHED = {
         *("as elsewhere", "more than elsewhere"),
     ),
     "opacity_decay": ("opacity decay was {}, now {}", "off", "on"),
+    "outside_spared_spacing": (
+        "outside the boxes, opacities decayed {}, now {}",
+        *("as inside", "less where photos are close"),
+    ),
     "outside_rate": (
         "Gaussians outside the boxes had {}, now {}",
         *("the learning rates of the others", "their own"),
@@ -72,25 +76,44 @@ def claim(
     check_version(folder)
     if not path.exists():
         write_json(path, now)
-        return
-    before = read_manifest(path)
-    difference = manifest_difference(before, now)
-    if not difference:
-        return
-    if not update:
-        raise _other_run(folder, difference)
+    elif difference := manifest_difference(before := read_manifest(path), now):
+        if not update:
+            raise _other_run(folder, difference)
+        _change(folder, before, now, context)
+    # Also if nothing changed: an engine may have been killed before all results were back.
+    restored = json_digest(read_manifest(path))
+    for home in _homes(folder):
+        restore_parts(home, RESULTS, restored)
+
+
+def _homes(folder: Path) -> tuple[Path, ...]:
+    """The run folder, and those of the strategies that it is compared with."""
+    return (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES))
+
+
+def _change(folder: Path, before: Any, now: dict[str, Any], context: Context) -> None:
+    """Archive the results of `before`, rename boxes, and write the manifest `now`.
+
+    An engine may be killed at any moment, and the next one goes on. So results of `before` are
+    archived while the manifest still says whose they are, and each step may be done twice.
+    """
     renamed = renamed_boxes(before, now)
     other = manifest_difference(with_names(before, renamed), now)
-    for home in (folder, *(own_folder(folder, run_files.COMPARED + name) for name in STRATEGIES)):
-        rename_stages(home, renamed)
-        if other:
+    homes = _homes(folder)
+    if other:
+        for home in homes:
             archive_parts(home, RESULTS, json_digest(before))
-            restore_parts(home, RESULTS, json_digest(now))
-        else:
-            rename_results(home, renamed)
-    write_json(path, now)
     for old, new in renamed.items():
+        for home in homes:
+            rename_stages(home, old, new)
+            if not other:
+                rename_results(home, old, new)
+        # One name at a time: where `a` becomes `b` and `b` becomes `c`, files called `b` do not
+        # tell which of the two they belong to.
+        before = with_names(before, {old: new})
+        write_json(folder / MANIFEST, before)
         context.info(f"Box '{old}' is now called '{new}'; its training is kept.")
+    write_json(folder / MANIFEST, now)
     if other:
         context.info(f"Updated {folder} to the new settings ({other}).")
 

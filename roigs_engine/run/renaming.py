@@ -65,27 +65,25 @@ def with_names(manifest: dict[str, Any], renamed: dict[str, str]) -> dict[str, A
     return named
 
 
-def rename_stages(home: Path, renamed: dict[str, str]) -> None:
-    """Rename the boxes' stages in a run folder and in its archive.
+def rename_stages(home: Path, old: str, new: str) -> None:
+    """Rename a box's stages in a run folder and in its archive.
 
     Raises:
         RunFolderError: one cannot be moved, or the archive is a link.
     """
-    for old, new in renamed.items():
-        for prefix in STAGES:
-            _rename(home / f"{prefix}{old}", home / f"{prefix}{new}")
-            for place in own_folder(home, run_files.ARCHIVE).glob(f"{prefix}*"):
-                mark = place.name.removeprefix(f"{prefix}{old}")
-                if mark != place.name and ARCHIVED.fullmatch(mark):
-                    _rename(place, place.with_name(f"{prefix}{new}{mark}"))
+    for prefix in STAGES:
+        _rename(home / f"{prefix}{old}", home / f"{prefix}{new}")
+        for place in own_folder(home, run_files.ARCHIVE).glob(f"{prefix}*"):
+            mark = place.name.removeprefix(f"{prefix}{old}")
+            if mark != place.name and ARCHIVED.fullmatch(mark):
+                _rename(place, place.with_name(f"{prefix}{new}{mark}"))
 
 
-def rename_results(home: Path, renamed: dict[str, str]) -> None:
-    """Rename the boxes' results in a run folder; raises as `rename_stages`."""
-    for old, new in renamed.items():
-        for form in RESULTS:
-            _rename(home / form.format(old), home / form.format(new))
-        _rename_levels(home, old, new)
+def rename_results(home: Path, old: str, new: str) -> None:
+    """Rename a box's results in a run folder; raises as `rename_stages`."""
+    for form in RESULTS:
+        _rename(home / form.format(old), home / form.format(new))
+    _rename_levels(home, old, new)
 
 
 def _rename_levels(home: Path, old: str, new: str) -> None:

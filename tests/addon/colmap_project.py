@@ -39,10 +39,12 @@ def write_project(
     *,
     tracks: bool = True,
     bend: float = 0.0,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Path:
     """A text model with points in [-0.5, 0.5]^3 and photos that show them as coloured dots.
 
     `bend` is the radial distortion of the lens (k1), of which the model's camera knows nothing.
+    `origin` is where the model puts the middle of the points.
     """
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
@@ -58,7 +60,8 @@ def write_project(
         rays = local[:, :2] / local[:, 2:]
         rays *= 1 + bend * (rays**2).sum(axis=1, keepdims=True)
         pixels = rays * PARAMS[:2] + PARAMS[2:]
-        numbers = " ".join(f"{v:.17g}" for v in (*quaternion(pose[:3, :3]), *pose[:3, 3]))
+        shift = pose[:3, 3] - pose[:3, :3] @ origin
+        numbers = " ".join(f"{v:.17g}" for v in (*quaternion(pose[:3, :3]), *shift))
         lines.append(f"{index + 1} {numbers} 1 photo {index}.png")
         inside = ((pixels > 0) & (pixels < (WIDTH, HEIGHT))).all(axis=1)
         seen = np.flatnonzero(inside) if tracks else []
@@ -69,7 +72,7 @@ def write_project(
     (model / "images.txt").write_text("\n".join(lines) + "\n")
     rows = (
         f"{k + 1} {' '.join(f'{v:.17g}' for v in p)} {' '.join(map(str, c))} 0.5 {' '.join(o)}\n"
-        for k, (p, c, o) in enumerate(zip(points, colours, observers, strict=True))
+        for k, (p, c, o) in enumerate(zip(points + origin, colours, observers, strict=True))
     )
     (model / "points3D.txt").write_text("".join(rows))
     return folder

@@ -256,6 +256,21 @@ def test_its_origin_is_its_middle(blender: ModuleType, engine, tmp_path: Path) -
     np.testing.assert_allclose(item.location, (low + high) / 2, atol=1e-4)
 
 
+def test_map_coordinates_are_warned_of(blender: ModuleType, engine, tmp_path: Path) -> None:
+    """The file's doubles do not fit into Blender's 32-bit numbers."""
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.spec import IMPORTING_GAUSSIANS
+
+    arrays = random_arrays(200, seed=4)
+    arrays["means"] = arrays["means"].astype(np.float64)
+    for name, origin in (("near", (5, 6, 7)), ("far", (5e5, 5e6, 100))):
+        write_ply(tmp_path / f"{name}.ply", {**arrays, "means": arrays["means"] + origin})
+        bring(blender, tmp_path / f"{name}.ply", up="Z")
+        warnings = current.warnings(IMPORTING_GAUSSIANS)
+        assert len(warnings) == (name == "far")
+    assert warnings[0].startswith("far lies 5,000,00") and "Move it to the origin" in warnings[0]
+
+
 def test_files_that_are_none(blender: ModuleType, engine, tmp_path: Path) -> None:
     def refused(path: object, match: str) -> None:
         with pytest.raises(RuntimeError, match=match) as caught:

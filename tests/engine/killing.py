@@ -14,11 +14,13 @@ import multiprocessing
 import os
 import random
 import re
+import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,10 @@ CONTEXT = multiprocessing.get_context("forkserver" if os.name == "posix" else "s
 CONTEXT.set_forkserver_preload(
     [__name__, "roigs_engine.run.folder", "roigs_engine.evaluation.crops"]
 )
+KILLED = 9  # the exit status of a process of `killed_everywhere`
+CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.truncate")
+"""What Python calls changes of names in its audit events; `os.replace` is a renaming, too."""
+WRITING = os.O_WRONLY | os.O_RDWR
 STEPS_BETWEEN_CHECKPOINTS = 7
 SEED = 6
 SECRET = "s3cr3t-0f-th3-sh3ll"  # in every engine's environment
@@ -86,6 +92,56 @@ def engine(arguments: Sequence[object], at: Moment | None = None) -> Ended:
             errors=(folder / "errors").read_text(encoding="utf-8"),
             moments=json.loads(moments.read_text(encoding="utf-8")) if moments.exists() else [],
         )
+
+
+def killed_everywhere(start: Path, folder: Path, work: Callable[[], object]) -> Iterator[int]:
+    """Do some work in a folder, killed before the first change of a name there, the second, ...
+
+    A file opened to write is a change, too. The last time the work ends.
+
+    Args:
+        start: the folder is a copy of it each time.
+        folder: where the work is done; it is replaced.
+        work: a function of a module, or a partial of one; it gets to a process of its own.
+
+    Yields:
+        How many changes were begun, each time that the folder may be looked at.
+    """
+    for number in count(1):
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(start, folder)
+        process = CONTEXT.Process(target=_dying, args=(number, str(folder), work))
+        process.start()
+        process.join()
+        assert process.exitcode in (0, KILLED), "it failed by itself"
+        yield number
+        if process.exitcode == 0:
+            return
+
+
+def _dying(number: int, folder: str, work: Callable[[], object]) -> None:
+    """In a process of its own, as an audit hook stays."""
+    left = number
+
+    def watch(event: str, values: tuple[Any, ...]) -> None:
+        nonlocal left
+        changes = event in CHANGES or (event == "open" and values[2] & WRITING)
+        if changes and isinstance(values[0], str | Path) and str(values[0]).startswith(folder):
+            left -= 1
+            if left == 0:
+                os._exit(KILLED)  # nothing is cleaned up
+
+    sys.addaudithook(watch)
+    work()
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    """Path below a folder -> content, None for folders; without files that are written."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+        if not files.LEFTOVER.fullmatch(path.name)
+    }
 
 
 def tiny() -> RunConfig:

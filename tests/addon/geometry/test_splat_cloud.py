@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from roigs_addon.geometry.splat_cloud import read_splats, write_splats
-from roigs_engine.formats.splat_ply import is_antialiased, write_ply
+from roigs_engine.formats.drawable import usable
+from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
 from tests.addon.splat_cases import random_arrays, random_ply
 
 
@@ -80,6 +81,27 @@ def test_what_cannot_be_drawn_is_skipped(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", arrays)
     cloud = read_splats(tmp_path / "a.ply")
     np.testing.assert_array_equal(cloud.means, arrays["means"][4:])
+
+
+def test_exact_opacities_and_sizes_are_drawn(tmp_path: Path) -> None:
+    """As infinite logarithms, which programs write for opacities of 1 and flat Gaussians."""
+    arrays = random_arrays(6, seed=2)
+    arrays["logit_opacities"][:2] = (np.inf, -np.inf)
+    arrays["log_scales"][2, 0] = -np.inf
+    write_ply(tmp_path / "a.ply", arrays)
+    cloud = read_splats(tmp_path / "a.ply")
+    np.testing.assert_array_equal(cloud.means, arrays["means"])
+    assert cloud.opacities[0] == 1 and cloud.opacities[1] < 1e-30 and cloud.scales[2, 0] < 1e-20
+
+
+def test_the_viewport_shows_what_the_engine_keeps(tmp_path: Path) -> None:
+    """A size that the engine leaves out as too large was shown."""
+    arrays = random_arrays(6, seed=2)
+    arrays["log_scales"][1, 1], arrays["means"][3, 0] = 70, 1e16
+    write_ply(tmp_path / "a.ply", arrays)
+    kept = usable(read_ply(tmp_path / "a.ply"))
+    np.testing.assert_array_equal(read_splats(tmp_path / "a.ply").means, kept["means"])
+    assert len(kept["means"]) == 4
 
 
 def test_no_gaussians(tmp_path: Path) -> None:

@@ -137,6 +137,45 @@ def test_no_preview_is_drawn_while_the_engine_stops(
     assert shown == [first, last] and job.result.stopped
 
 
+def test_nothing_is_imported_while_blender_renders(
+    blender: ModuleType, spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Replacing a mesh would crash a render in a window; progress goes on, and nothing is lost."""
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.state import WAITING
+
+    made, go = tmp_path / "made.ply", tmp_path / "go"
+    made.touch()
+    engine = fake(
+        tmp_path,
+        f"""
+        say(event="preview", path={str(made)!r})
+        say(event="progress", stage="joint", step=1, total=3)
+        while not os.path.exists({str(go)!r}):
+            time.sleep(0.01)
+        say(event="progress", stage="joint", step=2, total=3)
+        say(event="message", text="Only 3 photos see it", level="warning")
+        say(event="done", outputs={{}}, stopped=False)
+        """,
+    )
+    rendering = [True]
+    monkeypatch.setattr(current, "is_rendering", lambda: rendering[0])
+    shown: list[Path] = []
+    job = current.start(engine, spec(on_preview=shown.append, folder=tmp_path, done_text="Made."))
+    assert until(lambda: current._poll() and current.state().step == 1)
+    go.touch()
+    assert until(lambda: current._poll() and current.state().message == WAITING)
+    assert current.busy() and current.state().step == 2 and not shown and not spec.taken
+    job.news = False
+    assert current._poll() and not job.news  # it is said once
+    rendering[0] = False
+    assert not current._poll()
+    assert shown == [made] and spec.taken == ["done"]
+    state = current.state()
+    assert (state.outcome, state.message) == ("Made.", "")
+    assert state.warnings == ["Only 3 photos see it"]
+
+
 def test_odd_numbers_do_no_harm(blender: ModuleType, spec, tmp_path: Path) -> None:
     from roigs_addon.jobs import current
 

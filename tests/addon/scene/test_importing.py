@@ -185,6 +185,23 @@ def test_what_is_skipped_is_counted(blender: ModuleType, addon: ModuleType, tmp_
     assert scene.roigs.skipped.startswith("2 ") and "{" not in scene.roigs.skipped
 
 
+def test_a_model_in_map_coordinates_is_warned_of(
+    blender: ModuleType, addon: ModuleType, tmp_path: Path
+) -> None:
+    """Blender's numbers have 32 bits; the warning is in the panel, and says what to do."""
+    from roigs_addon.jobs import current
+    from roigs_addon.jobs.spec import IMPORTING
+    from roigs_addon.ui.scene import ScenePanel
+    from tests.addon.ui.test_panels import said
+
+    imported(blender, write_project(tmp_path / "near"))
+    assert not current.warnings(IMPORTING)
+    imported(blender, write_project(tmp_path / "far", origin=(5e5, 5e6, 100.0)))
+    (warning,) = current.warnings(IMPORTING)
+    assert "steps of 0.5" in warning and "move the model to the origin" in warning
+    assert any("steps of 0.5" in text for text in said(blender, ScenePanel))
+
+
 def test_importing_again_replaces(
     blender: ModuleType, addon: ModuleType, project: Path, tmp_path: Path
 ) -> None:

@@ -78,11 +78,16 @@ def test_the_viewport_draws_what_the_engine_draws(
     blender: str, tmp_path: Path, coefficients: int
 ) -> None:
     pytest.importorskip("torch")
+    from roigs_engine.formats.splat_ply import write_ply
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.rasterize.camera_path import load_camera_path
     from roigs_engine.rasterize.sequence import render_sequence
 
-    path = random_ply(tmp_path / "splats.ply", 1500, seed=5, coefficients=coefficients)
+    path, arrays = tmp_path / "splats.ply", random_arrays(1500, 5, coefficients)
+    # Opacities of exactly 1 and 0, and flat Gaussians, as programs write them.
+    arrays["logit_opacities"][:200], arrays["logit_opacities"][200:250] = np.inf, -np.inf
+    arrays["log_scales"][100:300, 0] = -np.inf
+    write_ply(path, arrays)
     chosen = cameras() if coefficients == 16 else cameras()[:1]
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": chosen}), encoding="utf-8")
     gaussians = Gaussians.load_ply(path)

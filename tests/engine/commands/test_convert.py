@@ -63,7 +63,9 @@ def test_placed_models_become_one(ply: Path, tmp_path: Path) -> None:
     ("models", "said"),
     [
         ([], "it has no model"),
-        ([{"ply": "a.ply"}], "matrix"),
+        ([{"file": "a.ply"}], "malformed (a model has no 'ply')"),
+        ([{"ply": "a.ply"}], "malformed (a model has no 'matrix')"),
+        ([["ply"]], "malformed"),
         ([{"ply": "a.ply", "matrix": [[1, 2]]}], "4 x 4"),
         ([{"ply": "a.ply", "matrix": np.zeros((4, 4)).tolist()}], "affine"),
         ([{"ply": "gone.ply", "matrix": np.eye(4).tolist()}], "gone.ply"),
@@ -80,6 +82,27 @@ def test_malformed_lists_are_one_line(
     assert not (tmp_path / "out.ply").exists()
 
 
+def test_a_list_without_models_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for text in ("{}", "[]", "3"):
+        (tmp_path / "placed.json").write_text(text)
+        said = refused(capsys, "convert", tmp_path / "placed.json", tmp_path / "out.ply")
+        assert "placed.json is malformed" in said
+
+
+def test_relative_paths_of_a_list_start_at_its_folder(
+    ply: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not where the command is started, so that a list can be moved with its files."""
+    models = listed(tmp_path, {"ply": ply.name, "matrix": np.eye(4).tolist()})
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for number, path in enumerate((models, Path("..") / models.name)):
+        assert main(["convert", str(path), f"{number}.ply"]) == 0
+        assert len(read_ply(f"{number}.ply")["means"]) == len(cloud())
+
+
 def test_inputs_are_not_replaced(
     ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -89,6 +112,16 @@ def test_inputs_are_not_replaced(
     assert main(["convert", str(ply), str(ply)]) == 2
     assert "is an input" in capsys.readouterr().err
     assert ply.read_bytes() == before
+
+
+def test_what_a_list_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    broken = cloud()
+    broken.quats[:3] = 0
+    broken.logit_opacities[3:6] = np.inf
+    broken.save_ply(tmp_path / "broken.ply")
+    models = [{"ply": "broken.ply", "matrix": np.eye(4).tolist()}] * 2
+    assert main(["convert", str(listed(tmp_path, *models)), str(tmp_path / "out.ply")]) == 0
+    assert capsys.readouterr().out.startswith("114 Gaussians (6 left out), ")
 
 
 def test_a_model_without_gaussians_is_refused(

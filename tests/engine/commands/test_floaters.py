@@ -60,6 +60,16 @@ def test_what_hangs_among_the_cameras(project: Project, tmp_path: Path) -> None:
     assert mask[-1] and not mask[0] and mask.sum() < 10
 
 
+def test_opaque_and_flat_ones_are_judged(project: Project, tmp_path: Path) -> None:
+    """Opacities of 1 and sizes of 0 are infinite logarithms; such Gaussians were left out."""
+    scene = load_colmap(project.folder)
+    ball = speck(beside(scene.images[0]), 0.02)
+    ball["logit_opacities"][:], ball["log_scales"][:, 0] = np.inf, -np.inf
+    own = [speck(point, 0.02) for point in scene.points[:40].astype(float)]
+    write_ply(tmp_path / "a.ply", joined(*own, ball))
+    assert found(project, tmp_path / "a.ply", tmp_path / "out.npy", "--roi", BOX)[-1]
+
+
 def test_files_in_their_places(project: Project, tmp_path: Path) -> None:
     """The same model, moved in its file and back in the list, gives the same answer."""
     scene = load_colmap(project.folder)
@@ -72,7 +82,7 @@ def test_files_in_their_places(project: Project, tmp_path: Path) -> None:
     back = np.eye(4)
     back[:3, 3] = -7
     models = [("moved.ply", back), ("speck.ply", np.eye(4))]
-    record = [{"ply": str(tmp_path / name), "matrix": m.tolist()} for name, m in models]
+    record = [{"ply": name, "matrix": m.tolist()} for name, m in models]  # beside the list
     (tmp_path / "list.json").write_text(json.dumps({"models": record}))
     whole = found(project, tmp_path / "a.ply", tmp_path / "a.npy")
     np.testing.assert_array_equal(found(project, tmp_path / "list.json", tmp_path / "b.npy"), whole)
@@ -91,7 +101,7 @@ def test_wrong_input_is_one_line(
 ) -> None:
     cloud().save_ply(tmp_path / "a.ply")
     (tmp_path / "bad.json").write_text('{"models": [{}]}')
-    for model, said in (("gone.ply", "gone.ply"), ("bad.json", "malformed")):
+    for model, said in (("gone.ply", "gone.ply"), ("bad.json", "malformed (a model has no 'ply')")):
         options = ["--model", str(tmp_path / model), "--out", str(tmp_path / "o.npy")]
         assert main(["floaters", str(project.folder), *options]) == 2
         error = capsys.readouterr().err

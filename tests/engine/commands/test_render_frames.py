@@ -11,6 +11,9 @@ import pytest
 from PIL import Image
 
 from roigs_engine.cli import main
+from roigs_engine.commands.render_frames import Models
+from roigs_engine.context import Context
+from roigs_engine.formats.events import Event, Progress
 from roigs_engine.formats.frame_requests import colour_file, depth_file, write_nothing
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 
@@ -83,6 +86,54 @@ def test_what_cannot_be_drawn_is_left_out(folder: Path, rotation: float, stretch
     assert one.max() > 0 and np.abs(one - two).max() <= 1
 
 
+def test_what_is_left_out_is_said_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not as a warning: Blender takes that for a request that was refused."""
+    path = folder.parent / "ball.ply"
+    arrays = {name: np.repeat(a, 3, axis=0) for name, a in read_ply(path).items()}
+    arrays["quats"][1:] = 0
+    write_ply(path, arrays)
+    ask(folder), ask(folder, "b")
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    said = capsys.readouterr()
+    assert (said.out + said.err).count("2 of 3 Gaussians cannot be drawn") == 1
+    assert "warning" not in said.out + said.err
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_exact_opacities_and_sizes_are_drawn(folder: Path, flat: bool) -> None:
+    """Programs write opacities of 1 and flat Gaussians as infinite logarithms.
+
+    The picture is that of `render`.
+    """
+    path = folder.parent / "ball.ply"
+    arrays = dict(read_ply(path))
+    arrays["logit_opacities"] = np.array([np.inf], np.float32)
+    if flat:
+        arrays["log_scales"][:, 2] = -np.inf
+    write_ply(path, arrays)
+    out = ask(folder)
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    layer = np.asarray(Image.open(colour_file(out))).astype(float)
+    assert layer[12, 16, 3] > 250
+    cameras = folder.parent / "path.json"
+    cameras.write_text(json.dumps({"cameras": [{**CAMERA, "world_to_camera": POSE}]}))
+    rendered = ["render", str(path), "--path", str(cameras), "--out", str(folder.parent / "out")]
+    assert main([*rendered, "--device", "cpu"]) == 0
+    usual = np.asarray(Image.open(folder.parent / "out" / "1.png")).astype(float)
+    np.testing.assert_allclose(layer[..., :3] * layer[..., 3:] / 255, usual, atol=2)
+
+
+def test_relative_paths_start_at_the_folder_of_the_requests(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = {"ply": "../ball.ply", "matrix": np.eye(4).tolist()}
+    ask(folder, models=[model], out="../answer")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert main(["render-frames", str(folder), "--once"]) == 0
+    assert colour_file(tmp_path / "answer").is_file()
+
+
 def test_gains_change_the_colours(folder: Path) -> None:
     model = {"ply": str(folder.parent / "ball.ply"), "matrix": np.eye(4).tolist()}
     plain = ask(folder)
@@ -111,7 +162,7 @@ def test_a_density_lets_more_through(folder: Path) -> None:
     [
         ({"camera": {}}, "'name'"),
         ({"models": []}, "no model"),
-        ({"models": [{"ply": "none.ply", "matrix": np.eye(4).tolist()}]}, "Cannot read none.ply"),
+        ({"models": [{"ply": "none.ply", "matrix": np.eye(4).tolist()}]}, "none.ply ("),
         ({"models": [{"ply": "a", "matrix": np.zeros((4, 4)).tolist()}]}, "affine"),
         ({"models": [{"ply": "a", "matrix": [1, 2]}]}, "4 x 4"),
         ({"models": [{"ply": "a", "matrix": POSE, "gains": [1, 1]}]}, "three numbers"),
@@ -130,6 +181,17 @@ def test_what_is_wrong_is_said(
     ask(folder, **changes)
     assert text in fails(["render-frames", str(folder), "--once"], capsys)
     assert not list(folder.iterdir())
+
+
+def test_each_model_that_is_read_is_a_sign_of_life(folder: Path) -> None:
+    """Blender ends an engine that is silent for long; large models take long to read."""
+    heard: list[Event] = []
+    second = folder.parent / "second.ply"
+    second.write_bytes((folder.parent / "ball.ply").read_bytes())
+    models = Models(print)
+    for _ in range(2):  # the second time, nothing is read
+        models.get([str(folder.parent / "ball.ply"), str(second)], Context(emit=heard.append))
+    assert [(e.step, e.total) for e in heard if isinstance(e, Progress)] == [(1, 2), (2, 2)]
 
 
 def test_a_folder_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

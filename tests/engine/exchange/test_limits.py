@@ -14,7 +14,7 @@ from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError
 from roigs_engine.exchange import formats
 from roigs_engine.formats.splat_ply import read_ply, write_ply
-from tests.engine.exchange.test_formats import READABLE, arrays, needed
+from tests.engine.exchange.test_formats import LEAST, READABLE, arrays, needed, picture, psnr
 
 
 @pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
@@ -29,6 +29,28 @@ def test_the_number_that_is_said_is_that_in_the_file(
     assert main(["convert", str(tmp_path / "in.ply"), str(out), "--up=z"]) == 0
     assert capsys.readouterr().out.startswith("397 Gaussians (3 left out), ")
     assert len(formats.read(out)["means"]) == 397
+
+
+@pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
+def test_exact_opacities_and_sizes_are_kept(
+    form: formats.FileFormat, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Programs write opacities of 1 and flat Gaussians as infinite logarithms."""
+    needed(form)
+    values = arrays()
+    values["logit_opacities"][:200] = np.inf
+    values["log_scales"][:200, 2], values["log_scales"][200:210] = -np.inf, -np.inf
+    values["logit_opacities"][210:220] = -np.inf
+    write_ply(tmp_path / "in.ply", values)
+    out = tmp_path / f"out{form.suffix}"
+    assert main(["convert", str(tmp_path / "in.ply"), str(out), "--up=-y"]) == 0
+    assert capsys.readouterr().out.startswith("400 Gaussians, ")
+    limits = {"logit_opacities": (-80, 80), "log_scales": (-60, 60)}  # far beyond all formats
+    finite = {name: np.clip(a, *limits.get(name, (-np.inf, np.inf))) for name, a in values.items()}
+    assert psnr(picture(finite), picture(values)) > 100
+    assert main(["convert", str(out), str(tmp_path / "back.ply"), "--from-up=-y"]) == 0
+    back = picture(read_ply(tmp_path / "back.ply"))
+    assert psnr(back, picture(values)) > LEAST.get(form.suffix, 60.0)
 
 
 def test_what_spz_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

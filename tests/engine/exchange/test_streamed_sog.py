@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import zipfile
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from roigs_engine.cli import main
+from roigs_engine.errors import Stopped
 from roigs_engine.exchange import formats, streamed_sog
 from roigs_engine.formats.levels import Ladder, Level, write_ladders
 from roigs_engine.formats.splat_ply import write_ply
 from tests.engine.commands.command_line import refused
+from tests.engine.exchange.small_sogs import small, written
 from tests.engine.exchange.test_foreign import read_by
 from tests.engine.exchange.test_formats import arrays
+from tests.engine.killing import killed_everywhere, tree
 
 OCTREE = """\
 const [folder, file] = process.argv.slice(1);
@@ -79,13 +84,82 @@ def test_a_run_is_converted_with_its_levels(
     assert "Leave out the boxes" in refused(capsys, *line, "--roi", "a=0,0,0,1,1,1")
     assert main([*line, "--sh-degree", "0"]) == 0
     assert json.loads(out.read_text())["counts"] == [500, 200]
-    meta = json.loads((out.parent / "0_0/meta.json").read_text())
+    (meta,) = sogs(out)[:1]
     assert "shN" not in meta and "model" not in meta
     write_ply(run / "background.ply", arrays(500), antialiased=True)
     capsys.readouterr()
     assert "levels/1/b.ply without" in refused(capsys, *line)
     write_ply(run / "levels/1/b.ply", arrays(200), antialiased=True)
     assert main(line) == 0
-    for name in ("0_0", "1_0"):
-        meta = json.loads((out.parent / name / "meta.json").read_text())
-        assert meta["model"] == "antialiased"
+    assert [meta["model"] for meta in sogs(out)] == ["antialiased"] * 2
+    assert len(list(out.parent.iterdir())) == 3, "folders of the first time are gone"
+
+
+def sogs(path: Path) -> list[Any]:
+    """The `meta.json` of each SOG that a `lod-meta.json` names."""
+    names = json.loads(path.read_text())["filenames"]
+    return [json.loads((path.parent / name).read_text()) for name in names]
+
+
+# --- a model in the place of another ---
+
+OLD, NEW = ([[arrays(size)], [arrays(size // 2)]] for size in (60, 40))
+
+
+def refuse_mixed(path: Path) -> None:
+    """Raise unless each SOG is whole and has as many Gaussians as `lod-meta.json` says."""
+    record = json.loads(path.read_text())
+    for node in record["tree"]["children"]:
+        for lod in node["lods"].values():
+            folder = (path.parent / record["filenames"][lod["file"]]).parent
+            assert json.loads((folder / "meta.json").read_text())["count"] == lod["count"]
+            assert (folder / "sh0.webp").read_bytes() == b"%d" % lod["count"]
+
+
+def test_killed_before_any_change_it_shows_the_old_model_or_the_new_one(tmp_path: Path) -> None:
+    start, fresh, out = (tmp_path / name for name in ("start", "fresh", "out"))
+    written(start / "lod-meta.json", OLD)
+    written(fresh / "lod-meta.json", NEW)
+    path = out / "lod-meta.json"
+    for number in killed_everywhere(start, out, partial(written, path, NEW)):
+        refuse_mixed(path)
+        written(path, NEW)
+        assert tree(out) == tree(fresh), f"killed before change {number}"
+    assert number > 15 and not list(out.rglob("*.part"))
+
+
+def test_stopped_it_leaves_the_old_model_and_nothing_else(tmp_path: Path) -> None:
+    path, left = tmp_path / "lod-meta.json", iter("yn")
+
+    def stopping(*values: Any, **options: Any) -> dict[str, bytes]:
+        if next(left) == "n":
+            raise Stopped("at the second SOG")
+        return small(*values, **options)
+
+    written(path, OLD)
+    before = tree(tmp_path)
+    with pytest.raises(Stopped):
+        written(path, NEW, stopping)
+    assert tree(tmp_path) == before
+
+
+def test_files_of_others_stay(tmp_path: Path) -> None:
+    path = tmp_path / "lod-meta.json"
+    written(path, OLD)
+    (ours,) = tmp_path.glob("0_0-*")
+    theirs = {
+        "0_0/meta.json": '{"asset": {"generator": "splat-transform"}}',
+        "1_2/photo.webp": "",
+        "0_7/meta.json": "damaged",
+        "0_8/meta.json": '{"asset": {"generator": "ROI-GS"}, "sh0": {"files": ["../0_9/a"]}}',
+        "0_9/a": "",
+        "env/meta.json": "{}",
+        f"{ours.name}/notes.txt": "why",
+    }
+    for name, text in theirs.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    written(path, NEW)
+    gone = {name for name in theirs if not (tmp_path / name).exists()}
+    assert gone == {"0_8/meta.json"}, "a folder of ours, as older versions named it"
+    assert not (ours / "meta.json").exists() and not (tmp_path / "0_8").exists()

@@ -15,6 +15,7 @@ from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.files import (
     ABANDONED,
     atomic_write,
+    cannot_write,
     read_json,
     remove_leftovers,
     write_json,
@@ -70,6 +71,13 @@ def test_unwritable_place_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError) as caught:
         write_text(tmp_path / "file" / "a.txt", "x")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("code", ["EEXIST", "ENOTEMPTY", "EISDIR", "ENOTDIR", "ENOSPC"])
+def test_what_to_do_follows_from_what_is_wrong(tmp_path: Path, code: str) -> None:
+    number = getattr(errno, code)
+    error = cannot_write(tmp_path / "a", OSError(number, os.strerror(number)))
+    assert error.hint.startswith("Free some space" if code == "ENOSPC" else "Move away")
 
 
 @pytest.mark.parametrize("content", [None, b"{", b"\xff\xfe", b"[" * 200_000, b"9" * 9000])

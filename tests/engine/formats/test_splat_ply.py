@@ -243,6 +243,76 @@ def test_what_others_write_of_antialiasing(
     assert not is_antialiased(path)
 
 
+def filtered(path: Path, model: dict[str, np.ndarray], blur: np.ndarray, *comments: str) -> Path:
+    """A file as Mip-Splatting writes it."""
+    write_foreign(path, {**columns(model), "filter_3D": blur})
+    lines = b"".join(f"comment {comment}\n".encode() for comment in comments)
+    path.write_bytes(path.read_bytes().replace(b"element", lines + b"element", 1))
+    return path
+
+
+def test_the_filter_of_mip_splatting_is_applied(tmp_path: Path) -> None:
+    """Files store sizes and opacities without it; its renderer has these formulas."""
+    model, blur = arrays(), np.geomspace(0.01, 10, 7)
+    found = read_ply(filtered(tmp_path / "a.ply", model, blur))
+    squares = np.exp(2 * model["log_scales"].astype(float))
+    after = squares + blur[:, None] ** 2
+    opacity = 1 / (1 + np.exp(-model["logit_opacities"].astype(float)))
+    opacity *= np.sqrt(squares.prod(axis=1) / after.prod(axis=1))
+    np.testing.assert_allclose(np.exp(found["log_scales"]), np.sqrt(after), rtol=1e-5)
+    np.testing.assert_allclose(1 / (1 + np.exp(-found["logit_opacities"])), opacity, rtol=1e-4)
+    for name in ("means", "quats", "sh"):
+        np.testing.assert_array_equal(found[name], model[name])
+    assert {values.dtype for values in found.values()} == {np.dtype(np.float32)}
+
+
+def test_the_filter_at_its_limits(tmp_path: Path) -> None:
+    """No blur changes no bit; a flat Gaussian that is blurred loses all of its opacity."""
+    model = arrays()
+    model["log_scales"][0, 0] = model["log_scales"][1, 0] = -np.inf
+    model["logit_opacities"][2:5] = (np.inf, -np.inf, np.nan)
+    found = read_ply(filtered(tmp_path / "a.ply", model, np.array([0, 1, 1, 1, 1, 0, np.nan])))
+    for row in (0, 5):
+        for name, values in model.items():
+            assert found[name][row].tobytes() == values[row].tobytes()
+    assert found["log_scales"][1, 0] == 0 and found["logit_opacities"][1] == -np.inf
+    assert -30 < found["logit_opacities"][2] < 30 and found["logit_opacities"][3] == -np.inf
+    assert np.isnan(found["logit_opacities"][[4, 6]]).all()
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ((), True),
+        (("SplatRenderMode: default",), False),
+        (("antialiased 1",), True),
+    ],
+)
+def test_models_of_mip_splatting_are_antialiased(
+    tmp_path: Path, comments: tuple[str, ...], expected: bool
+) -> None:
+    """They are trained so; their files have no comment, but one would count."""
+    path = filtered(tmp_path / "a.ply", arrays(), np.ones(7), *comments)
+    assert is_antialiased(path) is expected
+    write_foreign(path, {**columns(arrays()), "filter": np.ones(7)})
+    words = b"by another tool", b"property float filter_3D"
+    path.write_bytes(path.read_bytes().replace(*words, 1))
+    assert not is_antialiased(path)
+
+
+def test_long_headers(tmp_path: Path) -> None:
+    """Programs write their settings into comments; 70,000 characters were 'not a PLY file'."""
+    path, model = tmp_path / "a.ply", arrays()
+    write_ply(path, model, antialiased=True)
+    written = path.read_bytes()
+    long = b"comment " + b"z" * 70_000 + b"\n"
+    path.write_bytes(written.replace(b"comment", long + b"comment", 1))
+    assert_same(model, read_ply(path))
+    assert is_antialiased(path)
+    path.write_bytes(written.replace(b"comment", long * 16 + b"comment", 1))
+    assert "the header of this PLY is longer than 1 MB" in refused(path)
+
+
 def test_antialiasing_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="Cannot read"):
         is_antialiased(tmp_path / "no.ply")

@@ -14,7 +14,7 @@ from PIL import Image
 
 from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
-from roigs_engine.formats.events import Event, StageStarted
+from roigs_engine.formats.events import Event, Message, StageStarted
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.photos import damage
 from roigs_engine.photos.contents import UNREAD, Contents
@@ -39,9 +39,9 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     check = damage.check_whole
 
-    def spy(path: Path) -> None:
+    def spy(path: Path) -> str:
         names.append(path.name)
-        check(path)
+        return check(path)
 
     monkeypatch.setattr(damage, "check_whole", spy)
     return names
@@ -90,9 +90,25 @@ def test_without_decoding_nothing_is_written(
     assert Contents(memory).read(photos, check=False) == checked
 
 
+def test_values_that_do_not_fill_their_type_are_warned_of(
+    photos: dict[str, Path], tmp_path: Path
+) -> None:
+    """Every time, also when the photos are not decoded again."""
+    heard: list[Event] = []
+    for name, most in (("0.png", 4095), ("1.png", 16383)):  # of 65535
+        grey = np.asarray(Image.open(photos[name])).astype(np.uint16)
+        Image.fromarray(grey * (most // 255)).save(photos[name])
+    Image.new("L", (40, 30)).save(photos["2.png"])  # black as it is
+    for _ in range(2):
+        Contents(tmp_path / "photos.json").read(photos, Context(emit=heard.append))
+    said = [event.text for event in heard if isinstance(event, Message)]
+    assert len(said) == 2 and said[0] == said[1]
+    assert "2 photos of more than 8 bits" in said[0] and "nearly black: 0.png, 1.png." in said[0]
+
+
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", '{"version": 1}', '{"version": 1, "photos": {"0.png": [1]}}', '{"version": 9}'],
+    ["", "[]", '{"version": 2}', '{"version": 2, "photos": {"0.png": [1]}}', '{"version": 9}'],
 )
 def test_a_damaged_memory_is_made_again(
     photos: dict[str, Path], decoded: list[str], tmp_path: Path, text: str

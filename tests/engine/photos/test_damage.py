@@ -11,6 +11,7 @@ from PIL import Image
 
 from roigs_engine.photos.damage import check_whole
 from roigs_engine.photos.headers import PhotoError, check_complete
+from tests.engine.deep_png import write_png16
 
 END = b"\xff\xd9"
 
@@ -111,6 +112,24 @@ def test_other_kinds(tmp_path: Path, suffix: str, mode: str) -> None:
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(PhotoError):
         check_whole(path)
+
+
+@pytest.mark.parametrize(
+    ("most", "tone"), [(65535, ""), (30000, ""), (16383, "black"), (4095, "black")]
+)
+def test_integers_that_do_not_fill_their_type(tmp_path: Path, most: int, tone: str) -> None:
+    values = np.random.default_rng(0).integers(0, most, (20, 30, 3)).astype(np.uint16)
+    write_png16(tmp_path / "a.png", values)
+    Image.fromarray(values[..., 0]).save(tmp_path / "b.tif")
+    assert [check_whole(tmp_path / name) for name in ("a.png", "b.tif")] == [tone, tone]
+
+
+@pytest.mark.parametrize(("most", "tone"), [(1, ""), (0.1, "black"), (255, "white")])
+def test_floats_of_another_range(tmp_path: Path, most: float, tone: str) -> None:
+    values = np.random.default_rng(0).uniform(0, most, (20, 30)).astype(np.float32)
+    values[0, 0] = np.nan
+    Image.fromarray(values).save(tmp_path / "a.tif")
+    assert check_whole(tmp_path / "a.tif") == tone
 
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 40), (40, 7)])

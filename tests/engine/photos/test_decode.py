@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from pathlib import Path
@@ -94,13 +95,15 @@ def test_downscaling_averages(tmp_path: Path) -> None:
     assert np.abs(small.astype(float) - 127.5).max() < 12
 
 
-@pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "CMYK", "1", "I;16", "YCbCr", "I"])
+@pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "CMYK", "1", "I;16", "YCbCr", "I", "F"])
 def test_pixel_formats(tmp_path: Path, mode: str) -> None:
     grey = np.linspace(0, 255, 40 * 30).reshape(30, 40).astype(np.uint8)
     if mode == "I;16":
         Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "a.png")
     elif mode == "I":
-        Image.fromarray(grey.astype(np.int32)).save(tmp_path / "a.tif")
+        Image.fromarray(grey.astype(np.int32) * 257).save(tmp_path / "a.tif")
+    elif mode == "F":
+        Image.fromarray(grey.astype(np.float32) / 255).save(tmp_path / "a.tif")
     elif mode == "1":
         grey = np.where(grey > 127, 255, 0).astype(np.uint8)
         Image.fromarray(grey).convert("1").save(tmp_path / "a.png")
@@ -117,6 +120,32 @@ def test_pixel_formats(tmp_path: Path, mode: str) -> None:
     path = next(tmp_path.iterdir())
     loaded = load_photo(posed(path, 40, 30))
     assert np.abs(loaded.astype(int) - grey[..., None]).max() <= 3
+
+
+@pytest.mark.parametrize("most", [65535, 16383, 4095, 255])
+def test_white_is_that_of_the_type(tmp_path: Path, most: int) -> None:
+    """Not the brightest value of each photo, which would brighten dark ones."""
+    grey = np.linspace(0, most, 40 * 30).reshape(30, 40).astype(np.uint16)
+    Image.fromarray(grey).save(tmp_path / "a.png")
+    Image.fromarray(grey.astype(np.float32) / 65535).save(tmp_path / "a.tif")
+    for path in tmp_path.iterdir():
+        loaded = load_photo(posed(path, 40, 30)).astype(int)
+        assert np.abs(loaded - grey[..., None] / 257).max() <= 1
+
+
+def test_a_tiff_of_12_bits(tmp_path: Path) -> None:
+    """Two values in three bytes, which Pillow reads but does not write."""
+    Image.fromarray(np.zeros((1, 3), np.uint8)).save(tmp_path / "a.tif")
+    data = (tmp_path / "a.tif").read_bytes()
+    # 3 pixels of 8 bits become 2 of 12: width, bits.
+    for tag, old, new in ((256, 3, 2), (258, 8, 12)):
+        at = next(k for k in range(8, len(data), 2) if data[k : k + 2] == struct.pack("<H", tag))
+        entry = data[at : at + 12]
+        assert entry.endswith(struct.pack("<I", old))
+        data = data.replace(entry, entry[:8] + struct.pack("<I", new))
+    (tmp_path / "a.tif").write_bytes(data[:-3] + b"\xff\xf8\x00")
+    loaded = load_photo(posed(tmp_path / "a.tif", 2, 1))
+    assert loaded[0, :, 0].tolist() == [255, 128]
 
 
 def test_orientation_is_ignored(tmp_path: Path) -> None:

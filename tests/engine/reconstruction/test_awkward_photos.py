@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-import struct
 import sys
-import zlib
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -25,6 +23,7 @@ from roigs_engine.reconstruction.look import look_at
 from roigs_engine.reconstruction.reconstruct import find_features, reconstruct
 from roigs_engine.reconstruction.settings import Settings
 from tests.engine.commands.command_line import refused
+from tests.engine.deep_png import write_png16
 from tests.engine.reconstruction.photo_sets import copy_photos, demo_photos, write_noise
 
 pytest.importorskip("pycolmap")
@@ -45,18 +44,7 @@ def turned(photo: Image.Image, path: Path) -> None:
 
 
 def png16(photo: Image.Image, path: Path) -> None:
-    """A PNG of 16 bits a channel, which Pillow does not write."""
-    rows = np.asarray(photo).astype(">u2") * 257
-    raw = b"".join(b"\0" + row.astype(">u2").tobytes() for row in rows)
-    parts = [(b"IHDR", struct.pack(">IIBBBBB", *photo.size, 16, 2, 0, 0, 0))]
-    parts += [(b"IDAT", zlib.compress(raw)), (b"IEND", b"")]
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n"
-        + b"".join(
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-            for kind, data in parts
-        )
-    )
+    write_png16(path, np.asarray(photo).astype(np.uint16) * 257)
 
 
 def tiff16(photo: Image.Image, path: Path) -> None:

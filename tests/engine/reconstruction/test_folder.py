@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +123,39 @@ def test_an_earlier_result_is_kept(tmp_path: Path) -> None:
     assert (folder.model / "points3D.bin").read_text() == "2"
     assert (folder.work("earlier", "0", "points3D.bin")).read_text() == "0"
     assert (folder.work("earlier", "1", "points3D.bin")).read_text() == "1"
+
+
+def test_an_earlier_result_that_the_user_deleted_is_no_hindrance(tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    for number in range(4):
+        source = folder.work(f"found-{number}")
+        source.mkdir(parents=True)
+        (source / "points3D.bin").write_text(str(number))
+        if number == 3:
+            shutil.rmtree(folder.work("earlier", "0"))
+        folder.take_model(source)
+    kept = {path.parent.name: path.read_text() for path in folder.work("earlier").rglob("*.bin")}
+    assert kept == {"0": "2", "1": "1"} and (folder.model / "points3D.bin").read_text() == "3"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+def test_photos_behind_links_are_found_once(photos: Path, tmp_path: Path) -> None:
+    """Links into the folder, to a folder above it, and to the reconstruction's own photos."""
+    write_noise(tmp_path / "disk/tour/3.png", 3)
+    (tmp_path / "disk/tour/back").symlink_to(photos)
+    (photos / "a").symlink_to(photos / "sub")
+    (photos / "far").symlink_to(tmp_path / "disk")
+    (photos / "nowhere").symlink_to(tmp_path / "none")
+    (photos / "sub/loop").symlink_to(photos / "sub")
+    folder = Folder(tmp_path / "scene")
+    (photos / "own").symlink_to(folder.images)
+    for _ in range(2):
+        found = looked(folder, photos)
+        names = [photo.name for photo in found]
+        assert names == ["far/tour/3.png", "sub/0.png", "sub/1.png", "sub/2.png"]
+        folder.take_photos(found)
+    assert (folder.images / "far/tour/3.png").read_bytes()
+    assert not [path for path in folder.images.rglob("*") if path.is_symlink()]
 
 
 def test_photos_in_other_formats_are_counted(tmp_path: Path) -> None:

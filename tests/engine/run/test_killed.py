@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from roigs_engine.run.definition import MANIFEST_VERSION
+from roigs_engine.run.manifest import claim
 from tests.engine.faults import ENDINGS
-from tests.engine.killing import SECRET, Ended, Request, contents, engine
+from tests.engine.killing import SECRET, Ended, Request, contents, engine, killed_everywhere, tree
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
 
@@ -126,3 +132,59 @@ def test_any_number_of_threads_makes_the_same_bytes(request_: Request, tmp_path:
 def test_no_secret_of_the_environment_is_written(request_: Request) -> None:
     for path in request_.whole.rglob("*"):
         assert path.is_dir() or SECRET.encode() not in path.read_bytes()
+
+
+# --- killed while `--update` moves results ---
+
+
+def manifest(seed: int, **boxes: float) -> dict[str, Any]:
+    rois = [{"name": name, "half_extents": [size]} for name, size in boxes.items()]
+    return {"version": MANIFEST_VERSION, "config": {"seed": seed}, "rois": rois}
+
+
+def trained(run: Path, of: dict[str, Any], boxes: Sequence[str]) -> None:
+    """Go over to a manifest, and write what only a training and `levels` could make again."""
+    claim(run, of, update=True)
+    names = ["result.ply", "report.md", "levels/1/background.ply", "levels.json"]
+    names += ["compare-independent/result.ply"]
+    for box in boxes:
+        names += [f"rois/{box}.ply", f"levels/1/rois/{box}.ply", f"object-{box}/model.ply"]
+    for name in names:
+        (run / name).parent.mkdir(parents=True, exist_ok=True)
+        (run / name).write_text(json.dumps({"of": of["config"], "file": name}))
+
+
+FIRST, SECOND = manifest(0, a=1, b=2), manifest(1, a=1, b=2)
+UPDATES = {
+    "settings of before": FIRST,
+    "a chain of names": manifest(1, b=1, c=2),  # of `b` there is nothing: only `a` was trained
+    "names and settings": manifest(2, b=1, c=2),
+}
+
+
+@pytest.mark.parametrize("now", UPDATES.values(), ids=UPDATES)
+def test_an_update_killed_before_any_of_its_changes(tmp_path: Path, now: dict[str, Any]) -> None:
+    """The same command again ends as if it had never been killed, and so does the way back."""
+    start, whole, run = (tmp_path / name for name in ("start", "whole", "run"))
+    trained(start, FIRST, "ab")
+    trained(start, SECOND, "a")
+    shutil.copytree(start, whole)
+    claim(whole, now, update=True)
+    updated = tree(whole)
+    claim(whole, SECOND, update=True)
+    for number in killed_everywhere(start, run, partial(claim, run, now, update=True)):
+        claim(run, now, update=True)
+        assert tree(run) == updated, f"killed before change {number}"
+        claim(run, SECOND, update=True)
+        assert tree(run) == tree(whole), f"killed before change {number}"
+    assert number > 8, "it makes more changes than that"
+
+
+def test_an_update_killed_and_not_wanted_any_more(tmp_path: Path) -> None:
+    """The settings of before, again, find their results where they were."""
+    run, start = tmp_path / "run", tmp_path / "start"
+    trained(start, FIRST, "ab")
+    for number in killed_everywhere(start, run, partial(claim, run, SECOND, update=True)):
+        claim(run, FIRST, update=True)
+        made = {name: data for name, data in tree(run).items() if Path(name).name != "archive"}
+        assert made == tree(start), f"killed before change {number}"  # the archive is empty again

@@ -1,0 +1,65 @@
+"""Which Gaussians can be drawn: one rule for pictures, Blender's viewport and files; numpy only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .splat_ply import Floats
+
+MOST = {"means": 1e15, "quats": 1e15, "log_scales": 60.0, "sh": 1e6}
+"""Largest numbers with which a Gaussian can be drawn."""
+
+FLAT = -60.0
+"""Logarithm of a size that is 0 to everyone: codebooks would be wasted on smaller ones."""
+
+CERTAIN = 80.0
+"""Logit of an opacity that is 1 to float32."""
+
+
+def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
+    """Which Gaussians can be drawn: none with NaN, a number that is too large, or no rotation.
+
+    Two kinds of Inf can be drawn, as programs write them for exact values: a logarithm of -Inf is
+    the size 0 of a flat Gaussian, and a logit of +-Inf is the opacity 1 or 0.
+
+    Args:
+        arrays: in the form of `splat_ply.write_ply`.
+
+    Returns:
+        (N,) True for those that can be drawn.
+    """
+    good: NDArray[np.bool_] = ~np.isnan(arrays["logit_opacities"])
+    for name, most in MOST.items():
+        values = arrays[name]
+        # NaN is not below any number.
+        inside = (values if name == "log_scales" else np.abs(values)) < most
+        good &= inside.all(axis=tuple(range(1, values.ndim)))
+    with np.errstate(over="ignore"):  # of numbers that were too large above
+        # The length, and not the numbers: in float32, that of tiny ones is 0 too.
+        good &= np.linalg.norm(arrays["quats"], axis=1) > 0
+    return good
+
+
+def usable(arrays: Mapping[str, Floats]) -> Mapping[str, Floats]:
+    """Without Gaussians that cannot be drawn, and with finite numbers for all others.
+
+    Args:
+        arrays: in the form of `splat_ply.write_ply`.
+
+    Returns:
+        The arrays of those that are `drawable`, in their order. Sizes are at least e^`FLAT`, and
+        logits of opacities from -`CERTAIN` to `CERTAIN`. No other number changes.
+    """
+    good = drawable(arrays)
+    found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
+    sizes: Floats = found["log_scales"]
+    if (sizes < FLAT).any():
+        found = {**found, "log_scales": np.maximum(sizes, np.float32(FLAT))}
+    opacity: Floats = found["logit_opacities"]
+    if (np.abs(opacity) > CERTAIN).any():
+        clipped: Floats = np.clip(opacity, -CERTAIN, CERTAIN).astype(np.float32)
+        found = {**found, "logit_opacities": clipped}
+    return found
