@@ -10,7 +10,7 @@ from ..model.scene import Int64, PosedImage
 from ..training.budget import box_budgets
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
-from ..training.view_spacing import view_spacing, with_spaced_rate
+from ..training.view_spacing import view_spacing, with_spaced_decay, with_spaced_rate
 from .definition import Run
 from .photo_sets import PhotoSets
 from .plan import POINTS, Source, Stage
@@ -40,9 +40,9 @@ def make_stage(
         order: of its photos; None: `shuffled_order`.
     """
     run = photos.run
-    if config.lr_shN_spacing:
+    if config.lr_shN_spacing or config.outside_spared_spacing:
         spacing = max(view_spacing(photos.seen(roi), roi) for roi in rois)
-        config = with_spaced_rate(config, spacing)
+        config = with_spaced_decay(with_spaced_rate(config, spacing), spacing)
     margins = tuple(roi.scaled(config.box_margin) for roi in rois)
     return Stage(
         name=name,

@@ -27,6 +27,8 @@ ADDED = (
     "faint_growth",
     "near_grad_threshold",
     "opacity_decay",
+    "outside_spared",
+    "outside_spared_spacing",
     "outside_rate",
     "restarts",
 )
@@ -87,6 +89,10 @@ class TrainConfig:
             none, too (`backdrop.py`): cells along a photo's longer side; 0: it gets none.
         opacity_decay: the share of its opacity that each Gaussian loses whenever the photos have
             gone round (`is_decayed`, `opacity_decay.py`); 0: none.
+        outside_spared: Gaussians outside the boxes are spared this part of that share, if most
+            steps use masks (`outside.py`); 0: none.
+        outside_spared_spacing: below this angular view spacing around the boxes, degrees,
+            `outside_spared` is raised (`view_spacing.py`); 0: never.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.
@@ -134,6 +140,8 @@ class TrainConfig:
     whole_small_until: int = 0
     backdrop_cells: int = 0
     opacity_decay: float = 0.0
+    outside_spared: float = 0.0
+    outside_spared_spacing: float = 0.0
     restarts: int = 0
     average_steps: int = 0
     antialiased: bool = False
@@ -153,6 +161,13 @@ class TrainConfig:
         if not 0 <= self.opacity_decay < 1:
             raise ConfigError(
                 f"opacity_decay is {self.opacity_decay:g}.", "Use 0 or more, and less than 1."
+            )
+        if not 0 <= self.outside_spared <= 1:
+            raise ConfigError(f"outside_spared is {self.outside_spared:g}.", "Use 0 to 1.")
+        if not 0 <= self.outside_spared_spacing <= 180:
+            raise ConfigError(
+                f"outside_spared_spacing is {self.outside_spared_spacing:g}.",
+                "Use 0 to 180 degrees.",
             )
         if self.restarts < 0:
             raise ConfigError(f"restarts is {self.restarts}.", "Use 0 or more.")
@@ -181,7 +196,8 @@ class TrainConfig:
     @property
     def tells_outside(self) -> bool:
         """Whether Gaussians outside the boxes train in another way than those inside."""
-        return self.full_every > 1 and self.outside_rate > 0
+        spares = self.opacity_decay > 0 and self.outside_spared > 0
+        return self.full_every > 1 and (spares or self.outside_rate > 0)
 
     @property
     def prunes_faint(self) -> bool:

@@ -8,17 +8,19 @@ step, however many photos there are).
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 
 @torch.no_grad()
-def decay_opacities(logit_opacities: Tensor, share: float) -> None:
-    """Lower opacities in place by a share of what they are; `logit_opacities` is any shape."""
-    if share > 0:
-        # logit(d o) = log d - log(1 - d + exp(-x)) for the opacity o = 1 / (1 + exp(-x))
-        lost = torch.full_like(logit_opacities, math.log(share))
-        faded = math.log1p(-share) - torch.logaddexp(lost, -logit_opacities)
-        logit_opacities.copy_(faded)
+def decay_opacities(logit_opacities: Tensor, share: float | Tensor) -> None:
+    """Lower opacities in place by a share of what they are.
+
+    Args:
+        logit_opacities: (N,).
+        share: one in [0, 1) for all, or (N,).
+    """
+    # logit(d o) = log d - log(1 - d + exp(-x)) for the opacity o = 1 / (1 + exp(-x))
+    shares = torch.as_tensor(share, dtype=torch.float64, device=logit_opacities.device)
+    lost, kept = (logs.to(logit_opacities) for logs in (shares.log(), torch.log1p(-shares)))
+    logit_opacities.copy_(kept - torch.logaddexp(lost, -logit_opacities))

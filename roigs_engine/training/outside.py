@@ -1,7 +1,8 @@
 """The Gaussians outside the boxes, in a stage with masks (`masks.py`).
 
 Most of its steps look at the boxes alone. The surroundings have most of their steps on whole
-photos, which are fewer: they learn faster in these, to come as far (ours).
+photos, which are fewer. So they learn faster in these, to come as far, and can lose less opacity
+meanwhile (ours).
 """
 
 from __future__ import annotations
@@ -29,9 +30,22 @@ def row_rates(outside: Tensor | None, outside_rate: float, *, whole: bool) -> Te
 
     Args:
         outside: see `outside_boxes`.
-        outside_rate: their factor in steps on whole photos.
+        outside_rate: their factor in steps on whole photos; 0: that of the others.
         whole: whether the step uses a whole photo.
     """
-    if outside is None or not whole:
+    if outside is None or not whole or not outside_rate:
         return None
     return torch.where(outside, outside_rate, 1.0).to(torch.float32)
+
+
+def row_decay(outside: Tensor | None, config: TrainConfig) -> float | Tensor:
+    """The share of its opacity that each Gaussian loses in a decay: one for all, or (N,) float64.
+
+    Args:
+        outside: see `outside_boxes`.
+        config: of the stage.
+    """
+    share = config.opacity_decay
+    if outside is None or not config.outside_spared:
+        return share
+    return torch.where(outside, share * (1 - config.outside_spared), share).to(torch.float64)

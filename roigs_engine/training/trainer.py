@@ -35,7 +35,7 @@ from .losses import photo_loss
 from .masks import RoiMask, counted_weights, split_mask
 from .opacity_decay import decay_opacities
 from .optimizer import VisibleAdam, learning_rates, leaves
-from .outside import outside_boxes, row_rates
+from .outside import outside_boxes, row_decay, row_rates
 from .photo_order import is_whole
 from .photo_views import PhotoViews
 from .stage_data import StageData
@@ -212,7 +212,8 @@ class Trainer:
             self._optimizer.zero_moments(*(name for name in NAMES if name != "sh"))
         self._average()
         if decays:
-            decay_opacities(self._parameters.logit_opacities, self.config.opacity_decay)
+            share = row_decay(self._outside, self.config)
+            decay_opacities(self._parameters.logit_opacities, share)
 
     def _taken_back(self, *, wait: bool) -> bool:
         """Whether steps must be done again; then the trainer is where the first of them begins."""

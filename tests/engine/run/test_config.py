@@ -253,6 +253,10 @@ def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
         ),
         ("scene", "opacity_decay", "opacity decay was off, now on"),
         (
+            *("roi", "outside_spared_spacing"),
+            "outside the boxes, opacities decayed as inside, now less where photos are close",
+        ),
+        (
             *("roi", "outside_rate"),
             "Gaussians outside the boxes had the learning rates of the others, now their own",
         ),

@@ -27,6 +27,13 @@ def test_each_opacity_loses_that_share(share: float) -> None:
     torch.testing.assert_close(logits.sigmoid(), (1 - share) * before)
 
 
+def test_each_gaussian_has_a_share_of_its_own() -> None:
+    logits, shares = torch.tensor([-3.0, 0.0, 3.0]), torch.tensor([0.0, 0.5, 0.01])
+    kept = (1 - shares) * logits.sigmoid()
+    decay_opacities(logits, shares)
+    torch.testing.assert_close(logits.sigmoid(), kept)
+
+
 def test_nothing_becomes_infinite() -> None:
     logits = torch.tensor([-200.0, -90.0, 0.0, 90.0, 200.0])
     decay_opacities(logits, 0.025)
@@ -47,6 +54,12 @@ def test_it_is_due_once_a_round_of_the_photos() -> None:
     due = {photos: [s for s in range(1, 61) if config.is_decayed(s, photos)] for photos in (3, 25)}
     assert due == {3: [10, 20, 30, 40, 50], 25: [25, 50]}
     assert not replace(config, opacity_decay=0.0).is_decayed(25, 25)
+
+
+@pytest.mark.parametrize("changes", [{"outside_spared": 1.1}, {"outside_spared_spacing": -1.0}])
+def test_limits_outside_the_boxes(changes: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(changes))):
+        TrainConfig(steps=9, **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0])

@@ -1,4 +1,4 @@
-"""Outside the boxes, learning rates are larger in steps on whole photos, and in no others."""
+"""Outside the boxes, learning rates are larger in steps on whole photos; opacities decay less."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roigs_engine.run import stage_configs
 from roigs_engine.run.presets import PRESETS, in_strategy, preset
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.masks import RoiMasks
-from roigs_engine.training.outside import outside_boxes, row_rates
+from roigs_engine.training.outside import outside_boxes, row_decay, row_rates
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
@@ -73,6 +73,19 @@ def test_only_whole_photos_move_what_is_outside_farther(scene: SfmScene) -> None
     assert fast._optimizer.row_rates is not None
     fast.train_step()
     assert fast._optimizer.row_rates is None  # this step is on a mask
+
+
+def test_opacities_outside_can_decay_less(scene: SfmScene) -> None:
+    """The steps before the first decay do the same."""
+    config = replace(CONFIG, steps=99, outside_rate=0.0, opacity_decay=0.2)
+    less, alike = (trainer(scene, replace(config, outside_spared=part)) for part in (0.75, 0.0))
+    assert row_decay(alike._outside, alike.config) == 0.2
+    for _ in range(len(scene.images)):
+        less.train_step(), alike.train_step()
+    kept, usual = (t.gaussians.logit_opacities.detach().sigmoid() for t in (less, alike))
+    within = inside(less)
+    assert torch.equal(kept[within], usual[within])
+    torch.testing.assert_close(kept[~within], usual[~within] * 0.95 / 0.8)
 
 
 def test_stages_on_whole_photos_have_none(scene: SfmScene) -> None:
