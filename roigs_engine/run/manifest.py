@@ -35,9 +35,9 @@ SWITCHED = {
         *("as elsewhere", "more than elsewhere"),
     ),
     "opacity_decay": ("opacity decay was {}, now {}", "off", "on"),
-    "outside_spared_spacing": (
+    "outside_spared_spread": (
         "outside the boxes, opacities decayed {}, now {}",
-        *("as inside", "less where photos are close"),
+        *("as inside", "less with photos from one side"),
     ),
     "outside_rate": (
         "Gaussians outside the boxes had {}, now {}",

@@ -91,7 +91,7 @@ def joint_recipe(
             near_grad_threshold=2e-4,
             box_budget=32.0,
             full_every=3,
-            outside_spared_spacing=25.0,
+            outside_spared_spread=45.0,
             outside_rate=2.0,  # 3 would make up for the fewer steps, but loses where SH learn fast
             view_weighting=1.5,
             min_views=4,

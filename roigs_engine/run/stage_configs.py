@@ -23,7 +23,7 @@ SETTLED: dict[str, Any] = {
     "opacity_decay": 0.0,
     "box_budget": 0.0,
     "faint_growth": 0.0,
-    "outside_spared_spacing": 0.0,
+    "outside_spared_spread": 0.0,
     "outside_rate": 0.0,
 }
 COARSE_TO_FINE = True  # the tuned baselines: a first stage on small photos; False: one stage
@@ -89,7 +89,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         grad_threshold=TrainConfig.grad_threshold,
         box_budget=0.0,
         full_every=1,
-        outside_spared_spacing=0.0,
+        outside_spared_spread=0.0,
         outside_rate=0.0,
         view_weighting=0.0,
         small_until=0,  # they lose a little by it: docs/lab_notebook.md, "Small photos first"
@@ -155,7 +155,7 @@ def surroundings_stage(config: TrainConfig, share: float) -> TrainConfig:
         lr_shN_spacing=0.0,
         box_budget=0.0,
         full_every=1,
-        outside_spared_spacing=0.0,
+        outside_spared_spread=0.0,
         outside_rate=0.0,
         view_weighting=0.0,
         min_views=0,
@@ -174,7 +174,7 @@ def block_stage(config: TrainConfig, share: float, photos: float) -> TrainConfig
     config = replace(
         config,
         opacity_decay=0.0,  # other photos show what is beside the block
-        outside_spared_spacing=0.0,
+        outside_spared_spread=0.0,
         outside_rate=0.0,  # and of its whole photos, each has nearly twice as many steps
     )
     if config.full_every == 1:

@@ -10,7 +10,8 @@ from ..model.scene import Int64, PosedImage
 from ..training.budget import box_budgets
 from ..training.config import TrainConfig
 from ..training.photo_order import PhotoOrder
-from ..training.view_spacing import view_spacing, with_spaced_decay, with_spaced_rate
+from ..training.view_spacing import view_spacing, with_spaced_rate
+from ..training.view_spread import view_spread, with_spared_outside
 from .definition import Run
 from .photo_sets import PhotoSets
 from .plan import POINTS, Source, Stage
@@ -28,7 +29,7 @@ def make_stage(
     start: Source | None = None,
     order: Order | None = None,
 ) -> Stage:
-    """A stage; its budgets, masks and SH learning rate follow from its photos and boxes.
+    """A stage; its budgets, masks, SH learning rate and decay follow from its photos and boxes.
 
     Args:
         name: its folder below the run folder.
@@ -40,9 +41,12 @@ def make_stage(
         order: of its photos; None: `shuffled_order`.
     """
     run = photos.run
-    if config.lr_shN_spacing or config.outside_spared_spacing:
+    if config.lr_shN_spacing:
         spacing = max(view_spacing(photos.seen(roi), roi) for roi in rois)
-        config = with_spaced_decay(with_spaced_rate(config, spacing), spacing)
+        config = with_spaced_rate(config, spacing)
+    if config.outside_spared_spread:
+        spread = max(view_spread(photos.seen(roi), roi) for roi in rois)
+        config = with_spared_outside(config, spread)
     margins = tuple(roi.scaled(config.box_margin) for roi in rois)
     return Stage(
         name=name,

@@ -28,7 +28,7 @@ ADDED = (
     "near_grad_threshold",
     "opacity_decay",
     "outside_spared",
-    "outside_spared_spacing",
+    "outside_spared_spread",
     "outside_rate",
     "restarts",
 )
@@ -91,8 +91,8 @@ class TrainConfig:
             gone round (`is_decayed`, `opacity_decay.py`); 0: none.
         outside_spared: Gaussians outside the boxes are spared this part of that share, if most
             steps use masks (`outside.py`); 0: none.
-        outside_spared_spacing: below this angular view spacing around the boxes, degrees,
-            `outside_spared` is raised (`view_spacing.py`); 0: never.
+        outside_spared_spread: below this angular spread of the photos around the boxes, degrees,
+            `outside_spared` follows from `full_every` (`view_spread.py`); 0: never.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.
@@ -141,7 +141,7 @@ class TrainConfig:
     backdrop_cells: int = 0
     opacity_decay: float = 0.0
     outside_spared: float = 0.0
-    outside_spared_spacing: float = 0.0
+    outside_spared_spread: float = 0.0
     restarts: int = 0
     average_steps: int = 0
     antialiased: bool = False
@@ -164,10 +164,10 @@ class TrainConfig:
             )
         if not 0 <= self.outside_spared <= 1:
             raise ConfigError(f"outside_spared is {self.outside_spared:g}.", "Use 0 to 1.")
-        if not 0 <= self.outside_spared_spacing <= 180:
+        if not 0 <= self.outside_spared_spread <= 90:
             raise ConfigError(
-                f"outside_spared_spacing is {self.outside_spared_spacing:g}.",
-                "Use 0 to 180 degrees.",
+                f"outside_spared_spread is {self.outside_spared_spread:g}.",
+                "Use 0 to 90 degrees.",
             )
         if self.restarts < 0:
             raise ConfigError(f"restarts is {self.restarts}.", "Use 0 or more.")

@@ -1,13 +1,9 @@
-"""The angular view spacing of the photos around a box, and what follows from it.
+"""The angular view spacing of the photos around a box, and the SH learning rate that it allows.
 
 SH of degree 3 vary within about 60 degrees. If the photos are close together, a high SH learning
 rate compensates for a short schedule. If they are far apart, no photo constrains the SH between
-them, and the same learning rate overfits the photos.
-
-Opacity decay (`opacity_decay.py`) is for photos that are far apart. If they are close together, it
-fades plain surroundings, which few whole photos give back.
-
-Limit and exponent are empirical (docs/lab_notebook.md). Ours; the paper keeps 3DGS's learning rate.
+them, and the same learning rate overfits the photos. Limit and exponent are empirical
+(docs/lab_notebook.md). Ours; the paper keeps 3DGS's learning rate.
 """
 
 from __future__ import annotations
@@ -52,19 +48,3 @@ def with_spaced_rate(config: TrainConfig, spacing: float) -> TrainConfig:
         return config
     lr *= (limit / spacing) ** EXPONENT
     return replace(config, lr_shN=max(lr, min(config.lr_shN, TrainConfig.lr_shN)))
-
-
-def with_spaced_decay(config: TrainConfig, spacing: float) -> TrainConfig:
-    """The config with the opacity decay outside the boxes that this spacing asks for.
-
-    What is left is one part in `full_every` at least: as often as whole photos can give back.
-
-    Args:
-        config: of the stage.
-        spacing: largest `view_spacing` of its boxes, degrees.
-    """
-    limit = config.outside_spared_spacing
-    if spacing >= limit:
-        return config
-    left = max((spacing / limit) ** EXPONENT, 1 / config.full_every)
-    return replace(config, outside_spared=1 - left)

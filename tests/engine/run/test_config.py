@@ -253,8 +253,8 @@ def test_manifests_from_before_faint_gaussians_were_removed_say_so() -> None:
         ),
         ("scene", "opacity_decay", "opacity decay was off, now on"),
         (
-            *("roi", "outside_spared_spacing"),
-            "outside the boxes, opacities decayed as inside, now less where photos are close",
+            *("roi", "outside_spared_spread"),
+            "outside the boxes, opacities decayed as inside, now less with photos from one side",
         ),
         (
             *("roi", "outside_rate"),

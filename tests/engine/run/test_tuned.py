@@ -34,7 +34,7 @@ PLAIN = {
     "box_budget": 0.0,
     "box_grad_threshold": 0.0,
     "full_every": 1,
-    "outside_spared_spacing": 0.0,
+    "outside_spared_spread": 0.0,
     "outside_rate": 0.0,
     "view_weighting": 0.0,
     "contribution_every": 0,

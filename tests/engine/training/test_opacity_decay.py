@@ -56,7 +56,7 @@ def test_it_is_due_once_a_round_of_the_photos() -> None:
     assert not replace(config, opacity_decay=0.0).is_decayed(25, 25)
 
 
-@pytest.mark.parametrize("changes", [{"outside_spared": 1.1}, {"outside_spared_spacing": -1.0}])
+@pytest.mark.parametrize("changes", [{"outside_spared": 1.1}, {"outside_spared_spread": -1.0}])
 def test_limits_outside_the_boxes(changes: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(changes))):
         TrainConfig(steps=9, **changes)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.run.presets import preset
 from roigs_engine.training.config import TrainConfig
-from roigs_engine.training.view_spacing import view_spacing, with_spaced_decay, with_spaced_rate
+from roigs_engine.training.view_spacing import view_spacing, with_spaced_rate
 from tests.poses import look_at
 
 BOX = OrientedBox.axis_aligned("thing", [1, 1, 1], [3, 3, 3])
@@ -58,14 +58,6 @@ def test_the_rate_falls_where_photos_stand_far_apart() -> None:
     assert with_spaced_rate(slow, 180) == slow
 
 
-def test_opacities_outside_are_spared_where_photos_stand_close() -> None:
-    config = TrainConfig(steps=9, full_every=3, opacity_decay=0.1, outside_spared_spacing=20)
-    assert with_spaced_decay(config, 20) == with_spaced_decay(config, 90) == config
-    assert with_spaced_decay(config, 18).outside_spared == pytest.approx(1 - 0.9**3)
-    assert with_spaced_decay(config, 1).outside_spared == pytest.approx(2 / 3)
-
-
-def test_the_paper_keeps_its_rate_and_its_opacities() -> None:
+def test_the_paper_keeps_its_rate() -> None:
     paper = preset("paper").roi
     assert with_spaced_rate(paper, 180) == paper
-    assert with_spaced_decay(paper, 1) == paper
