@@ -64,19 +64,19 @@ class Job:
 
         Args:
             rendering: Blender renders beside this call, and would crash if its data changed.
-                Previews and results then wait for a later call.
+                Previews and results then wait for a later call; a failure does not.
         """
         running = self.process.running()
         for event in self.process.events():
             self._take(event)
             self.news = True
-        if rendering and not self.finished:
+        if rendering and not self.finished and (running or not self._failed()):
             if not running and self.state.message != WAITING:
                 self.state.message, self.news = WAITING, True
             return True
         # While it stops, the engine writes a last preview and a checkpoint: drawing the preview
         # now would delay that.
-        if self._preview is not None and not (running and self.stopping):
+        if self._preview is not None and not (rendering or (running and self.stopping)):
             _guarded(partial(self.spec.on_preview, self._preview))
             self._preview = None
         if not running and self.result is None:
@@ -110,6 +110,11 @@ class Job:
             path = Path(event.get("path", ""))
             if _is_file_in(self.spec.folder, path):
                 self._preview = path
+
+    def _failed(self) -> bool:
+        """Whether a process that has ended brings nothing in."""
+        result = self.process.result()
+        return result.failed or result.stopped
 
     def _finish(self) -> None:
         result = self.process.result()

@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -28,6 +28,7 @@ from ..formats.files import (
     remove_leftovers_of,
     write_json,
 )
+from ..formats.lock import locked
 from . import sog
 from .arrays import Arrays, Check, nothing
 from .formats import storable
@@ -35,8 +36,9 @@ from .formats import storable
 NAME = "lod-meta.json"
 TITLE = "Streamed SOG"
 DIGITS = 16  # of the hash in a folder's name
-FOLDER = re.compile(rf"\d+_\d+(-[0-9a-f]{{{DIGITS}}})?")
+FOLDER = re.compile(rf"\d+_\d+-[0-9a-f]{{{DIGITS}}}")
 """Level, part and hash; the first versions of this engine wrote no hash."""
+LOCK = "lod-meta.lock"
 
 
 def write(
@@ -48,8 +50,8 @@ def write(
 ) -> int:
     """Write a model into the folder of `path`; returns the number of Gaussians of the whole one.
 
-    At the end, folders of ours that `path` does not name are deleted: the old model's, or, after an
-    error, the new one's.
+    At the end, folders of ours that no `lod-meta.json` names are deleted: those of the model that
+    this one replaces, or, after an error, the new one's.
 
     Args:
         path: of the `lod-meta.json`, written last.
@@ -64,7 +66,7 @@ def write(
     ladders = [[storable(level, TITLE) for level in part] for part in parts]
     names: list[str] = []
     nodes: list[dict[str, Any]] = []
-    try:
+    with locked(path.parent, option=None, name=LOCK), _cleaned_up(path):
         for number, ladder in enumerate(ladders):
             node: dict[str, Any] = {"bound": _bound(ladder), "lods": {}}
             for level, arrays in enumerate(ladder):
@@ -77,8 +79,6 @@ def write(
         levels = range(max(map(len, ladders)))
         counts = [sum(each[k] for each in sizes if k < len(each)) for k in levels]
         write_json(path, _record(counts, names, nodes))
-    finally:
-        _clean_up(path)
     return counts[0]
 
 
@@ -117,27 +117,39 @@ def _record(counts: list[int], names: list[str], nodes: list[dict[str, Any]]) ->
     }
 
 
-def _clean_up(path: Path) -> None:
-    """Delete what engines that were killed have left, and our folders that `path` does not name."""
-    remove_leftovers_of(path)
-    named = _named(path)
-    for folder in matching(path.parent, "*_*/"):
-        if FOLDER.fullmatch(folder.name) and not is_link(folder):
-            remove_leftovers(folder)
-            if named is not None and folder.name not in named:
-                _remove(folder)
+@contextmanager
+def _cleaned_up(path: Path) -> Iterator[None]:
+    """Delete what nobody needs after the block: folders of the model that was at `path` before it.
+
+    So are folders with a hash, which killed engines have left, but none that another file names
+    which is called like `path`. If one of these files is damaged, all folders stay.
+    """
+    before = _named([path]) or set()
+    try:
+        yield
+    finally:
+        remove_leftovers_of(path)
+        named = _named([path, *matching(path.parent, f"*{NAME}")])
+        for folder in matching(path.parent, "*_*/"):
+            ours = folder.name in before or FOLDER.fullmatch(folder.name)
+            if ours and not is_link(folder):
+                remove_leftovers(folder)
+                if named is not None and folder.name not in named:
+                    _remove(folder)
 
 
-def _named(path: Path) -> set[str] | None:
-    """The folders that a `lod-meta.json` names; none if there is no file; None: it is damaged."""
-    if not os.path.lexists(path):
-        return set()
-    with suppress(RunFolderError):
-        record = read_json(path)
-        names = record.get("filenames") if isinstance(record, dict) else None
-        if isinstance(names, list):
-            return {part for name in map(str, names) for part in PurePosixPath(name).parts[:1]}
-    return None
+def _named(files: Iterable[Path]) -> set[str] | None:
+    """The folders that files like `lod-meta.json` name, if they exist; None: one is damaged."""
+    found: set[str] = set()
+    for path in files:
+        if not os.path.lexists(path):
+            continue
+        try:
+            names = read_json(path)["filenames"]
+            found.update(PurePosixPath(str(name)).parts[0] for name in names)
+        except (RunFolderError, LookupError, TypeError):
+            return None
+    return found
 
 
 def _remove(folder: Path) -> None:

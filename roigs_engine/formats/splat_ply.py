@@ -191,9 +191,9 @@ def _decode(table: NDArray[np.void], path: str | Path) -> dict[str, Floats]:
     """The columns as arrays."""
     names = table.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
-    missing = [n for n in _columns(rest) if n not in names and not n.startswith("n")]
     if rest not in REST_SIZES:
         raise RunFolderError(f"{path} is not a Gaussian PLY ({rest} properties f_rest).", HINT)
+    missing = [n for n in _columns(rest) if n not in names and not n.startswith("n")]
     if missing:
         raise RunFolderError(f"{path} is not a Gaussian PLY (no property {missing[0]}).", HINT)
     # One gather of a plain matrix is several times faster than one pass per column.

@@ -5,6 +5,7 @@ Orientation tags are ignored, as in COLMAP: pixels keep the file's order.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -101,10 +102,8 @@ def to_rgb(photo: Image.Image) -> Image.Image:
         values = np.nan_to_num(np.array(photo), copy=False)  # one copy of a large photo
         np.multiply(values.clip(0, 1, out=values), 255, out=values)
         return Image.fromarray(values.round(out=values).astype(np.uint8)).convert("RGB")
-    if photo.mode == "I" or photo.mode.startswith("I;16"):  # "I": 16 bits in a wider type
-        extra = 4 if "I;12" in _packing(photo) else 8
-        grey = np.asarray(photo) >> extra
-        return Image.fromarray(grey.clip(0, 255).astype(np.uint8)).convert("RGB")
+    if photo.mode == "I" or photo.mode.startswith("I;16"):  # "I" also holds 16 bits
+        return Image.fromarray(_grey(photo)).convert("RGB")
     if photo.mode in ("P", "PA"):
         return photo.convert("RGBA").convert("RGB")
     if photo.mode == "RGB":  # no second copy of a large photo
@@ -113,13 +112,22 @@ def to_rgb(photo: Image.Image) -> Image.Image:
     return photo.convert("RGB")
 
 
+def _grey(photo: Image.Image) -> Pixels:
+    """(H, W): the values of a grey photo of 12, 16 or 32 bits, as 8 bits."""
+    packing = _packing(photo)  # before decoding, which clears it
+    values = np.asarray(photo)
+    if re.search(r"I;32[BN]?'", packing):  # unsigned; signed ones hold 16 bits in a wider type
+        return (values.view(np.uint32) >> 24).astype(np.uint8)
+    return (values >> (4 if "I;12" in packing else 8)).clip(0, 255).astype(np.uint8)
+
+
 def tone_if_deep(photo: Image.Image) -> str:
     """BLACK or WHITE if a photo of more than 8 bits a channel decodes to nearly that, else "".
 
     Its values then probably do not fill their type: 12 bits in a file of 16, or floats up to 255.
     Decodes the photo, which must be freshly opened; raises as `to_rgb`.
     """
-    deep = photo.mode[0] in "IF" or ";16" in _packing(photo)  # before decoding, which clears it
+    deep = photo.mode[0] in "IF" or ";16" in _packing(photo)
     rgb = to_rgb(photo)
     if not deep:
         return ""

@@ -97,27 +97,31 @@ class PhotoFolder:
 
     def others(self, names: Iterable[str]) -> list[str]:
         """Names of the photos on disk that a model's `names` do not include."""
-        found = {self.find(name) for name in names}
-        return [name for name, path in self._files.items() if path not in found]
+        paths = (self.find(name) for name in names)
+        found = {os.path.realpath(path) for path in paths if path is not None}
+        return [name for name, path in self._files.items() if os.path.realpath(path) not in found]
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
     """Each folder at and below `root` with its files' names, except hidden folders.
 
     Links to folders are followed, after all other folders: one that can be reached in several ways
-    comes once, if possible under its real name.
+    comes once, if possible under its real name. A link to the root, or to a folder that it is in,
+    is not: what else is there does not belong to the photos.
     """
     links, seen = deque([root]), set()
+    top = Path(os.path.realpath(root))
+    above = {str(folder) for folder in (top, *top.parents)}
     while links:
         for place, folders, names in os.walk(links.popleft()):
             parent, real = Path(place), os.path.realpath(place)
-            if real in seen:  # a link may also lead to a folder above it
+            if real in seen:
                 folders.clear()
                 continue
             seen.add(real)
             below = sorted(name for name in folders if not name.startswith("."))
             linked = [name for name in below if is_link(parent / name)]
-            links += [parent / name for name in linked]
+            links += [p for p in map(parent.joinpath, linked) if os.path.realpath(p) not in above]
             folders[:] = [name for name in below if name not in linked]
             yield parent, names
 

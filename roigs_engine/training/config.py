@@ -92,7 +92,7 @@ class TrainConfig:
         outside_spared: Gaussians outside the boxes are spared this part of that share, if most
             steps use masks (`outside.py`); 0: none.
         outside_spared_spread: below this angular spread of the photos around the boxes, degrees,
-            `outside_spared` follows from `full_every` (`view_spread.py`); 0: never.
+            `outside_spared` is raised (`view_spread.py`); 0: never.
         restarts: so many times, at even distances and first when densification ends, Adam forgets
             its moments, except those of colours: warm restarts, ours. A Gaussian's steps are then
             several times as large, and shrink while photos show it some hundred times.

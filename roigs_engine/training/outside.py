@@ -48,4 +48,5 @@ def row_decay(outside: Tensor | None, config: TrainConfig) -> float | Tensor:
     share = config.opacity_decay
     if outside is None or not config.outside_spared:
         return share
-    return torch.where(outside, share * (1 - config.outside_spared), share).to(torch.float64)
+    shares = torch.full(outside.shape, share, dtype=torch.float64, device=outside.device)
+    return shares.masked_fill_(outside, share * (1 - config.outside_spared))

@@ -42,6 +42,8 @@ def with_spared_outside(config: TrainConfig, spread: float) -> TrainConfig:
         config: of the stage.
         spread: largest `view_spread` of its boxes, degrees.
     """
-    if spread >= config.outside_spared_spread:
+    limit = config.outside_spared_spread
+    config = replace(config, outside_spared_spread=0.0)  # or stages that it spares nothing change
+    if spread >= limit or not config.opacity_decay:
         return config
-    return replace(config, outside_spared=1 - 1 / config.full_every)
+    return replace(config, outside_spared=max(config.outside_spared, 1 - 1 / config.full_every))

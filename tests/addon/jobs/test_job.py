@@ -176,6 +176,17 @@ def test_nothing_is_imported_while_blender_renders(
     assert state.warnings == ["Only 3 photos see it"]
 
 
+def test_a_failure_does_not_wait_for_a_render(
+    blender: ModuleType, spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from roigs_addon.jobs import current
+
+    monkeypatch.setattr(current, "is_rendering", lambda: True)
+    current.start(fake(tmp_path, 'say(event="error", message="Disk full.", hint="")'), spec())
+    assert until(lambda: not current._poll())
+    assert "Disk full." in current.state().error and not spec.taken
+
+
 def test_odd_numbers_do_no_harm(blender: ModuleType, spec, tmp_path: Path) -> None:
     from roigs_addon.jobs import current
 

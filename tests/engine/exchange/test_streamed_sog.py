@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from roigs_engine.cli import main
-from roigs_engine.errors import Stopped
+from roigs_engine.errors import EngineError, Stopped
 from roigs_engine.exchange import formats, streamed_sog
 from roigs_engine.formats.levels import Ladder, Level, write_ladders
+from roigs_engine.formats.lock import locked
 from roigs_engine.formats.splat_ply import write_ply
 from tests.engine.commands.command_line import refused
 from tests.engine.exchange.small_sogs import small, written
@@ -159,7 +160,39 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
     for name, text in theirs.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
+    (tmp_path / "2023_11").mkdir()
     written(path, NEW)
-    gone = {name for name in theirs if not (tmp_path / name).exists()}
-    assert gone == {"0_8/meta.json"}, "a folder of ours, as older versions named it"
-    assert not (ours / "meta.json").exists() and not (tmp_path / "0_8").exists()
+    assert all((tmp_path / name).exists() for name in theirs)
+    assert (tmp_path / "2023_11").is_dir()
+    assert not (ours / "meta.json").exists()
+
+
+def test_folders_without_a_hash_go_if_the_old_file_named_them(tmp_path: Path) -> None:
+    path = tmp_path / "lod-meta.json"
+    written(path, OLD)
+    for folder in tmp_path.glob("0_*-*"):
+        folder.rename(tmp_path / folder.name[:3])
+    names = json.loads(path.read_text())["filenames"]
+    short = [f"{name[:3]}/meta.json" for name in names]
+    path.write_text(path.read_text().replace(json.dumps(names), json.dumps(short)))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"filenames": short}))
+    (tmp_path / "0_2").mkdir()
+    written(path, NEW)
+    refuse_mixed(path)
+    assert {folder.name[:3] for folder in tmp_path.glob("0_*-*")} == {"0_0", "0_1"}
+    assert [folder.name for folder in tmp_path.glob("0_?")] == ["0_2"]
+
+
+def test_another_model_in_the_same_folder_stays(tmp_path: Path) -> None:
+    path, other = tmp_path / "lod-meta.json", tmp_path / "first.lod-meta.json"
+    written(path, OLD)
+    path.rename(other)
+    written(path, NEW)
+    written(path, [[arrays(10)]])
+    refuse_mixed(other), refuse_mixed(path)
+    assert len(list(tmp_path.glob("*/meta.json"))) == 3
+
+
+def test_one_process_at_a_time(tmp_path: Path) -> None:
+    with locked(tmp_path, name=streamed_sog.LOCK), pytest.raises(EngineError, match="at work"):
+        written(tmp_path / "lod-meta.json", NEW)

@@ -133,6 +133,18 @@ def test_white_is_that_of_the_type(tmp_path: Path, most: int) -> None:
         assert np.abs(loaded - grey[..., None] / 257).max() <= 1
 
 
+def test_a_tiff_of_32_bits(tmp_path: Path) -> None:
+    """Unsigned, which Pillow reads but does not write: the sample format is changed from 2 to 1."""
+    values = np.linspace(0, 2**32 - 1, 40 * 30).reshape(30, 40).astype(np.uint32)
+    Image.fromarray(values.view(np.int32)).save(tmp_path / "a.tif")
+    data = (tmp_path / "a.tif").read_bytes()
+    entry = struct.pack("<HHI", 339, 3, 1)
+    assert entry + struct.pack("<I", 2) in data
+    (tmp_path / "a.tif").write_bytes(data.replace(entry + b"\2", entry + b"\1"))
+    loaded = load_photo(posed(tmp_path / "a.tif", 40, 30))
+    assert (loaded[..., 0] == values >> 24).all()
+
+
 def test_a_tiff_of_12_bits(tmp_path: Path) -> None:
     """Two values in three bytes, which Pillow reads but does not write."""
     Image.fromarray(np.zeros((1, 3), np.uint8)).save(tmp_path / "a.tif")

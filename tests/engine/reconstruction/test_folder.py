@@ -147,6 +147,7 @@ def test_photos_behind_links_are_found_once(photos: Path, tmp_path: Path) -> Non
     (photos / "far").symlink_to(tmp_path / "disk")
     (photos / "nowhere").symlink_to(tmp_path / "none")
     (photos / "sub/loop").symlink_to(photos / "sub")
+    (photos / "up").symlink_to(photos.parent)
     folder = Folder(tmp_path / "scene")
     (photos / "own").symlink_to(folder.images)
     for _ in range(2):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,12 +56,16 @@ def test_few_photos() -> None:
 
 def test_photos_from_one_side_spare_what_is_outside() -> None:
     config = TrainConfig(steps=9, full_every=3, opacity_decay=0.1, outside_spared_spread=45)
-    assert with_spared_outside(config, view_spread(arc(360), BOX)) == config
+    unspared = replace(config, outside_spared_spread=0.0)
+    assert with_spared_outside(config, view_spread(arc(360), BOX)) == unspared
     spared = with_spared_outside(config, view_spread(arc(120), BOX))
-    assert spared == replace(config, outside_spared=1 - 1 / 3)
+    assert spared == replace(unspared, outside_spared=1 - 1 / 3)
     assert spared.tells_outside
-    whole = replace(config, full_every=1)
-    assert with_spared_outside(whole, 0) == whole
+    more = replace(config, outside_spared=0.9)
+    assert with_spared_outside(more, 0).outside_spared == 0.9
+    for none in ({"full_every": 1}, {"opacity_decay": 0.0}):
+        changes: dict[str, Any] = none
+        assert with_spared_outside(replace(config, **changes), 0).outside_spared == 0
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

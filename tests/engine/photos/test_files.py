@@ -1,0 +1,39 @@
+"""Photos below a folder, also behind links."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from roigs_engine.photos.files import PhotoFolder
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
+
+
+def names_below(folder: Path) -> list[str]:
+    return PhotoFolder(folder).others([])
+
+
+def written(*paths: Path) -> None:
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"x")
+
+
+def test_a_linked_folder_counts_once_and_loops_end(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    written(images / "a.jpg", tmp_path / "disk/b.jpg")
+    for link, target in (("day", "../disk"), ("again", "../disk"), ("me", "."), ("up", "..")):
+        (images / link).symlink_to(target, target_is_directory=True)
+    written(tmp_path / "not_a_photo_of_it.jpg")
+    assert names_below(images) in (["a.jpg", "day/b.jpg"], ["a.jpg", "again/b.jpg"])
+
+
+def test_a_photo_that_a_model_has_by_another_link_is_no_other(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    written(tmp_path / "disk/left/c.jpg", images / "a.jpg")
+    (images / "rig").symlink_to(tmp_path / "disk", target_is_directory=True)
+    (images / "left").symlink_to(tmp_path / "disk/left", target_is_directory=True)
+    assert PhotoFolder(images).others(["rig/left/c.jpg"]) == ["a.jpg"]
