@@ -53,6 +53,11 @@ class JobResult:
         return bool(self.message)
 
     @property
+    def complete(self) -> bool:
+        """Whether it did all that was asked for, so that its outputs count."""
+        return not self.stopped and not self.failed
+
+    @property
     def killed(self) -> bool:
         """Whether a signal has ended the engine."""
         return self.status < 0

@@ -129,7 +129,7 @@ def _result(job: Job) -> JobResult:
 def _ended(job: Job) -> None:
     result = _result(job)
     changed = job.spec.changes and job.spec.on_done is not nothing
-    if changed and not result.stopped and not result.failed:
+    if changed and result.complete:
         undo.push(job.spec.title)
     for listener in on_end:
         listener()

@@ -70,8 +70,9 @@ class Job:
         for event in self.process.events():
             self._take(event)
             self.news = True
-        if rendering and not self.finished and (running or not self._failed()):
-            if not running and self.state.message != WAITING:
+        result = None if running or self.finished else self.process.result()
+        if rendering and not self.finished and (result is None or result.complete):
+            if result is not None and self.state.message != WAITING:
                 self.state.message, self.news = WAITING, True
             return True
         # While it stops, the engine writes a last preview and a checkpoint: drawing the preview
@@ -79,8 +80,8 @@ class Job:
         if self._preview is not None and not (rendering or (running and self.stopping)):
             _guarded(partial(self.spec.on_preview, self._preview))
             self._preview = None
-        if not running and self.result is None:
-            self._finish()
+        if result is not None:
+            self._finish(result)
         return not self.finished
 
     def stop(self) -> None:
@@ -111,17 +112,11 @@ class Job:
             if _is_file_in(self.spec.folder, path):
                 self._preview = path
 
-    def _failed(self) -> bool:
-        """Whether a process that has ended brings nothing in."""
-        result = self.process.result()
-        return result.failed or result.stopped
-
-    def _finish(self) -> None:
-        result = self.process.result()
+    def _finish(self, result: JobResult) -> None:
         if self.stopping and self.spec.then and not result.failed:
             result = replace(result, stopped=True)  # of the whole job, though not of this command
         self.result = result
-        if not result.stopped and not result.failed:
+        if result.complete:
             self.state.message = ""
             error = _guarded(partial(self._go_on, result.outputs))
             if not self.finished:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..blender import camera_of, mesh_of
 from ..errors import AddonError
+from ..geometry.frames import camera_matrix
 from ..geometry.photo import Photo
 from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
@@ -24,7 +25,6 @@ ROOT_NAME = "COLMAP"
 CAMERA_SIZE, POINT_RADIUS = 0.02, 0.0015
 PHOTOS_OF_IMPORT = "roigs_photos"
 """Custom property that marks the collection of an import's cameras."""
-
 
 TOO_FAR = (
     "The model {}. Cameras, points and boxes are off by up to half of that: move the model to the"
@@ -80,7 +80,7 @@ def import_folder(
     props.root, props.model_cache = root, str(folder)
     cameras.fit_clips(scene, lookup.root_scale(scene))
     props.skipped = skipped_in_words(record.get("skipped") or {})
-    centres = np.array([np.linalg.inv(photo.pose)[:3, 3] for photo in photos]).reshape(-1, 3)
+    centres = np.array([camera_matrix(photo.pose)[:3, 3] for photo in photos]).reshape(-1, 3)
     lost = rounding(np.concatenate([centres, points]))
     return TOO_FAR.format(lost) if lost else ""
 

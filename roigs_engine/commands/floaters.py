@@ -131,7 +131,7 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
         mask = drawable(arrays)
         masks.append(mask)
         if mask.any():
-            kept, own = Gaussians.framed(usable(arrays), antialiased=is_antialiased(path))
+            kept, own = Gaussians.framed(usable(arrays, mask), antialiased=is_antialiased(path))
             models.append(PlacedModel(gaussians=kept, frame=own, matrix=into @ item.matrix))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")

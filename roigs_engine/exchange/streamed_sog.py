@@ -54,7 +54,7 @@ def write(
     this one replaces, or, after an error, the new one's.
 
     Args:
-        path: of the `lod-meta.json`, written last.
+        path: of the `lod-meta.json` (`NAME`), written last.
         parts: for each part its levels, the whole one first.
         check: called between the parts of the work.
         antialiased: whether the Gaussians, of all levels, are drawn with anti-aliasing.
@@ -129,7 +129,7 @@ def _cleaned_up(path: Path) -> Iterator[None]:
         yield
     finally:
         remove_leftovers_of(path)
-        named = _named([path, *matching(path.parent, f"*{NAME}")])
+        named = _named(matching(path.parent, f"*{NAME}"))
         for folder in matching(path.parent, "*_*/"):
             ours = folder.name in before or FOLDER.fullmatch(folder.name)
             if ours and not is_link(folder):

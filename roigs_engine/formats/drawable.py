@@ -43,17 +43,20 @@ def drawable(arrays: Mapping[str, Floats]) -> NDArray[np.bool_]:
     return good
 
 
-def usable(arrays: Mapping[str, Floats]) -> Mapping[str, Floats]:
+def usable(
+    arrays: Mapping[str, Floats], good: NDArray[np.bool_] | None = None
+) -> Mapping[str, Floats]:
     """Without Gaussians that cannot be drawn, and with finite numbers for all others.
 
     Args:
         arrays: in the form of `splat_ply.write_ply`.
+        good: what `drawable` says of them, if the caller knows it.
 
     Returns:
         The arrays of those that are `drawable`, in their order. Sizes are at least e^`FLAT`, and
         logits of opacities from -`CERTAIN` to `CERTAIN`. No other number changes.
     """
-    good = drawable(arrays)
+    good = drawable(arrays) if good is None else good
     found = arrays if good.all() else {name: values[good] for name, values in arrays.items()}
     sizes: Floats = found["log_scales"]
     if (sizes < FLAT).any():

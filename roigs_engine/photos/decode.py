@@ -116,7 +116,7 @@ def _grey(photo: Image.Image) -> Pixels:
     """(H, W): the values of a grey photo of 12, 16 or 32 bits, as 8 bits."""
     packing = _packing(photo)  # before decoding, which clears it
     values = np.asarray(photo)
-    if re.search(r"I;32[BN]?'", packing):  # unsigned; signed ones hold 16 bits in a wider type
+    if re.search(r"I;32[BN]?\b", packing):  # unsigned; signed ones hold 16 bits in a wider type
         return (values.view(np.uint32) >> 24).astype(np.uint8)
     return (values >> (4 if "I;12" in packing else 8)).clip(0, 255).astype(np.uint8)
 

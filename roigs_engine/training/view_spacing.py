@@ -15,11 +15,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..model.roi import OrientedBox
-from ..model.scene import PosedImage
+from ..model.scene import Float64, PosedImage
 from .config import TrainConfig
 
 NEIGHBOUR = 3  # the third one: two photos side by side do not cover the directions around them
 EXPONENT = 3.0
+
+
+def view_directions(images: Sequence[PosedImage], roi: OrientedBox) -> Float64:
+    """(V, 3) unit vectors from the box's centre to the photos; zeros for a photo in the centre."""
+    rays: Float64 = np.array([image.centre for image in images]).reshape(-1, 3) - roi.centre
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+    return rays
 
 
 def view_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
@@ -29,8 +36,7 @@ def view_spacing(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     """
     if len(images) < 2:
         return 180.0
-    rays = np.array([image.centre for image in images]) - roi.centre
-    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+    rays = view_directions(images, roi)
     count = min(NEIGHBOUR, len(rays) - 1)
     chords, _ = cKDTree(rays).query(rays, k=[count + 1])  # the first is the photo itself
     return float(np.median(np.degrees(2 * np.arcsin(np.clip(chords / 2, 0, 1)))))

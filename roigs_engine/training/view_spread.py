@@ -16,6 +16,7 @@ import numpy as np
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from .config import TrainConfig
+from .view_spacing import view_directions
 
 
 def view_spread(images: Sequence[PosedImage], roi: OrientedBox) -> float:
@@ -27,9 +28,7 @@ def view_spread(images: Sequence[PosedImage], roi: OrientedBox) -> float:
     """
     if not images:
         return 0.0
-    rays = np.array([image.centre for image in images]) - roi.centre
-    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
-    length = float(np.linalg.norm(rays.mean(axis=0)))
+    length = float(np.linalg.norm(view_directions(images, roi).mean(axis=0)))
     return math.degrees(math.acos(min(1.0, length)))
 
 

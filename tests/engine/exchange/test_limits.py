@@ -13,8 +13,17 @@ from scipy.spatial import cKDTree
 from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError
 from roigs_engine.exchange import formats
+from roigs_engine.exchange.arrays import Arrays
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.engine.exchange.test_formats import LEAST, READABLE, arrays, needed, picture, psnr
+
+
+def converted(values: Arrays, form: formats.FileFormat, folder: Path, *, up: str) -> Path:
+    """The file that `convert` makes of a PLY with these values."""
+    write_ply(folder / "in.ply", values)
+    out = folder / f"out{form.suffix}"
+    assert main(["convert", str(folder / "in.ply"), str(out), f"--up={up}"]) == 0
+    return out
 
 
 @pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
@@ -24,9 +33,7 @@ def test_the_number_that_is_said_is_that_in_the_file(
     needed(form)
     values = arrays()
     values["means"][0, 0], values["sh"][1, 0, 0], values["quats"][2] = np.nan, np.inf, 0
-    write_ply(tmp_path / "in.ply", values)
-    out = tmp_path / f"out{form.suffix}"
-    assert main(["convert", str(tmp_path / "in.ply"), str(out), "--up=z"]) == 0
+    out = converted(values, form, tmp_path, up="z")
     assert capsys.readouterr().out.startswith("397 Gaussians (3 left out), ")
     assert len(formats.read(out)["means"]) == 397
 
@@ -41,9 +48,7 @@ def test_exact_opacities_and_sizes_are_kept(
     values["logit_opacities"][:200] = np.inf
     values["log_scales"][:200, 2], values["log_scales"][200:210] = -np.inf, -np.inf
     values["logit_opacities"][210:220] = -np.inf
-    write_ply(tmp_path / "in.ply", values)
-    out = tmp_path / f"out{form.suffix}"
-    assert main(["convert", str(tmp_path / "in.ply"), str(out), "--up=-y"]) == 0
+    out = converted(values, form, tmp_path, up="-y")
     assert capsys.readouterr().out.startswith("400 Gaussians, ")
     limits = {"logit_opacities": (-80, 80), "log_scales": (-60, 60)}  # far beyond all formats
     finite = {name: np.clip(a, *limits.get(name, (-np.inf, np.inf))) for name, a in values.items()}
