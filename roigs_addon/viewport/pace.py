@@ -2,7 +2,7 @@
 
 Most of the time goes into blending, so a picture of half the width and height takes about a
 quarter. It is much closer to the full one than a picture of fewer Gaussians that takes as long
-(docs/lab_notebook.md).
+(notebook/blender.md).
 """
 
 from __future__ import annotations

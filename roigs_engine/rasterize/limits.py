@@ -50,7 +50,7 @@ NO_LIMITS = Limits()
 
 TRAINING_LIMITS = Limits(min_transmittance=1e-3)
 """Of training. It culls none: what it does not draw costs no loss, and other viewers draw it. A
-thousandth of the light is a quarter of what 8 bits can tell apart (docs/lab_notebook.md)."""
+thousandth of the light is a quarter of what 8 bits can tell apart (notebook/cpu_speed.md)."""
 
 PICTURE_LIMITS = Limits(max_slope=MAX_SLOPE, min_sigmas=MIN_SIGMAS)
 """Of every picture that is shown or measured."""

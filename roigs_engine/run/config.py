@@ -1,6 +1,6 @@
 """Settings of a run as a frozen value; torch-free.
 
-Comments mark the values that differ from the paper or from 3DGS; docs/lab_notebook.md has the
+Comments mark the values that differ from the paper or from 3DGS; notebook/README.md has the
 measurements.
 """
 

@@ -28,7 +28,7 @@ from .plan import Stage
 
 # One densification adds the share GROWTH to a small model, and less to a larger one: half of it to
 # a model of HALF Gaussians. Seen in two scenes whose growth differs by a factor of 2
-# (docs/lab_notebook.md).
+# (notebook/densification.md).
 GROWTH, HALF, SATURATION = 0.4, 100_000, 1.3
 TRAINED = 0.3  # of that, around the boxes of a model that is trained already (35 % on kumamon)
 FAINT = 0.3  # share of the Gaussians that is removed as faint (24 to 39 % in two scenes)

@@ -11,7 +11,7 @@ from ..selection.config import SelectionConfig
 from ..training.config import TrainConfig, with_steps
 from .config import RunConfig
 
-REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (docs/lab_notebook.md)
+REFINE_SHARE = 0.2  # of the box stage's steps, for the joint refinement (notebook/paper.md)
 
 # Of both stages of the joint recipe.
 SHARED: dict[str, Any] = {
@@ -53,7 +53,7 @@ def joint_recipe(
 ) -> RunConfig:
     """The joint recipe: a short Scene-GS, then one stage that densifies in the boxes only.
 
-    docs/lab_notebook.md has the measurements behind the values that differ from 3DGS and the paper.
+    notebook/README.md has the measurements behind the values that differ from 3DGS and the paper.
     """
     # The Scene-GS's position learning rate decays as the baseline's does over its first steps. The
     # box stage starts at the full one again: its new Gaussians must move far.

@@ -92,7 +92,7 @@ def tuned_baseline(config: RunConfig, coarse_to_fine: bool = COARSE_TO_FINE) -> 
         outside_spared_spread=0.0,
         outside_rate=0.0,
         view_weighting=0.0,
-        small_until=0,  # they lose a little by it: docs/lab_notebook.md, "Small photos first"
+        small_until=0,  # they lose a little by it: notebook/sampling.md, "Small photos first"
         whole_small_until=0,
     )
     if coarse_to_fine:

@@ -2,7 +2,7 @@
 
 At a constant learning rate Adam does not converge: each step fits the model to its own photo, most
 of all where photos differ in exposure. The mean over many steps fits all photos better. Unlike a
-decaying learning rate it does not slow learning down (docs/lab_notebook.md compares both).
+decaying learning rate it does not slow learning down (notebook/steps_and_budgets.md compares both).
 """
 
 from __future__ import annotations

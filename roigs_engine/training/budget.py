@@ -4,7 +4,7 @@ A box with few pixels in the photos must not get so many Gaussians that it overf
 box that fills the photos must not make the model larger than Full Scene. The budget grows with the
 square root of the number of pixels that show the box: twice as wide photos double it, and so do
 four times as many photos, since photos overlap. Factor and root are empirical
-(docs/lab_notebook.md).
+(notebook/steps_and_budgets.md).
 """
 
 from __future__ import annotations

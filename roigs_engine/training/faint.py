@@ -3,7 +3,7 @@
 Densification leaves many Gaussians behind others, or nearly transparent; some scenes have twice as
 many as they need. When it ends, the faintest are removed, as many as the photos do not miss: their
 squared error may grow by a share, which the steps that follow make up for. Nothing else says how
-many there are: that differs from scene to scene (docs/lab_notebook.md).
+many there are: that differs from scene to scene (notebook/densification.md).
 
 Photos are judged one by one, and a smaller error counts as the same one. Otherwise a photo that fog
 covers would decide: without the fog its error falls to a fraction, and most Gaussians could go.

@@ -3,7 +3,7 @@
 SH of degree 3 vary within about 60 degrees. If the photos are close together, a high SH learning
 rate compensates for a short schedule. If they are far apart, no photo constrains the SH between
 them, and the same learning rate overfits the photos. Limit and exponent are empirical
-(docs/lab_notebook.md). Ours; the paper keeps 3DGS's learning rate.
+(notebook/few_photos.md). Ours; the paper keeps 3DGS's learning rate.
 """
 
 from __future__ import annotations
