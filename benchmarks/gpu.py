@@ -83,7 +83,7 @@ def parts(scene: Path | None, out: Path, *, gsplat: bool) -> list[Part]:
         Part(name="first-use", command=("-m", "benchmarks.first_use", "--rounds", "1"), minutes=2),
     ]
     if gsplat:
-        code = "from roigs_engine.cuda import library; print(library.gsplat().__version__)"
+        code = "import gsplat.cuda._backend as built; assert built._C"
         found.append(Part(name="gsplat-compiles", command=("-c", code), minutes=15))
         found += [_step(*row, alone=False) for row in (first, *others)]
     if scene is not None:

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """
     import torch
 
-    from ..cuda import card, driver, library
+    from ..cuda import card, driver
     from ..cuda.device import CPU, check_cuda, choose_device
     from ..training import gpu_check, gpu_times
 
@@ -50,9 +50,6 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     memory = torch.cuda.get_device_properties(device).total_memory / 2**30
     name = torch.cuda.get_device_name(device)
     console.print(f"Card     {name}, compute capability {capability}, {memory:.1f} GiB")
-    if not library.own_kernels():
-        console.print(f"Kernels  gsplat ({library.KERNELS_VARIABLE}); they are not checked")
-        return {}
     nvrtc = ".".join(map(str, card.nvrtc_of_torch().version))
     console.print(f"Kernels  ready in {seconds:.1f} s, NVRTC {nvrtc}")
     errors = gpu_check.compare(device)

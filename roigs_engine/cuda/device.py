@@ -11,7 +11,7 @@ from torch import Tensor
 from ..context import QUIET, Context
 from ..errors import KernelError
 from ..formats.events import Device
-from . import card, library
+from . import card
 
 CPU = torch.device("cpu")
 
@@ -33,17 +33,16 @@ def choose_device(name: str, context: Context = QUIET, check: Check | None = Non
     if name == "cpu":
         context.emit(Device(kind="cpu", name="", reason="chosen"))
         return CPU
-    is_checked = check is not None and library.own_kernels()
     try:
         device = check_cuda(context)
-        if check is not None and is_checked:
+        if check is not None:
             check(device, context)
     except KernelError as error:
         if name == "cuda":
             raise
         context.emit(Device(kind="cpu", name="", reason=error.message.rstrip(".")))
         return CPU
-    reason = "checked" if is_checked else "not checked"
+    reason = "not checked" if check is None else "checked"
     context.emit(Device(kind="cuda", name=torch.cuda.get_device_name(device), reason=reason))
     return device
 
@@ -51,14 +50,14 @@ def choose_device(name: str, context: Context = QUIET, check: Check | None = Non
 def check_cuda(context: Context = QUIET) -> torch.device:
     """The GPU that torch finds; KernelError unless it has one, and kernels that draw on it."""
     if torch.version.cuda is None:
-        raise KernelError("This torch is built without CUDA.", library.how_to_install())
+        raise KernelError(
+            "This torch is built without CUDA.",
+            f"Install torch for CUDA (torch {torch.__version__} is without): docs/cuda.md.",
+        )
     if not torch.cuda.is_available():
         raise KernelError("torch finds no NVIDIA GPU.", "Check its driver, or use the CPU.")
     device = torch.device("cuda", torch.cuda.current_device())
-    if library.own_kernels():
-        card.prepare(device, context)
-    else:
-        library.gsplat()
+    card.prepare(device, context)
     return device
 
 

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .library import own_kernels
-
 MARGIN = 1.25  # of the number at the last visit: models change little between visits
 LEAST_MARGIN = 4096  # pairs
 
@@ -122,5 +120,5 @@ class Rooms:
 
 
 def rooms_on(device: torch.device) -> Rooms | None:
-    """The rooms for training on a device; None on the CPU and with gsplat, which make their own."""
-    return Rooms(device) if device.type == "cuda" and own_kernels() else None
+    """The rooms for training on a device; None on the CPU, which makes its own."""
+    return Rooms(device) if device.type == "cuda" else None

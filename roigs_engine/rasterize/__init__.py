@@ -1,11 +1,10 @@
 """Rendering of 3D Gaussians and its gradient (3D Gaussian Splatting, Kerbl et al. 2023).
 
-`rasterize` is the only entry point. Four backends compute the same function:
+`rasterize` is the only entry point. Three backends compute the same function:
 
     reference   plain torch, float32 or float64, any device: readable, and the tests' reference
     cpu         the compiled kernels: float32 tensors on the CPU
     cuda        our CUDA kernels: float32 tensors on an NVIDIA GPU
-    gsplat      gsplat's kernels: the same, if they are chosen (cuda.library.own_kernels)
 
 Each Gaussian is projected with the EWA approximation (3DGS, section 4; Zwicker et al. 2001),
 coloured by its spherical harmonics (SH), max(SH(direction) + 0.5, 0), and blended front to back by
@@ -33,7 +32,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..cuda.library import own_kernels
 from ..cuda.sending import sent
 from ..errors import EngineError
 from .inputs import (
@@ -54,7 +52,7 @@ from .tiles import Mask, active_tiles
 
 __all__ = ["RenderOutput", "rasterize"]
 
-BACKENDS = ("auto", "cpu", "cuda", "gsplat", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "reference")
 
 
 def rasterize(
@@ -72,7 +70,7 @@ def rasterize(
     raw: bool = False,  # scales are natural logs and opacities logits: the form that is trained
     limits: Limits = NO_LIMITS,  # which Gaussians are culled, and where blending ends
     background: Tensor | None = None,  # (3,) colour behind everything; None: black
-    with_depth: Depth = False,  # also return the mean depth, or the "median" (not gsplat)
+    with_depth: Depth = False,  # also return the mean depth, or the "median"
     with_max_weight: bool = False,  # also return each Gaussian's largest blending weight
     with_weight_sum: bool = False,  # also return the sum of its weights
     pixel_weights: Tensor | None = None,  # (C, H, W) factors in `weight_sum`; None: 1
@@ -84,7 +82,7 @@ def rasterize(
 ) -> RenderOutput:
     """Render N Gaussians for C cameras; `image` is differentiable in the first five arguments.
 
-    With `backward_step` (one camera, not gsplat), `backward`, called once, takes the optimizer's
+    With `backward_step` (one camera), `backward`, called once, takes the optimizer's
     step on those that pixels give a gradient, and leaves no gradients.
     EngineError: the arguments do not fit together. KernelError: too many pairs of Gaussians and
     tiles for the kernels or the memory, or the backend cannot be used.
@@ -128,7 +126,7 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
     device = parameters[0].device.type
     if device not in ("cpu", "cuda") or any(p.dtype != torch.float32 for p in parameters):
         return "reference"
-    return "gsplat" if device == "cuda" and not own_kernels() else device
+    return device
 
 
 def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
@@ -141,12 +139,8 @@ def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
         from . import reference
 
         output = reference.render(inputs)
-    elif backend == "cuda":
+    else:
         from . import cuda
 
         output = cuda.render(inputs)
-    else:
-        from . import gsplat
-
-        output = gsplat.render(inputs)
     return output.cut(inputs.window)

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from ..cuda.device import CPU
-from ..cuda.library import has_median_depth
 from ..model.faded import faded
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
@@ -68,7 +67,7 @@ class Layer:
         alpha: (H, W) from 0 to 1.
         depth: (H, W) along the camera's axis, world units; NOTHING where nothing is. The median: a
             mean would lie between an object that lets a little through and what is behind it, and
-            would put a mesh between the two in front. With gsplat it is the mean.
+            would put a mesh between the two in front.
     """
 
     image: Tensor
@@ -102,11 +101,7 @@ def render_placed(
         log_scales=drawn.log_scales + float(np.log(scale)),
     )
     output = rasterize_view(
-        drawn.to(device),
-        camera,
-        np.eye(4),
-        limits=PICTURE_LIMITS,
-        with_depth="median" if has_median_depth(device) else True,
+        drawn.to(device), camera, np.eye(4), limits=PICTURE_LIMITS, with_depth="median"
     )
     assert output.depth is not None
     alpha, depth = output.alpha[0].cpu(), output.depth[0].cpu()

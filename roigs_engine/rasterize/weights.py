@@ -9,8 +9,6 @@ import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.device import CPU
-from ..cuda.library import has_blending_weights
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from .limits import NO_LIMITS, Limits
@@ -43,8 +41,6 @@ def blending_weights(
 ) -> Iterator[BlendingWeights]:
     """The weights in each view in turn, on the model's device.
 
-    They are computed on the CPU where the device cannot.
-
     Args:
         gaussians: the model, N rows.
         views: to look from.
@@ -55,21 +51,19 @@ def blending_weights(
     Raises:
         Stopped: the user stopped.
     """
-    device = gaussians.means.device
-    model = gaussians if has_blending_weights(device) else gaussians.to(CPU)
     every = iter(() if pixels is None else pixels)
     for camera, pose in views:
         counted = next(every, None)
         context.check_cancelled()
         output = rasterize_view(
-            model,
+            gaussians,
             camera,
             pose,
             sh_degree=0,  # colours do not matter
             limits=limits,
             with_max_weight=True,
             with_weight_sum=True,
-            pixel_weights=None if counted is None else counted.to(model.means)[None],
+            pixel_weights=None if counted is None else counted.to(gaussians.means)[None],
         )
         assert output.max_weight is not None and output.weight_sum is not None
-        yield BlendingWeights(output.max_weight.to(device), output.weight_sum.to(device))
+        yield BlendingWeights(output.max_weight, output.weight_sum)

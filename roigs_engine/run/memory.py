@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import torch
 
 from ..context import QUIET, Context
-from ..cuda.library import own_kernels
 from ..cuda.memory import card_memory
 from ..errors import SceneError
 from ..formats.events import Message
@@ -105,7 +104,7 @@ def with_card(
 ) -> MemoryPlan:
     """A run's plan, with what a GPU needs where one trains: for the block with most photos."""
     device = torch.device(context.device)
-    if device.type != "cuda" or not own_kernels():
+    if device.type != "cuda":
         return plan
     images, points = scene.images, len(scene.points)
     if layout.blocks is not None:

@@ -23,7 +23,6 @@ from torch.nn import functional
 
 from ..cuda import card
 from ..cuda.frame import PIXELS, Loss, address
-from ..cuda.library import fused_ssim, own_kernels
 from ..errors import EngineError
 from ..kernels import bindings
 
@@ -31,7 +30,7 @@ WINDOW_RADIUS = 5
 WINDOW_SIGMA = 1.5
 C1 = 0.01**2
 C2 = 0.03**2
-BACKENDS = ("auto", "cpu", "cuda", "fused-ssim", "reference")
+BACKENDS = ("auto", "cpu", "cuda", "reference")
 TILE = 16  # of the CUDA kernel
 
 
@@ -64,9 +63,8 @@ def photo_loss(
             weights are zero, so is the loss.
         counted: the pixels that no mask ignores; None: all.
         backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (our kernel: float32 on an
-            NVIDIA GPU), "fused-ssim" (that package: the same without weights, beside gsplat),
-            "reference" (plain torch, any dtype and device), or "auto": the first one that
-            supports the arguments.
+            NVIDIA GPU), "reference" (plain torch, any dtype and device), or "auto": the first
+            one that supports the arguments.
 
     Raises:
         EngineError: wrong shapes or types, or an unknown backend.
@@ -78,11 +76,10 @@ def photo_loss(
         planes, target, weights = _without_ignored(planes, target, weights, counted)
     native = planes.dtype == torch.float32 and planes.device.type == "cpu"
     if backend == "auto":
-        backend = "cpu" if native else _without_kernel(planes, weights)
+        kind = planes.device.type if planes.dtype == torch.float32 else ""
+        backend = kind if kind in ("cpu", "cuda") else "reference"
     if backend == "reference":
         return _reference(planes, target, ssim_weight, weights)
-    if backend == "fused-ssim":
-        return _fused(planes, target, ssim_weight)
     if backend == "cuda":
         return LossOutput(*_CudaLoss.apply(planes, target, ssim_weight, weights))  # type: ignore[no-untyped-call]
     if backend != "cpu":
@@ -131,27 +128,6 @@ def _reference(
         l1, dissimilarity = (share * error).sum(), (share * difference).sum()
     loss = (1 - ssim_weight) * l1 + ssim_weight * dissimilarity
     return LossOutput(loss, l1.detach(), 1 - dissimilarity.detach())
-
-
-def _without_kernel(image: Tensor, weights: Tensor | None) -> str:
-    """The backend for arguments that the compiled kernel does not support."""
-    if image.device.type != "cuda" or image.dtype != torch.float32:
-        return "reference"
-    if own_kernels():
-        return "cuda"
-    return "fused-ssim" if weights is None and fused_ssim() is not None else "reference"
-
-
-def _fused(image: Tensor, target: Tensor, ssim_weight: float) -> LossOutput:
-    """The loss with fused-ssim's mean SSIM: same window, borders and constants as above."""
-    ssim = fused_ssim()
-    if ssim is None:
-        raise EngineError("photo_loss: fused-ssim is not installed.", "Use another backend.")
-    x = image.permute(2, 0, 1)[None].contiguous()
-    t = _unit_values(target, image.dtype).permute(2, 0, 1)[None].contiguous()
-    similarity, l1 = ssim(x, t), (x - t).abs().mean()
-    loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - similarity)
-    return LossOutput(loss, l1.detach(), similarity.detach())
 
 
 class _KernelLoss(torch.autograd.Function):

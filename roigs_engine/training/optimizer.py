@@ -9,8 +9,6 @@ Two rules make a step's cost depend on what the photo shows and not on the scene
   applies these rows and zeroes them. With `fused`, the backward pass takes the step itself
   (`VisibleAdam.backward_step`), on all rows to which a pixel hands a gradient, though that of each
   parameter may be zero. It leaves SH of higher degrees than are drawn as they are.
-
-With gsplat a gradient is dense in any case: the step applies it and then drops it.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ import torch
 from torch import Tensor
 
 from ..cuda.frame import address
-from ..cuda.library import has_triton, own_kernels
 from ..cuda.rooms import Room
 from ..errors import EngineError
 from ..kernels import bindings
@@ -59,22 +56,22 @@ class VisibleAdam:
         backend: str = "auto",
         fused: bool = False,
     ) -> None:
-        """Start with zero moments; allocate `.grad` of every parameter, unless fused or "cuda".
+        """Start with zero moments; allocate `.grad` of every parameter, unless fused.
 
         Args:
             parameters: name -> (contiguous leaf tensor, learning rate). The learning rate is one
                 number, or a tensor with one number per element of a row: (48,) for sh (N, 16, 3).
             betas: decay of the two moments.
             eps: added to the root of the second moment.
-            backend: "cpu" (compiled kernel: float32 on the CPU), "cuda" (Triton: float32 on an
-                NVIDIA GPU), "reference" (plain torch), or "auto": the first one that can be used.
+            backend: "cpu" (compiled kernel: float32 on the CPU), "reference" (plain torch), or
+                "auto": the first one that can be used.
             fused: the rasterizer's backward pass takes the steps (see the module); ignored where
-                its kernels are not ours, and with other backends than "auto" and "cpu".
+                it has no kernels, and with the backend "reference".
 
         Raises:
             EngineError: wrong numbers of rows or learning rates, or wrong strides.
         """
-        if backend not in ("auto", "cpu", "cuda", "reference"):
+        if backend not in ("auto", "cpu", "reference"):
             raise EngineError(f"VisibleAdam: unknown backend {backend!r}.")
         self.betas, self.eps, self.backend, self._may_fuse = betas, eps, backend, fused
         self.parameters: dict[str, Tensor] = {}
@@ -138,8 +135,7 @@ class VisibleAdam:
             )
         self._check_row_rates()
         self.step_count += 1
-        step = self._cuda_step if backend == "cuda" else self._reference_step
-        skipped: int | Tensor = sum(step(name, on) for name in self.parameters)
+        skipped: int | Tensor = sum(self._reference_step(name, on) for name in self.parameters)
         self.skipped_rows += skipped
         return skipped
 
@@ -192,8 +188,7 @@ class VisibleAdam:
         if not self._may_fuse or self.backend != "auto":
             return self._may_fuse and self.backend == "cpu"
         first = next(iter(self.parameters.values()))
-        own = first.device.type == "cpu" or (first.device.type == "cuda" and own_kernels())
-        return own and first.dtype == torch.float32
+        return first.device.type in ("cpu", "cuda") and first.dtype == torch.float32
 
     @property
     def backward_step(self) -> FusedStep | None:
@@ -205,28 +200,7 @@ class VisibleAdam:
         first = next(iter(self.parameters.values()))
         if self.backend != "auto" or first.dtype != torch.float32:
             return "reference" if self.backend == "auto" else self.backend
-        if first.device.type == "cuda" and has_triton():
-            return "cuda"
         return "cpu" if first.device.type == "cpu" else "reference"
-
-    def _cuda_step(self, name: str, visible: Tensor) -> Tensor | int:
-        from . import adam_triton
-
-        parameter = self.parameters[name]
-        if parameter.grad is None:
-            return 0
-        skipped = adam_triton.step(
-            parameter,
-            (self.exp_avg[name], self.exp_avg_sq[name]),
-            visible,
-            self._learning_rates[name],
-            betas=self.betas,
-            eps=self.eps,
-            step_count=self.step_count,
-            row_rates=self.row_rates,
-        )
-        parameter.grad = None
-        return skipped
 
     def _reference_step(self, name: str, visible: Tensor) -> Tensor:
         """The step in plain torch, on all rows with a mask; the tests compare backends with it."""
@@ -341,7 +315,7 @@ class VisibleAdam:
                 raise EngineError(f"{name} is not a contiguous leaf tensor.")
             tensor.requires_grad_()
             self.parameters[name] = tensor
-        without = self.fused or self._backend() == "cuda"
+        without = self.fused
         for tensor in parameters.values():
             tensor.grad = None if without else torch.zeros_like(tensor)
 

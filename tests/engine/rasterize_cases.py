@@ -16,6 +16,7 @@ torch.set_num_threads(1)
 
 NAMES = ("means", "quats", "scales", "opacities", "sh")
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])
+SIZE = (61, 43)  # of pictures: no multiple of a tile
 
 
 def gaussians(
@@ -70,6 +71,27 @@ def cameras(width: int, height: int) -> tuple[Tensor, Tensor]:
         [[1.0 * size, 0.0, 0.55 * width], [0.0, 1.15 * size, 0.42 * height], [0.0, 0.0, 1.0]]
     )
     return views, intrinsics.repeat(2, 1, 1)
+
+
+def ring() -> Tensor:
+    """A bool mask of `SIZE` with a hole."""
+    mask = torch.zeros(SIZE[1], SIZE[0], dtype=torch.bool)
+    mask[2:40, 18:60] = True
+    mask[17:30, 33:47] = False
+    return mask
+
+
+CASES: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "background": {"background": BACKGROUND},
+    "lower degree": {"sh_degree": 1},
+    "rectangle": {"mask": (20, 20, 40, 30), "background": BACKGROUND},
+    "mask": {"mask": ring(), "background": BACKGROUND, "with_depth": True},
+    "depth": {"with_depth": True},
+    "pixel size": {"pixel_size": 2.0},
+    "anti-aliased": {"antialiased": True},
+}
+"""Options of `rasterize`, by name, for pictures of `SIZE`."""
 
 
 def render_both(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import torch
 
 from roigs_engine.cli import main
 from roigs_engine.context import Context
-from roigs_engine.cuda import library
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.errors import KernelError
 from roigs_engine.formats.events import Device
@@ -36,52 +34,6 @@ def test_a_torch_for_cuda_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(KernelError, match="finds no NVIDIA GPU"):
         choose_device("cuda")
-
-
-@pytest.mark.parametrize(
-    ("torch_version", "cuda", "hint"),
-    [
-        ("2.13.0+cu130", "13.0", r"pip install gsplat==1\.5\.3.*CUDA toolkit 13\.0"),
-        ("2.4.1+cu124", "12.4", r"1\.5\.3\+pt24cu124"),
-    ],
-)
-def test_a_card_without_gsplat(
-    monkeypatch: pytest.MonkeyPatch, torch_version: str, cuda: str, hint: str
-) -> None:
-    monkeypatch.setattr(torch, "__version__", torch_version)
-    monkeypatch.setattr(torch.version, "cuda", cuda)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
-    monkeypatch.setenv(library.KERNELS_VARIABLE, "gsplat")
-    monkeypatch.setitem(sys.modules, "gsplat", None)
-    library.gsplat.cache_clear()
-    with pytest.raises(KernelError, match=f"gsplat is not installed.*{hint}"):
-        choose_device("cuda")
-
-
-def test_a_gsplat_that_cannot_compile(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its reason in one line; what it prints does not get among the events."""
-    for name, code in (
-        ("__init__", ""),
-        ("cuda/__init__", ""),
-        ("cuda/_backend", "print('compiling')\nraise RuntimeError('no compiler\\nand so on')"),
-    ):
-        path = tmp_path / "gsplat" / f"{name}.py"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(code, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
-        monkeypatch.setitem(sys.modules, name, None)  # so that it is as before when the test ends
-        del sys.modules[name]
-    library.gsplat.cache_clear()
-    with pytest.raises(KernelError, match=r"could not compile its kernels \(no compiler\)"):
-        library.gsplat()
-    (tmp_path / "gsplat/cuda/_backend.py").write_text("_C = None", encoding="utf-8")
-    with pytest.raises(KernelError, match="no CUDA toolkit"):
-        library.gsplat()
-    assert "compiling" not in capsys.readouterr().out
 
 
 def test_the_commands_take_a_device(

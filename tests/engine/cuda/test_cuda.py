@@ -1,7 +1,6 @@
 """On an NVIDIA GPU: the compiled backend against the float64 reference, and whole trainings.
 
-ROIGS_CUDA_KERNELS=gsplat tests gsplat instead. Without a card, every test is skipped, with the
-reason.
+Without a card, every test is skipped, with the reason.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from roigs_engine.cuda import library, rooms
+from roigs_engine.cuda import rooms
 from roigs_engine.cuda.device import CPU, check_cuda
 from roigs_engine.errors import KernelError
 from roigs_engine.evaluation.metrics import mean_in, psnr_from_mse, squared_error
@@ -25,13 +24,15 @@ from roigs_engine.training.floaters.consistency import consistent_across_views
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
-from tests.engine.rasterize.test_gsplat import CASES, SIZE, ring
 from tests.engine.rasterize_cases import (
+    CASES,
+    SIZE,
     cameras,
     differentiate,
     gaussians,
     gradient_errors,
     relative_error,
+    ring,
 )
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
 
@@ -66,7 +67,7 @@ def test_images_and_gradients_are_those_of_the_reference(name: str, raw: bool) -
     ours = rasterize(*leaves, *on_card(views), *SIZE, **moved)
     weights = torch.randn(ours.image.shape, generator=torch.Generator().manual_seed(1))
     (ours.image * weights.to(CARD)).sum().backward()
-    # a fast exponential; and gsplat does not draw the last 1e-4 of the light
+    # the card's exponential is a fast one
     assert (ours.image.cpu() - truth.image).abs().max() < 1e-3
     gradients = [p.grad.cpu() for p in leaves if p.grad is not None]
     assert max(gradient_errors(gradients, true_gradients).values()) < 5e-3
@@ -75,8 +76,6 @@ def test_images_and_gradients_are_those_of_the_reference(name: str, raw: bool) -
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_weights_and_depth_are_those_of_the_reference(masked: bool) -> None:
-    if not library.has_blending_weights(CARD):
-        pytest.skip("Triton is not installed.")
     parameters, views = gaussians(300), cameras(*SIZE)
     options = {"with_max_weight": True, "with_weight_sum": True, "with_depth": True}
     region = ring() if masked else None
@@ -116,13 +115,10 @@ def test_adam_and_loss_are_those_of_the_reference() -> None:
     assert float(ours.loss) == pytest.approx(float(truth.loss), abs=1e-5)
 
 
-def test_floaters_are_found_without_triton(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_floaters_are_those_of_the_cpu(tmp_path_factory: pytest.TempPathFactory) -> None:
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=6)
     model = Gaussians.from_points(scene.points[::3], scene.colors[::3])
     truth = consistent_across_views(model, scene.images, [BOX], scene.points, 3)
-    monkeypatch.setattr(library, "has_triton", lambda: False)
     found = consistent_across_views(model.to(CARD), scene.images, [BOX], scene.points, 3)
     assert found.device.type == "cuda" and torch.equal(found.cpu(), truth)
 
@@ -148,8 +144,6 @@ def test_trainings_end_alike(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 def test_a_step_does_not_wait_for_the_card(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Once every view was drawn: its first drawing waits for the number of its pairs."""
-    if not library.own_kernels():
-        pytest.skip("gsplat waits.")
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=4)
     trainer = trainer_on_card(scene, TrainConfig(steps=100, densify_from=90))
     for _ in range(10):
@@ -167,8 +161,6 @@ def test_views_without_room_are_drawn_again(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A training that must do steps again ends with the bits of one that waits."""
-    if not library.own_kernels():
-        pytest.skip("gsplat waits.")
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=4)
     monkeypatch.setattr(rooms, "MARGIN", 1.0)
     monkeypatch.setattr(rooms, "LEAST_MARGIN", 0)

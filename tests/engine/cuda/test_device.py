@@ -67,7 +67,7 @@ def trained(scene: SfmScene, config: TrainConfig = CONFIG) -> Trainer:
 
 
 def without_kernels(patch: pytest.MonkeyPatch) -> None:
-    """What a card runs but for gsplat: loss and Adam in torch."""
+    """A training step in plain torch."""
     for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
         patch.setattr(trainer, name, partial(function, backend="reference"))
     plain = lambda parameters, **_: VisibleAdam(parameters, backend="reference")  # noqa: E731
@@ -198,27 +198,6 @@ def test_boxes_own_the_same_on_every_device() -> None:
     expected = nearest_owner(means.numpy().astype(np.float64), rois)
     assert set(expected) == {-1, 0, 1}
     assert owners(model, rois).tolist() == expected.tolist()
-
-
-def test_the_fused_loss_is_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in that has fused-ssim's interface: (1, 3, H, W) twice, the mean comes back."""
-    from roigs_engine.training import losses
-
-    def fused(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
-        assert x.shape == t.shape == (1, 3, 20, 30) and x.is_contiguous() and t.is_contiguous()
-        return losses.ssim_map(x[0].permute(1, 2, 0), t[0].permute(1, 2, 0)).mean()
-
-    monkeypatch.setattr(losses, "fused_ssim", lambda: fused)
-    generator = torch.Generator().manual_seed(0)
-    image = torch.rand(1, 20, 30, 3, generator=generator, requires_grad=True)
-    photo = torch.randint(0, 256, (20, 30, 3), dtype=torch.uint8, generator=generator)
-    results = []
-    for backend in ("fused-ssim", "reference"):
-        loss = photo_loss(image, photo, backend=backend)
-        (gradient,) = torch.autograd.grad(loss.loss, image)
-        results.append((*loss, gradient))
-    for ours, truth in zip(*results, strict=True):
-        assert torch.allclose(ours, truth, atol=1e-7)
 
 
 # --- memory ---

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from roigs_engine.context import Context
-from roigs_engine.cuda import card, driver, library, nvrtc, sources
+from roigs_engine.cuda import card, driver, nvrtc, sources
 from roigs_engine.cuda.device import CPU, choose_device
 from roigs_engine.cuda.frame import Loss
 from roigs_engine.errors import KernelError
@@ -156,10 +156,3 @@ def test_without_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driver, "LIBRARY", "no-such-driver.so")
     with pytest.raises(KernelError, match=r"no NVIDIA driver.*Install"):
         driver.load.__wrapped__()
-
-
-def test_gsplat_can_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert library.own_kernels() and library.has_median_depth(GPU)
-    monkeypatch.setenv(library.KERNELS_VARIABLE, "gsplat")
-    assert not library.own_kernels() and not library.has_median_depth(GPU)
-    assert library.has_median_depth(CPU)

@@ -12,7 +12,6 @@ from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.rasterize import RenderOutput, cuda, rasterize
 from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS, Limits
 from tests.engine.cuda.shim import ShimProgram
-from tests.engine.rasterize.test_gsplat import ring
 from tests.engine.rasterize.test_light_left import behind_a_haze, with_gradient
 from tests.engine.rasterize_cases import (
     BACKGROUND,
@@ -23,6 +22,7 @@ from tests.engine.rasterize_cases import (
     gradient_errors,
     largest_difference,
     relative_error,
+    ring,
 )
 
 pytestmark = pytest.mark.usefixtures("shim")

@@ -9,10 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from roigs_engine.cuda import library
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize.inputs import BLUR
-from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
     assert_matches,
     cameras,
@@ -23,12 +21,7 @@ from tests.engine.rasterize_cases import (
 )
 
 SIDE = 64  # px of the largest picture
-BACKENDS = ["reference", "cpu", "gsplat"]
-
-
-@pytest.fixture(autouse=True)
-def _gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "gsplat", lambda: fake_gsplat)
+BACKENDS = ["reference", "cpu"]
 
 
 def light(size: float, backend: str, *, side: int = SIDE, **options: Any) -> float:

@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roigs_engine.cuda import library
 from roigs_engine.errors import EngineError
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
@@ -30,7 +29,6 @@ from roigs_engine.rasterize.limits import (
 from roigs_engine.rasterize.view import rasterize_view, render_view
 from roigs_engine.rasterize.weights import blending_weights
 from roigs_engine.training.floaters.consistency import consistent_across_views
-from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     differentiate,
@@ -42,14 +40,9 @@ from tests.engine.rasterize_cases import (
 
 SIZE = (64, 48)
 FOCAL = 60.0
-BACKENDS = ["reference", "cpu", "gsplat"]
+BACKENDS = ["reference", "cpu"]
 BESIDE = Limits(max_slope=MAX_SLOPE)
 BEHIND = Limits(min_sigmas=MIN_SIGMAS)
-
-
-@pytest.fixture(autouse=True)
-def _gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "gsplat", lambda: fake_gsplat)
 
 
 def intrinsics(focal: float = FOCAL, cx: float = 30.0, cy: float = 27.0) -> Tensor:

@@ -9,10 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from roigs_engine.cuda import library
 from roigs_engine.errors import EngineError
 from roigs_engine.rasterize import rasterize
-from tests.engine import fake_gsplat
 from tests.engine.rasterize_cases import (
     assert_matches,
     cameras,
@@ -24,12 +22,7 @@ from tests.engine.rasterize_cases import (
 )
 
 SIDE = 48  # px of the whole picture
-BACKENDS = ["reference", "cpu", "gsplat"]
-
-
-@pytest.fixture(autouse=True)
-def _gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "gsplat", lambda: fake_gsplat)
+BACKENDS = ["reference", "cpu"]
 
 
 def draw(parameters: list[Tensor], factor: int, backend: str, **options: Any) -> Tensor:

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from roigs_engine.context import Context
-from roigs_engine.cuda import library
 from roigs_engine.errors import Stopped
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.roi import OrientedBox
@@ -174,20 +172,6 @@ def test_in_the_air_enough_photos_suffice() -> None:
     model = balls(eye(1, 400) * 1.2 * DISTANCE)
     assert kept(model, 3, images, WALL) == [True]
     assert kept(model, 4, images, WALL) == [False]
-
-
-def test_gsplat_without_triton_leaves_it_to_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The card itself is in test_cuda.py."""
-    card = torch.device("cuda")
-    monkeypatch.setattr(library, "has_triton", lambda: False)
-    assert library.has_blending_weights(card)
-    monkeypatch.setenv(library.KERNELS_VARIABLE, "gsplat")
-    monkeypatch.setattr(library, "has_triton", lambda: True)
-    assert library.has_blending_weights(card)
-    monkeypatch.setattr(library, "has_triton", lambda: False)
-    assert not library.has_blending_weights(card) and library.has_blending_weights(
-        torch.device("cpu")
-    )
 
 
 def test_it_can_be_stopped() -> None:
