@@ -21,9 +21,9 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.formats import run_files
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
+from roigs_engine.model.ownership import Partition
 from roigs_engine.model.roi import OrientedBox, roi_from_dict
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.model.territories import Territories
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.run.layout import lay_out
@@ -81,7 +81,7 @@ class Finished:
         """Number of blocks."""
         return int(self.manifest["config"].get("blocks", 1))
 
-    def territories(self) -> Territories:
+    def territories(self) -> Partition:
         """Who owns what of the result."""
         rois: list[OrientedBox] = [
             self.frame.box(roi_from_dict(record)) for record in self.manifest["rois"]
@@ -114,7 +114,7 @@ class Finished:
         return float(np.mean([roi["rows"][-1]["roi_psnr"] for roi in report["rois"]]))
 
 
-def across(run: Finished, territories: Territories) -> set[str]:
+def across(run: Finished, territories: Partition) -> set[str]:
     """Names of the test photos that show much of two territories or more."""
     views = Views.of(run.scene.select(run.test))
     shares = views.shares(territories.owner, int(territories.owner.max()) + 1)

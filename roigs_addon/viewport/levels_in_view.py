@@ -17,7 +17,7 @@ from .placed import Files, Ranges, objects_of
 from .view import View
 
 Densities = dict[int, float]
-"""Number of a level -> its density, see `roigs_engine.model.faded`."""
+"""Number of a level -> its density, see `roigs_engine.model.operations`."""
 
 
 @dataclass(frozen=True, eq=False)

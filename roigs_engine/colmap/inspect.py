@@ -10,7 +10,7 @@ import numpy as np
 from ..formats.text import counted, printable
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
-from ..model.scene_warnings import few_photos, scene_warnings
+from ..model.scene_checks import few_photos, scene_warnings
 from ..model.visibility import observations
 
 FIRST_NAMES = 5

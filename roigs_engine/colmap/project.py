@@ -16,7 +16,7 @@ from ..formats.refined_model import is_complete, is_refined_name, refined_folder
 from ..formats.rois import FAR
 from ..formats.text import counted, first_of
 from ..model.scene import Float64, Int64, SfmScene
-from ..model.strays import without_strays
+from ..model.scene_checks import without_outliers
 from ..photos.files import PhotoFolder, find_photos
 from ..photos.mask_files import USUAL_MASKS, MaskOptions
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
@@ -80,7 +80,7 @@ def load_colmap(
     if any(map(len, observed.values())):
         _mention_refined(model, folder, context)
     if check is not None and loader.posed:
-        check(without_strays(_scene(loader, observed, points, colors)))
+        check(without_outliers(_scene(loader, observed, points, colors)))
     loader.load(cache, context)
     if not loader.posed:
         raise _no_photos(model, photos, loader.skipped)
@@ -123,7 +123,7 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
 
 def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
     """The scene without strays; says what was left out, as warnings but for photos without pose."""
-    scene = without_strays(scene)
+    scene = without_outliers(scene)
     if scene.stray_points:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
     for reason, names in scene.skipped.items():

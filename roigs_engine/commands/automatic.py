@@ -30,24 +30,24 @@ def boxes_of(args: argparse.Namespace, scene: SfmScene, folder: Path | None) -> 
     """The boxes of the options. That of `--roi auto` is read from the folder, if it is there.
 
     Raises:
-        RoiError: as `boxes`, `read_rois` and `subject_box`.
+        RoiError: as `boxes`, `read_rois` and `automatic_box`.
     """
-    from ..model.subject_box import subject_box
+    from ..model.roi import automatic_box
 
     if not is_auto(args):
         return boxes(args)
     path = folder and folder / run_files.BOXES
-    return only(load_rois(path) if path and path.exists() else [subject_box(scene)], args)
+    return only(load_rois(path) if path and path.exists() else [automatic_box(scene)], args)
 
 
 def box_names(args: argparse.Namespace, folder: Path | None) -> list[str]:
     """The names of `boxes_of`, which are known before the scene; raises as that."""
-    from ..model.subject_box import NAME
+    from ..model.roi import AUTOMATIC_NAME
 
     if not is_auto(args):
         return [roi.name for roi in boxes(args)]
     path = folder and folder / run_files.BOXES
-    return [roi.name for roi in load_rois(path)] if path and path.exists() else [NAME]
+    return [roi.name for roi in load_rois(path)] if path and path.exists() else [AUTOMATIC_NAME]
 
 
 def keep_box(

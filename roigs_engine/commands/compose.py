@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the models, merge them and write the result."""
-    from ..model.compose import merge
     from ..model.gaussians import Gaussians
+    from ..model.operations import merge
 
     by_name = {roi.name: roi for roi in boxes(args)}
     objects: dict[str, Path] = {}

@@ -13,7 +13,7 @@ from ..formats.projects import top_folder
 from ..formats.run_files import BACKGROUND, FINE
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
-from ..model.object_masks import with_useful_masks
+from ..model.mask_coverage import with_useful_masks
 from ..model.ownership import count_owned
 from ..photos.mask_files import MASKS, MaskOptions
 from .console import Console

@@ -12,7 +12,7 @@ from ..formats.files import own_folder, read_json
 from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT
 from ..formats.splat_ply import check_ply
 from ..formats.text import counted
-from ..model.object_masks import with_useful_masks
+from ..model.mask_coverage import with_useful_masks
 from ..model.scene import SfmScene
 from ..run.config import PHOTOS, TEST, VALIDATION, RunConfig
 from .console import Console

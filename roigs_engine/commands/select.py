@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..formats.files import write_json
 from ..formats.text import counted
-from ..model.object_masks import with_useful_masks
+from ..model.mask_coverage import with_useful_masks
 from ..model.roi import OrientedBox
 from ..selection import SelectionConfig, format_selection, select_cameras
 from .automatic import box_names, boxes_of, is_auto, keep_box

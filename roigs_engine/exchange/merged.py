@@ -9,10 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..model.faded import faded
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
-from ..model.recolour import recoloured
+from ..model.operations import faded, recoloured
 from ..model.scene import Float64
 from ..rasterize.placed import PlacedModel, transformed
 from .turned_sh import turned_sh

@@ -8,9 +8,9 @@ from pathlib import Path
 import torch
 
 from ..formats.levels import Ladder, read_ladders, shown_levels
-from ..model.faded import faded
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
+from ..model.operations import faded
 from ..model.scene import Camera, Float64
 from .parts import rate_of
 

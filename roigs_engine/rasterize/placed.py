@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from ..cuda.device import CPU
-from ..model.faded import faded
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.local_frame import LocalFrame
-from ..model.recolour import recoloured
+from ..model.operations import faded, recoloured
 from ..model.rotations import rotation_matrices
 from ..model.scene import Camera, Float64
 from .inputs import blur_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from ..model.ownership import Partition
 from ..model.scene import PosedImage
-from ..model.territories import Territories
 from ..training.config import TrainConfig
 from . import stage_configs
 from .definition import Run
@@ -94,7 +94,7 @@ def seen_part(run: Run, base: Source, images: Sequence[PosedImage], share: float
     return Source(kind=SEEN, base=base, images=tuple(images), share=share)
 
 
-def joined(name: str, stages: Sequence[Stage], territories: Territories) -> PlannedModel:
+def joined(name: str, stages: Sequence[Stage], territories: Partition) -> PlannedModel:
     """A model of what each stage's territory owns of its result."""
     inputs = tuple(stages)
     source = Source(kind=CELLS, inputs=inputs, digest=territories.digest, territories=territories)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..model.local_frame import LocalFrame
-from ..model.object_masks import with_useful_masks
+from ..model.mask_coverage import with_useful_masks
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import check_has_points

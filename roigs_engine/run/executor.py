@@ -13,12 +13,11 @@ from ..evaluation.views import EvaluatedModel
 from ..formats import run_files
 from ..formats.files import own_folder, write_json
 from ..formats.lock import check_held
-from ..model.compose import crop, merge
 from ..model.gaussians import Gaussians
-from ..model.ownership import count_owned, owners
+from ..model.operations import crop, merge
+from ..model.ownership import count_owned, joined, owners
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
-from ..model.territories import joined
 from ..photos.cache import PhotoCache
 from ..training.backdrop import backdrop
 from ..training.budget import BoxBudget, budgets_from

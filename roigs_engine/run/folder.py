@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ..context import QUIET, Context
 from ..formats.files import write_json
 from ..formats.run_files import SPLIT
-from ..model.scene_warnings import scene_warnings
+from ..model.scene_checks import scene_warnings
 from .definition import Run
 from .disk import disk_space
 from .executor import Executor, TrainedModel

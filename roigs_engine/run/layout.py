@@ -14,10 +14,9 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError
-from ..model.ownership import nearest_owner
+from ..model.ownership import Partition, nearest_owner
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, Int64, SfmScene
-from ..model.territories import Territories
 from ..model.visibility import visible_images
 from ..selection.cells import (
     Views,
@@ -57,7 +56,7 @@ class Split:
     """A scene in cells, and who owns what of their results."""
 
     cells: tuple[Cell, ...]
-    territories: Territories
+    territories: Partition
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -218,7 +217,7 @@ class _Making:
         visible = visible_owners(views, points, photos)
         return Split(
             cells=cells,
-            territories=Territories(
+            territories=Partition(
                 points=scene.points,
                 owner=np.where(self.boxed >= 0, points, visible),
                 rois=self.rois,

@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import Any
 
 from ..formats.text import json_digest
+from ..model.ownership import Partition
 from ..model.roi import OrientedBox
 from ..model.scene import Int64, PosedImage
-from ..model.territories import Territories
 from ..selection import CameraSelection
 from ..training.config import ADDED, TrainConfig
 from ..training.photo_order import PhotoOrder
@@ -55,7 +55,7 @@ class Source:
     rois: tuple[OrientedBox, ...] = ()
     digest: str = ""
     rows: Int64 | None = None
-    territories: Territories | None = None
+    territories: Partition | None = None
     images: tuple[PosedImage, ...] = ()
     share: float = 1.0
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
-from ..model.scene_warnings import FEW, few_photos, kind_of_photos
+from ..model.scene_checks import FEW, few_photos, kind_of_photos
 from ..model.visibility import Candidates, find_candidates, observations, visible_images
 from .baselines import order_fvs, order_random
 from .config import METHODS, SelectionConfig

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
-from ..model.object_masks import object_points
+from ..model.mask_coverage import object_points
 from ..model.scene import Float64, Int64
 from ..model.visibility import Candidates
 from .baselines import fill_up

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..context import QUIET, Context
-from ..model.counted_pixels import counted_pixels, object_share
 from ..model.gaussians import Gaussians
+from ..model.mask_coverage import counted_pixels, object_share
 from ..model.ownership import count_owned
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage

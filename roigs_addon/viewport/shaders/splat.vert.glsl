@@ -3,7 +3,7 @@
 // pixels count from the lower left corner.
 
 #define ALPHA_MIN (1.0 / 255.0)
-#define LEAST 0.2            // see roigs_engine/model/faded.py
+#define LEAST 0.2            // see roigs_engine/model/operations.py
 #define BLUR 0.3             // px^2, added to the diagonal of the 2D covariance
 #define FRUSTUM_MARGIN 0.3   // of the half angle, around the frame
 // Beyond these limits EWA splatting fails (roigs_engine/rasterize/limits.py):

@@ -11,8 +11,12 @@ from PIL import Image
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Message
-from roigs_engine.model.counted_pixels import counted_pixels, object_share
-from roigs_engine.model.object_masks import object_points, with_useful_masks
+from roigs_engine.model.mask_coverage import (
+    counted_pixels,
+    object_points,
+    object_share,
+    with_useful_masks,
+)
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.photos.mask_files import MaskOptions

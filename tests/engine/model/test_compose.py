@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.errors import RoiError
-from roigs_engine.model.compose import crop, merge
 from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.operations import crop, merge
 from roigs_engine.model.ownership import owners
 from roigs_engine.model.roi import OrientedBox
 

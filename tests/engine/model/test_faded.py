@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from roigs_engine.model.faded import LEAST, faded
+from roigs_engine.model.operations import LEAST, faded
 
 LOGITS = torch.tensor([-80.0, -10.0, 0.0, 2.0, 3.0, 15.0, 80.0])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from roigs_engine.model.recolour import recoloured
+from roigs_engine.model.operations import recoloured
 from roigs_engine.rasterize.reference import sh_basis
 
 GAINS = (2.5, 0.25, 0.0)

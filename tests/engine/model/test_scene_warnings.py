@@ -12,7 +12,7 @@ from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.model.scene_warnings import FEW, few_photos, scene_warnings
+from roigs_engine.model.scene_checks import FEW, few_photos, scene_warnings
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.photo_sets import PhotoSets
 from tests.engine.runs import opened, tiny

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from roigs_engine.model.ownership import Partition, joined
 from roigs_engine.model.roi import OrientedBox
-from roigs_engine.model.territories import Territories, joined
 from tests.engine.synthetic_scene import truth
 
 RNG = np.random.default_rng(0)
@@ -16,10 +16,10 @@ POINTS = RNG.uniform(-1, 1, (400, 3))
 BOX = OrientedBox.axis_aligned("vase", [-0.2, -0.2, -0.2], [0.3, 0.3, 0.3])
 
 
-def halves(box_owner: int = 1) -> Territories:
+def halves(box_owner: int = 1) -> Partition:
     """Two halves along x; the box, across their border, is one's."""
     owner = (POINTS[:, 0] > 0).astype(np.int64)
-    return Territories(points=POINTS, owner=owner, rois=(BOX,), roi_owner=(box_owner,))
+    return Partition(points=POINTS, owner=owner, rois=(BOX,), roi_owner=(box_owner,))
 
 
 def test_a_position_belongs_to_the_points_around_it() -> None:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roigs_engine.model.object_masks import object_points
+from roigs_engine.model.mask_coverage import object_points
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
 from roigs_engine.model.visibility import Candidates

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from roigs_engine.errors import EngineError
-from roigs_engine.model.counted_pixels import counted_pixels
+from roigs_engine.model.mask_coverage import counted_pixels
 from roigs_engine.model.scene import PhotoMask, PosedImage, SfmScene
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.masks import load_mask, write_mask

@@ -1,0 +1,94 @@
+"""Operations on models of Gaussians: crop to a box, merge, fade, change colours.
+
+Source of crop and merge: ROI-GS, composition of Scene-GS and Object-GS (docs/method.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from ..errors import RoiError
+from .gaussians import SH_C0, Gaussians
+from .ownership import owners
+from .roi import OrientedBox
+
+
+def crop(gaussians: Gaussians, roi: OrientedBox, rois: Sequence[OrientedBox]) -> Gaussians:
+    """The Gaussians that `roi` owns among all boxes `rois`.
+
+    Raises:
+        RoiError: no box of `rois` has the name of `roi`.
+    """
+    names = [other.name for other in rois]
+    if roi.name not in names:
+        raise RoiError(f"Box '{roi.name}' is not among the run's boxes ({', '.join(names)}).")
+    return gaussians.rows(owners(gaussians, rois) == names.index(roi.name))
+
+
+Owners = Callable[[Gaussians, Sequence[OrientedBox]], Tensor]
+"""A model and the boxes -> (N,) the index of the box that owns each Gaussian, -1 for none."""
+
+
+def merge(
+    scene: Gaussians, objects: Sequence[tuple[OrientedBox, Gaussians]], owned: Owners = owners
+) -> Gaussians:
+    """The scene model with the content of each box taken from that box's object model.
+
+    The result has the scene's Gaussians that no box owns, in their order, then for each box the
+    object model's Gaussians that this box owns. Models with fewer SH bands are padded with zeros.
+    The result is on the scene model's device. The inputs do not change.
+
+    Args:
+        scene: the scene model.
+        objects: boxes and their models.
+        owned: which box owns a Gaussian.
+    """
+    rois = [roi for roi, _ in objects]
+    parts = [scene.rows(owned(scene, rois) == -1)]
+    for index, (_, model) in enumerate(objects):
+        parts.append(model.rows(owned(model, rois) == index))
+    return Gaussians.concatenate([part.to(scene.means.device) for part in parts])
+
+
+LEAST = 0.2
+"""Of the light that comes through a Gaussian, what is below this changes evenly with the density.
+
+With powers alone, opaque Gaussians would come and go in the first steps of a fade: the largest
+changes between the frames of a fly-in were twice as large.
+"""
+
+
+def faded(logit_opacities: Tensor, density: float) -> Tensor:
+    """The logits of Gaussians of which only a share is there; 1 keeps every bit.
+
+    Of a Gaussian that lets t >= LEAST of the light through, t^density comes through: through two
+    models of the same thing, with densities that add up to 1, as much light comes as through one.
+    The part of t that is below is scaled evenly from 1 to t / LEAST.
+
+    Args:
+        logit_opacities: (N,).
+        density: above 0, at most 1.
+    """
+    if density == 1:
+        return logit_opacities
+    # In float64, so that an opacity close to 0 or 1 keeps a finite logit.
+    through = (-logit_opacities.double()).sigmoid()
+    upper = through.clamp(min=LEAST)
+    through = upper**density * (1 - density * (1 - through / upper))
+    return torch.logit(1 - through, eps=1e-12).float()
+
+
+def recoloured(sh: Tensor, gains: Sequence[float]) -> Tensor:
+    """SH coefficients whose colours are `gains` times as large, seen from anywhere.
+
+    Args:
+        sh: (N, K, 3); a colour is max(0, 0.5 + sum of sh * basis), sRGB.
+        gains: of red, green and blue, not negative. A gain of 1 keeps its channel bit for bit.
+    """
+    factors = torch.as_tensor(gains, dtype=sh.dtype, device=sh.device)
+    changed = sh * factors
+    changed[:, 0] += 0.5 * (factors - 1) / SH_C0
+    return changed
