@@ -163,7 +163,7 @@ def rate_in_view(probes: Float64, to_clip: Float64, pixels: float) -> float:
 
 
 def shown_levels(ladder: Ladder, rate: float, quality: float = 1.0) -> list[tuple[Level, float]]:
-    """The levels to draw, and how much of each (`model.operations.faded`): one level, or two in a fade.
+    """The levels to draw, and how much of each (`operations.faded`): one level, or two in a fade.
 
     Args:
         ladder: of the part.
