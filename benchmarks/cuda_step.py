@@ -85,7 +85,7 @@ def our_step(gaussians: int, photos: SyntheticPhotos) -> Step:
         if backward_step is None:
             optimizer.step(output.visible[0])
         if ahead.first_void(wait=False):
-            raise RuntimeError("The model stays as it is, so its views need the same room.")
+            raise RuntimeError("The model stays as it is, so its views have as many pairs.")
         taken += 1
 
     return step

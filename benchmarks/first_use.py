@@ -25,12 +25,12 @@ import json, sys, time
 import torch
 from pathlib import Path
 started = time.perf_counter()
-from roigs_engine.cuda import card
-card.user_cache = lambda: Path(sys.argv[2])
-compiler = card.nvrtc_of_torch()
-compiler.architectures()
-code = card.machine_code(compiler, int(sys.argv[1]))
-print(json.dumps([time.perf_counter() - started, len(code), compiler.version]))
+from roigs_engine.cuda import compiler
+compiler.user_cache = lambda: Path(sys.argv[2])
+nvrtc = compiler.nvrtc_of_torch()
+nvrtc.architectures()
+code = compiler.machine_code(nvrtc, int(sys.argv[1]))
+print(json.dumps([time.perf_counter() - started, len(code), nvrtc.version]))
 """
 """What a training does before it calls the driver; torch is imported in any case."""
 

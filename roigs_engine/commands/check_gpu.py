@@ -32,7 +32,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """
     import torch
 
-    from ..cuda import card, driver
+    from ..cuda import compiler, driver
     from ..cuda.device import CPU, check_cuda, choose_device
     from ..training import gpu_check, gpu_times
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     memory = torch.cuda.get_device_properties(device).total_memory / 2**30
     name = torch.cuda.get_device_name(device)
     console.print(f"Card     {name}, compute capability {capability}, {memory:.1f} GiB")
-    nvrtc = ".".join(map(str, card.nvrtc_of_torch().version))
+    nvrtc = ".".join(map(str, compiler.nvrtc_of_torch().version))
     console.print(f"Kernels  ready in {seconds:.1f} s, NVRTC {nvrtc}")
     errors = gpu_check.compare(device)
     for result, error in errors.items():

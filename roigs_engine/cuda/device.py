@@ -1,15 +1,17 @@
-"""Chooses the device: the CPU or an NVIDIA GPU."""
+"""The training device: its choice, its free memory, and values sent to it without waiting."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..errors import KernelError
+from ..errors import GpuMemoryError, KernelError
 from ..formats.events import Device
 from . import card
 
@@ -66,3 +68,62 @@ def on_device(state: Any, device: torch.device) -> Any:
     if isinstance(state, dict):
         return {key: on_device(value, device) for key, value in state.items()}
     return state.to(device) if isinstance(state, Tensor) else state
+
+
+GIB = 1 << 30
+SHARE_OF_PHOTOS = 4  # photos may take 1/4 of the free GPU memory
+
+
+def card_memory(device: torch.device) -> tuple[int, int]:
+    """Bytes that this process can still take of a GPU's memory, and all that it has."""
+    free, total = torch.cuda.mem_get_info(device)
+    cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return free + cached, total
+
+
+@contextmanager
+def explain_out_of_memory(doing: Callable[[], str], advice: Callable[[], str]) -> Iterator[None]:
+    """Turn torch's out-of-memory error into one line.
+
+    Args:
+        doing: describes the work with its numbers, for the message.
+        advice: what to change, for the hint.
+
+    Raises:
+        GpuMemoryError: the GPU memory is full.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        message = f"The GPU memory is full{_used()}: {doing()}."
+        raise GpuMemoryError(message, advice()) from error
+
+
+def smaller_side(width: int, height: int) -> int:
+    """A longest side, in pixels, to suggest instead of that of (width, height)."""
+    return max(64, max(width, height) * 3 // 4)
+
+
+def _used() -> str:
+    """The GPU memory in use, in parentheses; empty without a GPU."""
+    if not torch.cuda.is_available():
+        return ""
+    free, total = torch.cuda.mem_get_info()
+    ours = torch.cuda.max_memory_allocated()
+    return f" ({total / GIB:.1f} GiB, {free / GIB:.1f} free, at most {ours / GIB:.1f} used by this)"
+
+
+def sent(tensor: Tensor, device: torch.device) -> Tensor:
+    """The tensor on `device`. To a GPU it is copied through pinned memory, in the GPU's queue.
+
+    `tensor.to(device)` would wait until the GPU has done all that is in its queue.
+    """
+    if device.type == "cpu" or tensor.device.type != "cpu":
+        return tensor.to(device)
+    return tensor.pin_memory().to(device, non_blocking=True)
+
+
+@functools.lru_cache(maxsize=4096)
+def number(value: float, device: torch.device) -> Tensor:
+    """A float32 scalar on `device`, filled in there: nothing is copied. It must not be changed."""
+    return torch.full((), value, dtype=torch.float32, device=device)

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .memory import SHARE_OF_PHOTOS, card_memory
+from .device import SHARE_OF_PHOTOS, card_memory
 
 
 class Photos(Protocol):
@@ -30,16 +30,16 @@ class PhotoTensors(Protocol):
     def prefetch(self, indices: Sequence[int]) -> None: ...
 
 
-def photos_on(device: torch.device, photos: Photos, room: int | None = None) -> PhotoTensors:
+def photos_on(device: torch.device, photos: Photos, limit: int | None = None) -> PhotoTensors:
     """The photos as tensors on the device.
 
-    Args: `room`: bytes of a GPU that they may take; None: a share of what is free.
+    Args: `limit`: bytes of a GPU that they may take; None: a share of what is free.
     """
     if device.type == "cpu":
         return HostPhotos(photos)
-    if room is None:
-        room = card_memory(device)[0] // SHARE_OF_PHOTOS
-    return DevicePhotos(photos, _Uploads(device), room)
+    if limit is None:
+        limit = card_memory(device)[0] // SHARE_OF_PHOTOS
+    return DevicePhotos(photos, _Uploads(device), limit)
 
 
 class HostPhotos:
@@ -71,7 +71,7 @@ class DevicePhotos:
         limit: int,
     ) -> None:
         """Args: `upload`: starts a copy, returns a function that waits for it; `limit`: bytes."""
-        self._photos, self._upload, self._room = photos, upload, limit
+        self._photos, self._upload, self._free = photos, upload, limit
         self._kept: dict[int, Tensor] = {}
         self._coming: dict[int, Future[Callable[[], Tensor]]] = {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="upload")
@@ -82,8 +82,8 @@ class DevicePhotos:
             return self._kept[index]
         coming = self._coming.pop(index, None)
         arrived = (self._send(index) if coming is None else coming.result())()
-        if arrived.nbytes <= self._room:
-            self._room -= arrived.nbytes
+        if arrived.nbytes <= self._free:
+            self._free -= arrived.nbytes
             self._kept[index] = arrived
         return arrived
 

@@ -32,7 +32,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..cuda.sending import sent
+from ..cuda.device import sent
 from ..errors import EngineError
 from .inputs import (
     BackwardStep,

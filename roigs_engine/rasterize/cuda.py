@@ -2,7 +2,7 @@
 
 cuda/kernels/frame.h has the kernels' interface and their order. Between them torch sorts: Gaussians
 by depth, then the (Gaussian, tile) pairs by tile; both sorts are stable. How many pairs there are
-is on the card: a view that has no room for them (`cuda.rooms`) waits for the number, once.
+is on the card: a view without a buffer for them (`cuda.pair_buffers`) waits for the number, once.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..cuda import card
-from ..cuda.frame import (
+from ..cuda.bindings import (
     BUCKETS,
     CAMERA_VALUES,
     COLUMNS,
@@ -62,7 +62,7 @@ class View:
     Attributes:
         frame: the kernels' argument.
         kept: the tensors that it points to, by name.
-        pairs: of Gaussians and tiles; the room for them, if there is one.
+        pairs: of Gaussians and tiles; the buffer's capacity, if there is one.
         groups: blocks that walk over the pixels, at most.
     """
 
@@ -132,15 +132,15 @@ def prepare(inputs: RenderInputs, c: int, parameters: list[Tensor], visible: Ten
 
 
 def _count(view: View, total: Tensor) -> bool:
-    """Set how many pairs there are, or for how many there is room; whether slots may be left."""
+    """Set how many pairs there are, or the buffer holds; whether slots may be left."""
     step = view.inputs.backward_step
-    room = None if step is None else step.room
-    known = None if room is None else room.pairs
+    buffer = None if step is None else step.pair_buffer
+    known = None if buffer is None else buffer.capacity
     view.pairs = int(total) if known is None else known  # int() waits for the device
-    if room is not None:
-        room.report(view.pairs if known is None else total)
-        view.set(void=room.void)
-    return room is not None
+    if buffer is not None:
+        buffer.report(view.pairs if known is None else total)
+        view.set(void=buffer.void)
+    return buffer is not None
 
 
 def _set_camera(view: View, c: int) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from ..cuda.rooms import Room
+from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from .limits import Limits
 
@@ -73,8 +73,8 @@ class BackwardStep(Protocol):
         ...
 
     @property
-    def room(self) -> Room | None:
-        """Room for the view's pairs on a GPU, so that nothing waits for it; None: it waits."""
+    def pair_buffer(self) -> PairBuffer | None:
+        """For the view's pairs on a GPU, so that nothing waits for it; None: it waits."""
         ...
 
     def take(self, kernel: Callable[[Any], int | Tensor]) -> None:

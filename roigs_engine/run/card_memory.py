@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..cuda.memory import SHARE_OF_PHOTOS
+from ..cuda.device import SHARE_OF_PHOTOS
 from ..errors import SceneError
 from ..formats.events import Message
 from ..formats.text import in_gb
@@ -21,9 +21,9 @@ PER_GAUSSIAN_EDITED = 1600  # .. and the copies while densifying, without a step
 PER_PIXEL = 110  # of the largest photo: pictures, gradients, the checkpoints of half-filled groups
 PER_PAIR = 180  # of a Gaussian and a tile: its place in lists, its moments, the checkpoints
 PAIRS = 200  # in a tile: see run/memory.py
-ROOM = 1.25  # cuda.rooms: for more pairs than there are
+BUFFER = 1.25  # cuda.pair_buffers: for more pairs than there are
 CACHE = 1.2  # torch keeps freed blocks of other sizes
-PER_PIXEL_AT_MOST = PER_PIXEL + int(PER_PAIR * PAIRS * ROOM) // TILE**2
+PER_PIXEL_AT_MOST = PER_PIXEL + int(PER_PAIR * PAIRS * BUFFER) // TILE**2
 AHEAD = 3  # photos on the GPU at least: the one in use, and two that are sent ahead
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from ..context import QUIET, Context
-from ..cuda.memory import card_memory
+from ..cuda.device import card_memory
 from ..errors import SceneError
 from ..formats.events import Message
 from ..formats.text import in_gb

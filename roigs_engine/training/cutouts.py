@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.sending import sent
+from ..cuda.device import sent
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.sending import sent
+from ..cuda.device import sent
 from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage

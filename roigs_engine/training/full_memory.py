@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
-from ..cuda.memory import explain_out_of_memory, smaller_side
+from ..cuda.device import explain_out_of_memory, smaller_side
 from ..model.scene import PosedImage
 
 

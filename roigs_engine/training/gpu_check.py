@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda import driver, sources
+from ..cuda import compiler, driver
 from ..errors import EngineError, KernelError
 from ..formats.files import read_json, write_json
 from ..kernels.library import user_cache
@@ -88,7 +88,7 @@ def machine_key(device: torch.device) -> str:
     name = str(device)
     if device.type == "cuda":
         name = f"{torch.cuda.get_device_name(device)} {torch.cuda.get_device_capability(device)}"
-    parts = (name, driver.build(), torch.__version__, sources.source_key())
+    parts = (name, driver.build(), torch.__version__, compiler.source_key())
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..cuda import card
-from ..cuda.frame import PIXELS, Loss, address
+from ..cuda.bindings import PIXELS, Loss, address
 from ..errors import EngineError
 from ..kernels import bindings
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.device import CPU
-from ..cuda.sending import sent
+from ..cuda.device import CPU, sent
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..photos.masks import load_object_mask

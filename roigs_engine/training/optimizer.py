@@ -21,8 +21,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..cuda.frame import address
-from ..cuda.rooms import Room
+from ..cuda.bindings import address
+from ..cuda.pair_buffers import PairBuffer
 from ..errors import EngineError
 from ..kernels import bindings
 from ..model.gaussians import Gaussians
@@ -329,7 +329,7 @@ class FusedStep:
     """An optimizer step that the backward pass takes (`rasterize.inputs.BackwardStep`)."""
 
     optimizer: VisibleAdam
-    room: Room | None = None
+    pair_buffer: PairBuffer | None = None
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:

@@ -34,13 +34,15 @@ class PhotoViews:
     Args:
         of: the photos, in their size.
         device: that trains.
-        room: bytes of a GPU that they may take; None: a share of what is free.
+        limit: bytes of a GPU that they may take; None: a share of what is free.
     """
 
-    def __init__(self, of: StageData | SmallPhotos, device: torch.device, room: int | None) -> None:
+    def __init__(
+        self, of: StageData | SmallPhotos, device: torch.device, limit: int | None
+    ) -> None:
         self.images = of.images
         self._sizes = [(image.camera.width, image.camera.height) for image in of.images]
-        self._photos = photos_on(device, of.photos, room)
+        self._photos = photos_on(device, of.photos, limit)
         self._viewmats, self._intrinsics = camera_tensors(of.images, device)
         self._pixel_sizes = [image.pixel_size for image in of.images]
         self._masks = of.masks

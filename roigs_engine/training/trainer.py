@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from ..context import QUIET, Context
-from ..cuda.device import CPU, on_device
-from ..cuda.sending import number, sent
+from ..cuda.device import CPU, number, on_device, sent
 from ..errors import Stopped
 from ..machine import release_freed_memory
 from ..model.gaussians import NAMES, Gaussians
@@ -53,7 +52,7 @@ class Trainer:
     a trainer that loads it continues exactly.
 
     A step does not wait for its device: the running loss is read only when progress is shown, and
-    that a view had no room on a GPU is heard of later (`StepsAhead`).
+    that a view's buffer on a GPU was too small is heard of later (`StepsAhead`).
     """
 
     def __init__(self, gaussians: Gaussians, data: StageData, config: TrainConfig) -> None:

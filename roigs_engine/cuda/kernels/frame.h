@@ -1,4 +1,4 @@
-// What the kernels of one view hand on to each other: cuda/frame.py has the same structures, and
+// What the kernels of one view hand on to each other: cuda/bindings.py has the same structures, and
 // rasterize/cuda.py makes the arrays and launches the kernels in this order:
 //
 //     place_camera, project, list_tiles, begin_tiles, begin_groups, blend, [median_depth],
@@ -48,8 +48,8 @@ struct Frame {
     float* slot_largest;     // (pairs,) largest weight
     float* slot_sums;        // (pairs,) sum of weights
     // of each tile's list
-    int64_t pairs;               // entries: those of the tiles, then those for which there is room
-    const int16_t* short_sorted; // (pairs,) their tiles, `tile_count` for what is only room; ..
+    int64_t pairs;               // entries: those of the tiles, then unused ones
+    const int16_t* short_sorted; // (pairs,) their tiles, `tile_count` for unused ones; ..
     const int32_t* sorted;       // .. as short_tiles and tiles
     const int64_t* entries;      // (pairs,) slots, tile by tile, front to back
     int32_t* tile_begin;         // (tiles + 1,)

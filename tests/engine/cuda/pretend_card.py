@@ -21,8 +21,8 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
+from roigs_engine.cuda.pair_buffers import Number, PairBuffers
 from roigs_engine.cuda.photos import DevicePhotos, Photos
-from roigs_engine.cuda.rooms import Number, Rooms
 from roigs_engine.rasterize import rasterize
 from roigs_engine.training import photo_views, steps_ahead, trainer
 from roigs_engine.training.losses import photo_loss
@@ -162,7 +162,9 @@ class PretendCard(TorchDispatchMode):
         return read
 
 
-def use(patch: pytest.MonkeyPatch, card: PretendCard, *, rooms: bool = True, late: int = 2) -> None:
+def use(
+    patch: pytest.MonkeyPatch, card: PretendCard, *, buffers: bool = True, late: int = 2
+) -> None:
     """Let a `Trainer` train on the card with our kernels, which the shim runs."""
     for name, function in (("rasterize", rasterize), ("photo_loss", photo_loss)):
         patch.setattr(trainer, name, partial(function, backend="cuda"))
@@ -185,12 +187,14 @@ def use(patch: pytest.MonkeyPatch, card: PretendCard, *, rooms: bool = True, lat
         ),
     )
 
-    def photos_on(device: torch.device, photos: Photos, room: int | None) -> DevicePhotos:
+    def photos_on(device: torch.device, photos: Photos, limit: int | None) -> DevicePhotos:
         return DevicePhotos(photos, upload, 1 << 40)
 
     patch.setattr(photo_views, "photos_on", photos_on)
-    made_rooms = (lambda device: Rooms(device, card.arriving(late))) if rooms else lambda _: None
-    patch.setattr(steps_ahead, "rooms_on", made_rooms)
+    made_buffers = (
+        (lambda device: PairBuffers(device, card.arriving(late))) if buffers else lambda _: None
+    )
+    patch.setattr(steps_ahead, "pair_buffers_on", made_buffers)
 
 
 def upload(pixels: NDArray[np.uint8]) -> Callable[[], Tensor]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.cuda import nvrtc, sources
+from roigs_engine.cuda import compiler
 from roigs_engine.errors import KernelError
 
 ARCHITECTURES = (75, 80, 86, 89, 90, 100, 120)
@@ -14,20 +14,20 @@ ARCHITECTURES = (75, 80, 86, 89, 90, 100, 120)
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_every_kernel_compiles(architecture: int) -> None:
-    if not nvrtc.libraries():
+    if not compiler.libraries():
         pytest.skip("NVRTC is not installed: pip install nvidia-cuda-nvrtc")
-    code = nvrtc.load().compile(architecture)
+    code = compiler.load().compile(architecture)
     assert code.startswith(b"\x7fELF")
-    for kernel in sources.KERNELS:
+    for kernel in compiler.KERNELS:
         assert b".text." + kernel.encode() + b"\0" in code
 
 
 def test_a_mistake_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not nvrtc.libraries():
+    if not compiler.libraries():
         pytest.skip("NVRTC is not installed: pip install nvidia-cuda-nvrtc")
-    monkeypatch.setattr(sources, "program", lambda: "int wrong = nothing;")
+    monkeypatch.setattr(compiler, "source_text", lambda: "int wrong = nothing;")
     with pytest.raises(KernelError, match=r'roigs\.cu\(1\): error.*"nothing"') as caught:
-        nvrtc.load().compile(89)
+        compiler.load().compile(89)
     assert "\n" not in str(caught.value)
 
 
@@ -47,14 +47,14 @@ def test_it_is_found_where_wheels_keep_it(tmp_path: Path) -> None:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    found = {path.relative_to(tmp_path).as_posix() for path in nvrtc.libraries([str(tmp_path)])}
+    found = {path.relative_to(tmp_path).as_posix() for path in compiler.libraries([str(tmp_path)])}
     assert found == {n for n in names if "builtins" not in n and ".alt." not in n}
 
 
 def test_without_it_the_line_says_where_it_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nvrtc, "libraries", list)
+    monkeypatch.setattr(compiler, "libraries", list)
     with pytest.raises(KernelError, match=r"NVRTC is not installed.*torch for CUDA"):
-        nvrtc.load.__wrapped__()
+        compiler.load.__wrapped__()
 
 
 def test_one_that_cannot_be_loaded_says_why(
@@ -62,6 +62,6 @@ def test_one_that_cannot_be_loaded_says_why(
 ) -> None:
     broken = tmp_path / "libnvrtc.so.13"
     broken.write_bytes(b"no library")
-    monkeypatch.setattr(nvrtc, "libraries", lambda: [broken])
+    monkeypatch.setattr(compiler, "libraries", lambda: [broken])
     with pytest.raises(KernelError, match=r"NVRTC cannot be loaded \(.*libnvrtc\.so\.13"):
-        nvrtc.load.__wrapped__()
+        compiler.load.__wrapped__()

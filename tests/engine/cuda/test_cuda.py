@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from roigs_engine.cuda import rooms
+from roigs_engine.cuda import pair_buffers
 from roigs_engine.cuda.device import CPU, check_cuda
 from roigs_engine.errors import KernelError
 from roigs_engine.evaluation.metrics import mean_in, psnr_from_mse, squared_error
@@ -157,16 +157,16 @@ def test_a_step_does_not_wait_for_the_card(tmp_path_factory: pytest.TempPathFact
         torch.cuda.set_sync_debug_mode("default")
 
 
-def test_views_without_room_are_drawn_again(
+def test_views_with_small_buffers_are_drawn_again(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A training that must do steps again ends with the bits of one that waits."""
     scene = make_scene(tmp_path_factory.mktemp("photos"), views=4)
-    monkeypatch.setattr(rooms, "MARGIN", 1.0)
-    monkeypatch.setattr(rooms, "LEAST_MARGIN", 0)
+    monkeypatch.setattr(pair_buffers, "MARGIN", 1.0)
+    monkeypatch.setattr(pair_buffers, "LEAST_MARGIN", 0)
     models = []
-    for made in (rooms.rooms_on, lambda device: None):
-        monkeypatch.setattr(steps_ahead, "rooms_on", made)
+    for made in (pair_buffers.pair_buffers_on, lambda device: None):
+        monkeypatch.setattr(steps_ahead, "pair_buffers_on", made)
         config = TrainConfig(steps=200, densify_from=50, densify_until=150)
         trainer = trainer_on_card(scene, config)
         assert trainer.run()

@@ -119,7 +119,7 @@ def test_masked_steps_without_kernels_are_those_with_them(
     monkeypatch.setattr(
         photo_views,
         "photos_on",
-        lambda _, photos, room: DevicePhotos(photos, upload, limit=1 << 20),
+        lambda _, photos, limit: DevicePhotos(photos, upload, limit=1 << 20),
     )
     plain = trained(scene, config)
     assert sent and set(sent) == {(48, 64, 4)}

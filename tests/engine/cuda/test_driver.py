@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from roigs_engine.context import Context
-from roigs_engine.cuda import card, driver, nvrtc, sources
+from roigs_engine.cuda import card, driver
+from roigs_engine.cuda import compiler as compiling
+from roigs_engine.cuda.bindings import Loss
 from roigs_engine.cuda.device import CPU, choose_device
-from roigs_engine.cuda.frame import Loss
 from roigs_engine.errors import KernelError
 
 GPU = torch.device("cuda:0")
@@ -57,8 +58,8 @@ class FakeCompiler:
 def compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeCompiler:
     """A torch with a GPU, a compiler, and a cache of its own."""
     made = FakeCompiler()
-    monkeypatch.setattr(card, "user_cache", lambda: tmp_path)
-    monkeypatch.setattr(nvrtc, "load", lambda major: made)
+    monkeypatch.setattr(compiling, "user_cache", lambda: tmp_path)
+    monkeypatch.setattr(compiling, "load", lambda major: made)
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     for name, value in (
         ("is_available", True),
@@ -87,7 +88,7 @@ def test_kernels_are_compiled_once_and_launched_on_torchs_stream(
         card.prepare(GPU, Context(emit=said.append))
     assert compiler.compiled == [89]
     assert [event.text[:25] for event in said] == ["Compiling the GPU kernels"]
-    assert fake.called.count("cuModuleGetFunction") == 2 * len(sources.KERNELS)
+    assert fake.called.count("cuModuleGetFunction") == 2 * len(compiling.KERNELS)
     stream = type("Stream", (), {"cuda_stream": 7})
     monkeypatch.setattr(torch.cuda, "current_stream", lambda device: stream)
     card.program(GPU).launch("loss", 3, 256, Loss())
@@ -137,7 +138,7 @@ def test_the_newest_code_that_runs_on_a_card(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
-    assert card.architecture(GPU, compiler) == target  # type: ignore[arg-type]
+    assert compiling.architecture(GPU, compiler) == target  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("capability", "hint"), [((6, 1), "Use the CPU"), ((13, 0), "newer CUDA")])
@@ -149,7 +150,7 @@ def test_a_card_that_the_compiler_does_not_know(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     with pytest.raises(KernelError, match=rf"compute capability \d+\.\d.*{hint}"):
-        card.architecture(GPU, compiler)  # type: ignore[arg-type]
+        compiling.architecture(GPU, compiler)  # type: ignore[arg-type]
 
 
 def test_without_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,6 @@
 """Scenes at the edge of what there is, on the CUDA kernels in the shim: as on the CPU.
 
-With room for pairs they have the same bits as without.
+With buffers for pairs they have the same bits as without.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roigs_engine.cuda.rooms import Room
+from roigs_engine.cuda.pair_buffers import PairBuffer
 from roigs_engine.model.gaussians import NAMES
 from roigs_engine.rasterize import cuda, rasterize
 from roigs_engine.training.optimizer import FusedStep, VisibleAdam
@@ -69,22 +69,24 @@ SCENES: list[Callable[[], Model]] = [
 SIZES = [(1, 1), (17, 16), (16, 17), (48, 33)]
 
 
-class FixedRoom:
-    """Room for so many pairs, and who was told how many there are."""
+class FixedBuffer:
+    """PairBuffer for so many pairs, and who was told how many there are."""
 
     def __init__(self, pairs: int | None) -> None:
         self.void = torch.zeros((), dtype=torch.bool)
         self.told: list[int] = []
-        self.room = Room(pairs=pairs, void=self.void, report=self._report)
+        self.buffer = PairBuffer(capacity=pairs, void=self.void, report=self._report)
 
     def _report(self, total: Tensor | int) -> None:
         self.told.append(int(total))
-        if self.room.pairs is not None:
-            torch.logical_or(self.void, torch.as_tensor(total > self.room.pairs), out=self.void)
+        if self.buffer.capacity is not None:
+            torch.logical_or(
+                self.void, torch.as_tensor(total > self.buffer.capacity), out=self.void
+            )
 
 
 def step(
-    model: Model, size: tuple[int, int], backend: str, room: Room | None = None
+    model: Model, size: tuple[int, int], backend: str, buffer: PairBuffer | None = None
 ) -> tuple[dict[str, Tensor], VisibleAdam]:
     """A training step; what it draws, and the optimizer after it."""
     parameters = [p.clone() for p in model]
@@ -98,7 +100,7 @@ def step(
         raw=True,
         with_max_weight=True,
         backend=backend,
-        backward_step=FusedStep(optimizer, room),
+        backward_step=FusedStep(optimizer, buffer),
     )
     weights = torch.randn(drawn.image.shape, generator=torch.Generator().manual_seed(1))
     (drawn.image * weights).sum().backward()
@@ -126,15 +128,17 @@ def test_they_are_drawn_and_trained_as_on_the_cpu(
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_more_room_than_pairs_changes_no_bit(shim: ShimProgram, scene: Callable[[], Model]) -> None:
+def test_larger_buffers_than_pairs_changes_no_bit(
+    shim: ShimProgram, scene: Callable[[], Model]
+) -> None:
     model, size = scene(), (48, 33)
-    new = FixedRoom(None)
-    exact, first = step(model, size, "cuda", new.room)
+    new = FixedBuffer(None)
+    exact, first = step(model, size, "cuda", new.buffer)
     (pairs,) = new.told
     for more in (0, 1, 1000):
-        room = FixedRoom(pairs + more)
-        ours, second = step(model, size, "cuda", room.room)
-        assert room.told == [pairs] and not room.void
+        fixed = FixedBuffer(pairs + more)
+        ours, second = step(model, size, "cuda", fixed.buffer)
+        assert fixed.told == [pairs] and not fixed.void
         for name, tensor in exact.items():
             assert torch.equal(ours[name], tensor), (name, more)
         for name in NAMES:
@@ -143,18 +147,18 @@ def test_more_room_than_pairs_changes_no_bit(shim: ShimProgram, scene: Callable[
 
 
 @pytest.mark.parametrize("few_tiles", [False, True])
-def test_without_room_nothing_is_drawn_and_nothing_changes(
+def test_without_a_buffer_nothing_is_drawn_and_nothing_changes(
     shim: ShimProgram, monkeypatch: pytest.MonkeyPatch, *, few_tiles: bool
 ) -> None:
     """Nor after it, until somebody says so: not even a view whose pairs are counted first."""
     if not few_tiles:
         monkeypatch.setattr(cuda, "SHORT_TILES", 3)
     model = gaussians(60, raw=True)
-    room = FixedRoom(30)
+    fixed = FixedBuffer(30)
     for pairs in (30, 10_000, None):
-        room.room = Room(pairs=pairs, void=room.void, report=room._report)
-        drawn, optimizer = step(model, (48, 33), "cuda", room.room)
-        assert room.told[-1] > 60 and room.void
+        fixed.buffer = PairBuffer(capacity=pairs, void=fixed.void, report=fixed._report)
+        drawn, optimizer = step(model, (48, 33), "cuda", fixed.buffer)
+        assert fixed.told[-1] > 60 and fixed.void
         assert not any(tensor.any() for tensor in drawn.values())
         for name, before in zip(NAMES, model, strict=True):
             assert torch.equal(optimizer.parameters[name], before)

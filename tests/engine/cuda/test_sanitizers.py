@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.cuda.sources import KERNELS
+from roigs_engine.cuda.compiler import KERNELS
 from tests.engine.cuda.shim import Edit, compiled
 
 pytestmark = pytest.mark.slow

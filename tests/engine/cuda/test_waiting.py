@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from roigs_engine.cuda import rooms
-from roigs_engine.cuda.rooms import Room, Rooms
+from roigs_engine.cuda import pair_buffers
+from roigs_engine.cuda.pair_buffers import PairBuffer, PairBuffers
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.ownership import owners
 from roigs_engine.model.scene import PhotoMask, SfmScene
@@ -144,21 +144,21 @@ def test_steps_on_an_object_alone_do_not_wait(
 
 
 @pytest.mark.parametrize("inputs", [nothing_more, boxes])
-def test_a_view_without_room_is_drawn_again(
+def test_a_view_without_a_buffer_is_drawn_again(
     scene: SfmScene, card: PretendCard, monkeypatch: pytest.MonkeyPatch, inputs: Inputs
 ) -> None:
     """Steps that came after it as well: the bits are those of a training that waits each time."""
-    real_room, small = Rooms.room, {5, 8, 9, 11}
+    real_buffer, small = PairBuffers.buffer, {5, 8, 9, 11}
 
-    def room(self: Rooms, step: int, view: Hashable) -> Room:
-        made = real_room(self, step, view)
-        if made.pairs is None or step not in small:
+    def buffer(self: PairBuffers, step: int, view: Hashable) -> PairBuffer:
+        made = real_buffer(self, step, view)
+        if made.capacity is None or step not in small:
             return made
         small.remove(step)
-        self._needed[view] = -rooms.LEAST_MARGIN + 9
-        return real_room(self, step, view)
+        self._needed[view] = -pair_buffers.LEAST_MARGIN + 9
+        return real_buffer(self, step, view)
 
-    monkeypatch.setattr(Rooms, "room", room)
+    monkeypatch.setattr(PairBuffers, "buffer", buffer)
     config = replace(
         CONFIG,
         steps=14,
@@ -182,8 +182,8 @@ def test_a_view_without_room_is_drawn_again(
         real(self)
 
     monkeypatch.setattr(Trainer, "train_step", counted)
-    for with_rooms in (False, True):
-        use(monkeypatch, card, rooms=with_rooms)
+    for with_buffers in (False, True):
+        use(monkeypatch, card, buffers=with_buffers)
         with card:
             trainer = trainer_of(scene, config, **inputs(scene))
             assert trainer.run()

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from roigs_engine.context import Context
-from roigs_engine.cuda import card, rooms
+from roigs_engine.cuda import card, pair_buffers
 from roigs_engine.errors import SceneError
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.rasterize import cuda
@@ -80,7 +80,7 @@ def test_the_plan_is_what_tensors_take(
     pretended, program, pairs = PretendCard(), ShimProgram(compiled()), []
     monkeypatch.setattr(card, "program", lambda device: program)
     use(monkeypatch, pretended)
-    monkeypatch.setattr(rooms, "LEAST_MARGIN", 0)
+    monkeypatch.setattr(pair_buffers, "LEAST_MARGIN", 0)
     list_tiles = cuda._list
     monkeypatch.setattr(
         cuda, "_list", lambda view, may: (pairs.append(view.pairs), list_tiles(view, may))

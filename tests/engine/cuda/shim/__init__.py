@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.cuda import sources
+from roigs_engine.cuda.compiler import headers, source_text
 
 Edit = tuple[str, str, str]
 FOLDER = Path(__file__).parent
@@ -48,8 +48,8 @@ def compiled(flags: Sequence[str] = ("-O2",), edits: Sequence[Edit] = ()) -> Pat
     compiler = shutil.which("g++")
     if compiler is None or sys.platform != "linux":
         pytest.skip("the shim needs g++ and Linux's fibers")
-    texts = {name: text for name, text in sources.headers().items() if name != "cstdint"}
-    texts["roigs.cu"] = sources.program()
+    texts = {name: text for name, text in headers().items() if name != "cstdint"}
+    texts["roigs.cu"] = source_text()
     for name, old, new in edits:
         assert texts[name].count(old) == 1, (name, old)
         texts[name] = texts[name].replace(old, new)

@@ -1,20 +1,77 @@
-"""NVRTC, NVIDIA's run-time compiler: a library in torch's CUDA wheels and a wheel of its own.
+"""NVRTC, NVIDIA's run-time compiler, and the sources of the CUDA kernels that it compiles.
 
-It needs no CUDA toolkit, no C++ compiler and no GPU.
+NVRTC is a library in torch's CUDA wheels and a wheel of its own. It needs no CUDA toolkit, no C++
+compiler and no GPU, and gets the sources as one program and headers by name, so that nothing has to
+be on disk: it has no standard library, and `simd.h` is another one here, with one Gaussian per
+thread. Machine code is kept on disk.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import hashlib
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ..errors import KernelError
-from . import sources
+import torch
+
+from ..errors import KernelError, RunFolderError
+from ..formats.files import atomic_write
+from ..kernels.build import SOURCE_FOLDER as SHARED_FOLDER
+from ..kernels.library import user_cache
+
+FOLDER = Path(__file__).parent / "kernels"
+PROGRAMS = ("project.cu", "blend.cu", "weigh.cu", "gradient.cu", "backward.cu", "loss.cu")
+SHARED = ("constants.h", "types.h", "sh.h", "ellipses.h", "geometry.h", "geometry_gradient.h")
+KERNELS = (
+    *("place_camera", "project", "list_tiles", "begin_tiles", "begin_groups"),
+    *("blend", "median_depth", "weigh", "fold_weights", "gradient"),
+    *("project_backward", "project_backward_adam", "loss", "loss_gradient", "loss_terms"),
+)
+"""The names of all kernels."""
+
+_INTEGERS = """#pragma once
+typedef signed char int8_t;
+typedef unsigned char uint8_t;
+typedef short int16_t;
+typedef int int32_t;
+typedef unsigned int uint32_t;
+typedef long long int64_t;
+typedef unsigned long long uint64_t;
+"""
+
+
+def source_text() -> str:
+    """The program: all kernels."""
+    return "".join(f'#include "{name}"\n' for name in PROGRAMS)
+
+
+@functools.cache
+def headers() -> dict[str, str]:
+    """Name -> text of all that `source_text` includes, itself or further down."""
+    found = {path.name: _text(path) for path in sorted(FOLDER.iterdir()) if path.suffix != ".md"}
+    found |= {name: _text(SHARED_FOLDER / name) for name in SHARED}
+    scalar = '#pragma once\n#include "scalar.h"\n'
+    return found | {"simd.h": scalar, "simd_rows.h": scalar, "cstdint": _INTEGERS}
+
+
+@functools.cache
+def source_key() -> str:
+    """A hash of the sources."""
+    digest = hashlib.sha256(source_text().encode())
+    for name, text in headers().items():
+        digest.update(f"{name}\0{text}\0".encode())
+    return digest.hexdigest()[:16]
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
 
 PATTERNS = (
     "nvidia/*/lib/libnvrtc.so.[0-9]*",
@@ -54,16 +111,15 @@ class Nvrtc:
         Raises:
             KernelError: the compiler refuses.
         """
-        headers = sources.headers()
-        texts = [text.encode() for text in headers.values()]
-        names = [name.encode() for name in headers]
+        texts = [text.encode() for text in headers().values()]
+        names = [name.encode() for name in headers()]
         options = [f"--gpu-architecture=sm_{architecture}".encode()]
         options += [option.encode() for option in OPTIONS]
         handle = ctypes.c_void_p()
         self._call(
             "nvrtcCreateProgram",
             ctypes.byref(handle),
-            sources.program().encode(),
+            source_text().encode(),
             b"roigs.cu",
             len(names),
             _strings(texts),
@@ -137,3 +193,44 @@ def load(major: int | None = None) -> Nvrtc:
             "Install torch for CUDA with pip: NVRTC comes with it.",
         )
     return max(found, key=lambda nvrtc: (nvrtc.version[0] == major, nvrtc.version))
+
+
+def machine_code(compiler: Nvrtc, target: int) -> bytes:
+    """The kernels for a compute capability, from disk if they were compiled before."""
+    path = cached(compiler, target)
+    with suppress(OSError):
+        return path.read_bytes()
+    code = compiler.compile(target)
+    with suppress(RunFolderError), atomic_write(path, durable=False) as file:
+        file.write(code)  # if it cannot be written, it is compiled again next time
+    return code
+
+
+def cached(compiler: Nvrtc, target: int) -> Path:
+    """Where compiled kernels are kept: by source, compute capability and compiler."""
+    version = ".".join(map(str, compiler.version))
+    return user_cache() / "cuda" / f"{source_key()}-sm_{target}-nvrtc-{version}.cubin"
+
+
+def architecture(device: torch.device, compiler: Nvrtc) -> int:
+    """The newest compute capability of the compiler whose code runs on a card.
+
+    Raises:
+        KernelError: there is none.
+    """
+    major, minor = torch.cuda.get_device_capability(device)
+    known = compiler.architectures()
+    usable = [known for known in known if known // 10 == major and known % 10 <= minor]
+    if not usable:
+        version = ".".join(map(str, compiler.version))
+        raise KernelError(
+            f"CUDA {version} does not compile for this card (compute capability {major}.{minor}).",
+            "Install torch for a newer CUDA." if 10 * major > max(known) else "Use the CPU.",
+        )
+    return max(usable)
+
+
+def nvrtc_of_torch() -> Nvrtc:
+    """The compiler of torch's version of CUDA, or the newest. Raises KernelError."""
+    cuda = torch.version.cuda
+    return load(int(cuda.partition(".")[0]) if cuda else None)

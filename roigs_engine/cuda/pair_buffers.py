@@ -1,10 +1,11 @@
-"""Room for the (Gaussian, tile) pairs of views that were drawn before, so that no step waits.
+"""Buffers for the (Gaussian, tile) pairs of a view, sized without waiting for the GPU.
 
 How many pairs a view has decides how much memory its lists take, and only the GPU knows it. To read
-the number is to wait until the GPU has counted. So a training step takes the room that its view
-needed the last time, and some more; the GPU compares. If the room is too small, this view and all
-after it are *void*: they draw nothing and change nothing. The CPU hears of it some steps later, and
-does the void steps again with enough room: the result is the same as if it had waited.
+the number is to wait until the GPU has counted. So a training step takes a buffer for as many pairs
+as its view had the last time, and some more; the GPU compares. If the buffer is too small, this
+view and all after it are *void*: they draw nothing and change nothing. The CPU hears of it some
+steps later, and does the void steps again with large enough buffers: the result is the same as if
+it had waited.
 """
 
 from __future__ import annotations
@@ -52,22 +53,23 @@ class ArrivingNumbers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Room:
-    """The room for one view of one step.
+class PairBuffer:
+    """The buffer for one view of one step.
 
     Attributes:
-        pairs: there is room for so many; None: the view is new, wait for the number.
+        capacity: pairs that it holds; None: the view is new, wait for the number.
         void: () bool on the GPU, whether this view or an earlier one has too many.
-        report: gets the number of pairs that were counted: on the GPU, or read if `pairs` is None.
+        report: gets the number of pairs that were counted: on the GPU, or read if `capacity` is
+            None.
     """
 
-    pairs: int | None
+    capacity: int | None
     void: Tensor
     report: Callable[[Tensor | int], None]
 
 
-class Rooms:
-    """The rooms of a stage's views.
+class PairBuffers:
+    """The buffers of a stage's views.
 
     Args: `read`: starts to read a () int64 of the device.
     """
@@ -80,20 +82,20 @@ class Rooms:
         self._needed: dict[Hashable, int] = {}
         self._coming: deque[tuple[int, Hashable, int, Number]] = deque()
 
-    def room(self, step: int, view: Hashable) -> Room:
-        """The room for a view, whose name says all that changes its pairs beside the model."""
+    def buffer(self, step: int, view: Hashable) -> PairBuffer:
+        """The buffer for a view, whose name says all that changes its pairs beside the model."""
         needed = self._needed.get(view)
-        pairs = None if needed is None else max(int(MARGIN * needed), needed + LEAST_MARGIN)
+        capacity = None if needed is None else max(int(MARGIN * needed), needed + LEAST_MARGIN)
 
         def report(total: Tensor | int) -> None:
-            if pairs is None:
+            if capacity is None:
                 self._needed[view] = int(total)
                 return
             assert isinstance(total, Tensor)
-            torch.logical_or(self._void, total > pairs, out=self._void)
-            self._coming.append((step, view, pairs, self._read(total)))
+            torch.logical_or(self._void, total > capacity, out=self._void)
+            self._coming.append((step, view, capacity, self._read(total)))
 
-        return Room(pairs=pairs, void=self._void, report=report)
+        return PairBuffer(capacity=capacity, void=self._void, report=report)
 
     def first_void(self, *, wait: bool) -> int | None:
         """The first step that must be done again, if any is known; later ones are forgotten.
@@ -101,13 +103,13 @@ class Rooms:
         Args: `wait`: until the GPU has counted the pairs of all views.
         """
         while self._coming:
-            step, view, pairs, number = self._coming[0]
+            step, view, capacity, number = self._coming[0]
             total = number(wait)
             if total is None:
                 return None
             self._coming.popleft()
             self._needed[view] = total
-            if total > pairs:
+            if total > capacity:
                 self._coming.clear()
                 self._void.zero_()
                 return step
@@ -119,6 +121,6 @@ class Rooms:
             self._needed[view] = int(max(factor, 1.0) * needed)
 
 
-def rooms_on(device: torch.device) -> Rooms | None:
-    """The rooms for training on a device; None on the CPU, which makes its own."""
-    return Rooms(device) if device.type == "cuda" else None
+def pair_buffers_on(device: torch.device) -> PairBuffers | None:
+    """The buffers for training on a device; None on the CPU, which makes its own."""
+    return PairBuffers(device) if device.type == "cuda" else None

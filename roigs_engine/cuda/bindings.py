@@ -1,4 +1,4 @@
-"""The CUDA kernels' arguments (kernels/frame.h, kernels/loss.cu) in ctypes."""
+"""ctypes structures of the CUDA kernels' arguments (kernels/frame.h, kernels/loss.cu)."""
 
 from __future__ import annotations
 
