@@ -10,7 +10,7 @@ import numpy as np
 
 from ..properties import scene_props
 from ..scene import exclusions
-from ..shared import weak_photos
+from ..shared import projects
 
 _found: dict[str, list[str]] = {}
 
@@ -33,7 +33,7 @@ def _weak(folder: Path) -> list[str]:
         counts = {str(i["name"]): int(n) for i, n in zip(images, points, strict=True)}
     except (OSError, ValueError, KeyError, TypeError):
         return []
-    return weak_photos.weak_photos(counts) if any(points) else []
+    return projects.weakly_observed(counts) if any(points) else []
 
 
 def forget() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shared import upright
+from ..shared import gravity
 from .frames import Matrix
 
 Vector = NDArray[np.float64]
@@ -81,7 +81,7 @@ def levelling(plane: Plane, eyes: Vector, *, flip: bool = False) -> Matrix:
     if (above < 0) != flip:
         normal = -normal
     matrix = np.eye(4)
-    matrix[:3, :3] = upright.turning(normal, np.array([0.0, 0.0, 1.0]))
+    matrix[:3, :3] = gravity.rotation_between(normal, np.array([0.0, 0.0, 1.0]))
     matrix[:3, 3] = (*plane.point[:2], 0.0) - matrix[:3, :3] @ plane.point
     return matrix
 
@@ -107,7 +107,7 @@ def askew(matrix: Matrix, poses: Matrix) -> float:
         matrix: the rotation.
         poses: (V, 4, 4) world_to_camera before it. If they tell nothing: 0.
     """
-    up = upright.up_and_error(poses)[0]
+    up = gravity.up_direction(poses)[0]
     if not up.any():
         return 0.0
     return float(np.degrees(np.arccos(np.clip(matrix[2, :3] @ up, -1, 1))))

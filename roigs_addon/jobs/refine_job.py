@@ -12,7 +12,7 @@ from .. import blender
 from ..engine.python import FOR_READING, FOR_REFINING
 from ..errors import AddonError
 from ..properties import scene_props
-from ..shared import refined_model
+from ..shared import projects
 from . import import_job, options_files, run_folders
 from .spec import REFINING, JobSpec
 
@@ -31,9 +31,9 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
             written to.
     """
     colmap = options_files.colmap_folder(scene)
-    out = refined_model.refined_folder(colmap)
-    if refined_model.is_complete(out):
-        if refined_model.is_outdated(out):
+    out = projects.refined_folder(colmap)
+    if projects.is_refined_model(out):
+        if projects.is_outdated(out):
             raise AddonError(f"{out} is older than the model. Delete it, then refine again.")
         return _importing(scene, out, FOUND.format(folder=out))
     find = run_folders.finder(scene)
@@ -61,8 +61,8 @@ def spec(scene: bpy.types.Scene) -> JobSpec:
 
 def packages(scene: bpy.types.Scene) -> tuple[str, ...]:
     """What the engine's Python needs: little if there is a refined model already."""
-    out = refined_model.refined_folder(Path(scene_props(scene).colmap))
-    return FOR_READING if refined_model.is_complete(out) else FOR_REFINING
+    out = projects.refined_folder(Path(scene_props(scene).colmap))
+    return FOR_READING if projects.is_refined_model(out) else FOR_REFINING
 
 
 def _importing(scene: bpy.types.Scene, folder: Path, done_text: str) -> JobSpec:

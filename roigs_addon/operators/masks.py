@@ -14,7 +14,7 @@ from ..jobs import masks_job, run_folders
 from ..jobs.spec import JobSpec
 from ..properties import scene_props
 from ..scene import lookup, masks, scribbles
-from ..shared import EngineError, made_masks, text
+from ..shared import EngineError, mask_record, text
 from .base import FRESH, NO_BOX, EngineOperator, available, box_problem, failed, model_problem
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ yourself or changed stay, and so do the strokes"""
             return failed(self, f"{NO_BOX}.")
         roots = masks.folders(scene, run_folders.run_folder(scene))
         try:
-            count = sum(made_masks.remove_masks(masks.of_box(root, roi)) for root in roots)
+            count = sum(mask_record.remove_masks(masks.of_box(root, roi)) for root in roots)
         except EngineError as error:
             return failed(self, str(error))
         self.report({"INFO"}, f"Removed {text.counted(count, 'mask')}.")

@@ -17,7 +17,7 @@ from ..jobs import current, import_job, refine_job
 from ..jobs.spec import JobSpec
 from ..properties import scene_props
 from ..scene import cameras, lookup
-from ..shared import refined_model
+from ..shared import projects
 from . import folders
 from .base import BUSY, FRESH, BrowsingOperator, EngineOperator, available, failed, model_problem
 
@@ -93,8 +93,8 @@ class RefineCameras(EngineOperator):
 
 def _is_refined(folder: Path) -> bool:
     """Whether it is the folder of a refined model."""
-    named = refined_model.is_refined_name(folder)
-    return named and run_facts.is_file(folder / refined_model.CAMERAS)
+    named = projects.is_refined_name(folder)
+    return named and run_facts.is_file(folder / projects.CAMERAS_FILE)
 
 
 class LookThrough(bpy.types.Operator):

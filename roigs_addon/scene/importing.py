@@ -17,7 +17,7 @@ from ..geometry.frames import camera_matrix
 from ..geometry.photo import Photo
 from ..geometry.rounding import rounding
 from ..properties import object_props, scene_props
-from ..shared import upright
+from ..shared import gravity
 from . import cameras, clouds, lookup, placement, start_cube
 
 ROOT_NAME = "COLMAP"
@@ -151,7 +151,7 @@ def _root(
             placement.place_as_kept(scene, root, np.array(kept, float).reshape(4, 4))
         else:
             poses = np.array([image["world_to_camera"] for image in record["images"]])
-            level = upright.levelled(poses.reshape(-1, 4, 4))
+            level = gravity.gravity_alignment(poses.reshape(-1, 4, 4))
             root.matrix_world = Matrix(level.tolist()).to_4x4()
     return root
 

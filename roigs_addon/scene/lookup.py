@@ -13,7 +13,7 @@ from ..geometry.box import Box, ShearedBoxError, box_from_matrix
 from ..geometry.frames import Matrix
 from ..geometry.photo import Photo
 from ..properties import object_props, scene_props
-from ..shared import poses
+from ..shared import transforms
 
 TYPES = {
     "ROOT": {"EMPTY"},
@@ -135,7 +135,7 @@ def _unseen(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Matrix:
 
 def root_scale(scene: bpy.types.Scene) -> float:
     """How much larger the model is in the world than in the COLMAP frame."""
-    return poses.scale_of(matrix_world(scene_props(scene).root)) or 1.0
+    return transforms.scale_of(matrix_world(scene_props(scene).root)) or 1.0
 
 
 def _with_root(item: bpy.types.Object, root: bpy.types.Object | None) -> tuple[Matrix, Matrix]:

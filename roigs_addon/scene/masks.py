@@ -1,7 +1,7 @@
 """Masks of objects: where they are, and which photos have one.
 
 They are in the folder `masks` beside the photos, as the engine looks for them, or in the run folder
-if that cannot be written. Which of two masks of a photo is used, the engine says (`made_masks`).
+if that cannot be written. Which of two masks of a photo is used, the engine says (`mask_record`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 
 from ..geometry.photo import Photo
-from ..shared import made_masks, run_files
+from ..shared import mask_record, run_files
 from . import lookup, rois, scribbles
 
 FOLDER = "masks"
@@ -64,9 +64,9 @@ def are_there(scene: bpy.types.Scene, run: Path) -> bool:
 def file(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object, photo: str) -> Path | None:
     """The mask of a photo that training uses; None: there is none."""
     *beside, in_run = [of_box(root, roi) for root in folders(scene, run)]
-    theirs = [folder / made_masks.mask_name(photo) for folder in (*beside, in_run)]
+    theirs = [folder / mask_record.mask_name(photo) for folder in (*beside, in_run)]
     *first, last = [file if os.path.isfile(file) else None for file in theirs]
-    return made_masks.used_mask(first[0], last, beside[0]) if first else last
+    return mask_record.used_mask(first[0], last, beside[0]) if first else last
 
 
 def photos(scene: bpy.types.Scene, run: Path, roi: bpy.types.Object) -> list[str]:

@@ -17,8 +17,8 @@ from ..blender import following, persistent, view_layer_of
 from ..errors import AddonError
 from ..geometry.frames import Matrix
 from ..properties import scene_props
-from ..shared import EngineError, files, poses
-from ..shared import placement as stored
+from ..shared import EngineError, files, transforms
+from ..shared import scene_transform as stored
 from ..windows import scale_views
 from . import cameras, lookup
 
@@ -57,7 +57,7 @@ def _flaw(matrix: Matrix) -> str:
     """Why a scene cannot stand there; empty if it can."""
     if not (np.abs(matrix) < lookup.FAR).all():  # catches NaN too
         return "it is too far away or too large"
-    return poses.similarity_flaw(matrix)
+    return transforms.similarity_flaw(matrix)
 
 
 def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
@@ -70,7 +70,7 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
     root, path = root_of(scene), _file(scene)
     if flaw := _flaw(matrix @ lookup.matrix_world(root)):
         raise AddonError(f"The scene cannot be put there: {flaw}. Take other points.")
-    factor = poses.scale_of(matrix)
+    factor = transforms.scale_of(matrix)
     if path is not None:
         _scales.setdefault(path, lookup.root_scale(scene))
     own = {item for kind in MOVED for item in lookup.of_kind(scene, kind)} | {root}
@@ -124,11 +124,11 @@ def keep(scene: bpy.types.Scene) -> Path:
         if not os.path.isdir(path.parent):
             raise AddonError(f"There is no folder {path.parent}.")
         before = _text(path)
-        placement = stored.Placement(
+        placement = stored.SceneTransform(
             matrix=_metres(scene) @ lookup.matrix_world(root),
             cameras=stored.some_cameras(centres),
         )
-        text = stored.document(placement, stored.read_placements(path))
+        text = stored.document(placement, stored.read_transforms(path))
         files.write_text(path, text)
     except (EngineError, OSError) as error:
         raise AddonError(str(error)) from error
@@ -153,7 +153,7 @@ def is_kept(scene: bpy.types.Scene) -> bool:
 
 def _file(scene: bpy.types.Scene) -> Path | None:
     colmap = scene_props(scene).colmap
-    return stored.placement_file(Path(bpy.path.abspath(colmap))) if colmap else None
+    return stored.transform_file(Path(bpy.path.abspath(colmap))) if colmap else None
 
 
 def _text(path: Path) -> str:

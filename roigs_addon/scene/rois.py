@@ -20,10 +20,9 @@ from ..engine.own_files import ROIS
 from ..errors import AddonError
 from ..geometry.box import Box
 from ..properties import object_props, scene_props
-from ..shared import EngineError, files
+from ..shared import EngineError, files, foreground
 from ..shared import names as name_format
 from ..shared import rois as roi_format
-from ..shared import subject as subject_rule
 from . import clouds, lookup
 
 Place = tuple[Vector, Vector]
@@ -174,8 +173,8 @@ def where_photos_look(scene: bpy.types.Scene) -> Place | None:
         with suppress(AddonError):
             points = points[~lookup.box(roi, scene).contains(points)]
     records = map(lookup.photo_record, lookup.cameras(scene).values())
-    views = [subject_rule.View(pose=p.pose, **asdict(p.intrinsics)) for p in records if p]
-    bounds = subject_rule.subject(views, points, frame)
+    views = [foreground.View(pose=p.pose, **asdict(p.intrinsics)) for p in records if p]
+    bounds = foreground.foreground_bounds(views, points, frame)
     return _around(np.array(bounds), margin=0.0) if bounds else None
 
 

@@ -7,8 +7,8 @@ import bpy
 from ..facts import photo_names, weak_photos
 from ..operators.photos import ExcludePhotos, IncludePhotos
 from ..scene import exclusions, lookup
+from ..shared import projects as rule
 from ..shared import text
-from ..shared import weak_photos as rule
 from . import layout as show
 
 MOST_WEAK = 4
@@ -42,7 +42,7 @@ def weak(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     names = weak_photos.used(scene)
     if not names:
         return
-    show.wrong(layout, f"Fewer than {rule.FEWEST} points, perhaps placed wrongly:")
+    show.wrong(layout, f"Fewer than {rule.FEWEST_OBSERVED} points, perhaps placed wrongly:")
     column = layout.column(align=True)
     for name in names[:MOST_WEAK]:
         label = f"Exclude {photo_names.short_name(scene, name)}"

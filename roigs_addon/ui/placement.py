@@ -8,7 +8,7 @@ from ..blender import layout_of, registration, scene_of
 from ..operators.placement import KeepPlacement, SetFloor, SetOrigin, SetScale, root_problem
 from ..properties import scene_props
 from ..scene import placement
-from ..shared import placement as stored
+from ..shared import scene_transform as stored
 from . import layout as show
 from .layout import SidebarPanel
 from .scene import ScenePanel

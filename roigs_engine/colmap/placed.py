@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ConfigError
-from ..formats.placement import placement_among, placement_file, read_placements
-from ..formats.poses import scale_of
+from ..formats.scene_transform import read_transforms, transform_among, transform_file
+from ..formats.transforms import scale_of
 from ..model.scene import Float64, SfmScene
 
 
@@ -23,11 +23,11 @@ def stored_placement(folder: Path, scene: SfmScene) -> Float64:
     Raises:
         ConfigError: there is none of this model, or the file is damaged.
     """
-    path = placement_file(folder)
-    stored = read_placements(path)
+    path = transform_file(folder)
+    stored = read_transforms(path)
     if not stored:
         raise ConfigError(f"There is no {path}.", "Place the scene in Blender first.")
-    found = placement_among(stored, {image.name: image.centre for image in scene.images})
+    found = transform_among(stored, {image.name: image.centre for image in scene.images})
     if found is None:
         raise ConfigError(
             f"{path} is not of this model: its cameras are elsewhere.",

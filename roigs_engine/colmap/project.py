@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, SceneError
-from ..formats.projects import model_folders, model_suffix, project_folder
-from ..formats.refined_model import is_complete, is_refined_name, refined_folder
+from ..formats.projects import (
+    is_refined_model,
+    is_refined_name,
+    model_folders,
+    model_suffix,
+    project_folder,
+    refined_folder,
+)
 from ..formats.rois import FAR
 from ..formats.text import counted, first_of
 from ..model.scene import Float64, Int64, SfmScene
@@ -112,7 +118,7 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
     if not simple or is_refined_name(folder):
         return
     refined = refined_folder(folder)
-    if is_complete(refined):
+    if is_refined_model(refined):
         context.info(f"{refined} has refined cameras: with that folder, results are sharper.")
     else:
         context.info(

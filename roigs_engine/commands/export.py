@@ -35,14 +35,14 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Read the model and write the files."""
     from ..colmap.export import COLMAP, PLACED, SCENE, write_export
     from ..colmap.placed import placed, stored_placement
-    from ..formats.placement import placement_file
+    from ..formats.scene_transform import transform_file
 
     refuse_inputs([args.out / SCENE], read_files(args))
 
     scene = load_scene(args, console)
     placement = None
     try:
-        if args.placed or os.path.lexists(placement_file(args.scene)):
+        if args.placed or os.path.lexists(transform_file(args.scene)):
             placement = stored_placement(args.scene, scene)
     except ConfigError as error:
         if args.placed:

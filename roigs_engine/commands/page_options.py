@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..exchange.axes import turn
-from ..formats.upright import levelled
+from ..formats.gravity import gravity_alignment
 from ..model.roi import load_rois
 from .run_scene import poses_of, scene_of_run
 from .values import NAME, PATH
@@ -89,7 +89,7 @@ def page_poses(args: argparse.Namespace, context: Context) -> Float64 | None:
 def page_turn(poses: Float64, up: str) -> Float64:
     """(4, 4) from the photos' frame to one in which the axis `up` does point up."""
     matrix = turn("z", up)
-    matrix[:3, :3] = matrix[:3, :3] @ levelled(poses)
+    matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
     return matrix
 
 

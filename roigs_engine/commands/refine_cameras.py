@@ -8,7 +8,7 @@ from pathlib import Path
 from ..colmap.matched_cameras import MatchedFit
 from ..colmap.project import find_model
 from ..colmap.refine import Refinement, refine_cameras
-from ..formats.refined_model import refined_folder
+from ..formats.projects import refined_folder
 from ..formats.text import counted
 from .console import Console
 from .values import PATH

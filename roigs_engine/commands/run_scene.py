@@ -13,6 +13,7 @@ from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
 from ..exchange.axes import UP
 from ..formats.files import read_json
+from ..formats.gravity import gravity_alignment
 from ..formats.run_files import (
     BACKGROUND,
     COARSE,
@@ -23,7 +24,6 @@ from ..formats.run_files import (
     RESULT,
     SETTINGS,
 )
-from ..formats.upright import levelled
 
 if TYPE_CHECKING:
     from ..model.scene import Float64, SfmScene
@@ -158,5 +158,5 @@ def _up(poses: Float64) -> str | None:
     """The axis that points up, about, for photos."""
     if not len(poses):
         return None
-    up = levelled(poses)[2]
+    up = gravity_alignment(poses)[2]
     return max(UP, key=lambda axis: float(np.array(UP[axis])[:, 2] @ up))

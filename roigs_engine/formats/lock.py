@@ -1,13 +1,21 @@
-"""One engine at a time in a run folder, and a way for others to see that it is at work.
+"""Locks of run folders: one engine at a time, and a way for others to see that it is at work.
 
 The lock is the operating system's, so it ends with the process, however that ends. The file says
-who holds it, for people and for a Blender that was opened again. On a file system without locks,
-the file itself is the lock (`lock_file`).
+who holds it, for people and for a Blender that was opened again.
+
+A file system without locks needs a fallback: there, a lock file belongs to the process that its
+record names. It appears with its record or not at all, and is taken over only if that process has
+ended. The record has the computer and the start of the process beside its number, which the system
+gives to another process later.
 """
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import json
 import os
+import platform
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +25,8 @@ from tempfile import TemporaryFile
 from typing import Any, BinaryIO
 
 from ..errors import RunFolderError
-from . import os_lock, process
-from .files import cannot_write, is_link, unlinked
-from .lock_file import MayLiveError, hold_by_name, read_record, write_record
+from . import os_lock
+from .files import cannot_write, is_link, new_temporary, read_bytes, unlinked
 from .run_files import EVENTS, LOCK
 
 _held: dict[Path, BinaryIO] = {}
@@ -92,8 +99,8 @@ def holder(path: Path) -> int:
             try:
                 taken = os_lock.is_taken(file)
             except os_lock.NoLocksError:
-                taken = process.may_live(read_record(path))
-            return process.pid_of(read_record(path)) if taken else 0
+                taken = may_live(read_record(path))
+            return pid_of(read_record(path)) if taken else 0
     except OSError:
         return 0
 
@@ -109,7 +116,7 @@ def _hold(path: Path, warn: Callable[[str], None]) -> BinaryIO:
                 f"The file system of {path.parent} has no locks. Make sure that only one computer"
                 " uses this folder at a time."
             )
-            return hold_by_name(path, _record_of_now(path) | process.identity())
+            return hold_by_name(path, _record_of_now(path) | identity())
         file = open(path, "a+b", opener=unlinked)  # noqa: SIM115 - open while the lock is held
         try:
             if not os_lock.take(file):
@@ -156,7 +163,7 @@ def _is_at(path: Path, file: BinaryIO) -> bool:
 
 
 def _record_of_now(path: Path) -> dict[str, Any]:
-    """What the file says of this process."""
+    """What the file says of this"""
     log = path.with_name(EVENTS)
     return {
         "pid": os.getpid(),
@@ -168,7 +175,7 @@ def _record_of_now(path: Path) -> dict[str, Any]:
 def _in_use(path: Path, error: BlockingIOError, option: str | None) -> RunFolderError:
     """The error for a folder that another process uses."""
     record = read_record(path)
-    pid, host = process.pid_of(record), process.host_of(record)
+    pid, host = pid_of(record), host_of(record)
     who = f", process {pid}" if pid else ""
     where = f" on {host}" if host else ""
     other = f", stop it, or choose another folder ({option})" if option else ", or stop it"
@@ -176,3 +183,152 @@ def _in_use(path: Path, error: BlockingIOError, option: str | None) -> RunFolder
     if isinstance(error, MayLiveError):
         hint += f" If no engine is at work there, delete {path}."
     return RunFolderError(f"Another engine is at work in {path.parent}{who}{where}.", hint)
+
+
+NO_LINKS = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EMLINK}
+
+
+class MayLiveError(BlockingIOError):
+    """The process of a lock file may still run; only a person can tell."""
+
+
+def write_record(file: BinaryIO, record: dict[str, Any]) -> None:
+    """Make the record the content of an open file."""
+    file.truncate(0)
+    file.seek(0)
+    file.write(json.dumps(record).encode() + b"\n")
+    file.flush()
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """What a lock file says; empty if it is missing or damaged."""
+    try:
+        return _parsed(read_bytes(path))
+    except OSError:
+        return {}
+
+
+def hold_by_name(path: Path, record: dict[str, Any]) -> BinaryIO:
+    """The lock file, created by this process with its record.
+
+    Args:
+        path: the lock file; one of a process that has ended is taken over.
+        record: with the `pid` and the `identity` of this process.
+
+    Raises:
+        MayLiveError: the file of another process is there, which may still run.
+        OSError: it cannot be written.
+    """
+    while True:
+        try:
+            found = read_bytes(path)
+        except FileNotFoundError:
+            with suppress(FileExistsError):
+                return _created(path, record)
+            continue
+        if may_live(_parsed(found)):
+            raise MayLiveError
+        file = _taken_over(path, found, record)
+        if file is not None:
+            return file
+
+
+def _created(path: Path, record: dict[str, Any]) -> BinaryIO:
+    """The new file, open; FileExistsError if another process was faster."""
+    temporary, file, _ = new_temporary(path)
+    try:
+        write_record(file, record)
+        os.link(temporary, path)
+        return file
+    except OSError as error:
+        with suppress(OSError):
+            file.close()
+        if error.errno not in NO_LINKS:
+            raise
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+    file = open(path, "xb")  # noqa: SIM115 - open while the lock is held
+    write_record(file, record)
+    return file
+
+
+def _taken_over(path: Path, found: bytes, record: dict[str, Any]) -> BinaryIO | None:
+    """The file of a process that has ended, now this one's; None if another one was faster.
+
+    Only the process that holds the file named after the old content may replace that content. It
+    does so in one step, so that at no moment there is no file, which others would create.
+    """
+    claim = path.with_name(f".{path.name}.{hashlib.sha256(found).hexdigest()[:16]}")
+    right = hold_by_name(claim, record)
+    try:
+        if not _has_content(path, found):
+            return None
+        temporary, file, _ = new_temporary(path)
+        write_record(file, record)
+        os.replace(temporary, path)
+        return file
+    finally:
+        right.close()
+        with suppress(OSError):
+            claim.unlink()
+
+
+def _has_content(path: Path, content: bytes) -> bool:
+    try:
+        return read_bytes(path) == content
+    except OSError:
+        return False
+
+
+def _parsed(content: bytes) -> dict[str, Any]:
+    with suppress(ValueError, RecursionError):
+        record = json.loads(content)
+        return record if isinstance(record, dict) else {}
+    return {}
+
+
+BOOT = Path("/proc/sys/kernel/random/boot_id")
+
+
+def identity() -> dict[str, str]:
+    """The computer and the start of this process, for a record that also has its `pid`."""
+    return {"host": platform.node(), "start": _start(os.getpid())}
+
+
+def may_live(record: dict[str, Any]) -> bool:
+    """Whether the process of a record may still run; False only if it is known to have ended."""
+    pid = pid_of(record)
+    if not pid or host_of(record) != platform.node():
+        return True
+    if sys.platform == "win32":  # a signal would end it there
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another user's
+        pass
+    return record.get("start") == _start(pid)
+
+
+def pid_of(record: dict[str, Any]) -> int:
+    """The process that a record names; 0 if it names none."""
+    pid = record.get("pid")
+    return pid if type(pid) is int and 0 < pid < 1 << 31 else 0
+
+
+def host_of(record: dict[str, Any]) -> str:
+    """The computer that a record names, printable; empty if it names none."""
+    host = record.get("host")
+    return "".join(c for c in host if c.isprintable())[:100] if isinstance(host, str) else ""
+
+
+def _start(pid: int) -> str:
+    """When the process started, in the system's own terms; empty where that is not known."""
+    try:
+        boot = BOOT.read_text(encoding="ascii").strip()
+        status = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return f"{boot} {status.rpartition(')')[2].split()[19]}"

@@ -1,8 +1,9 @@
-"""What is where in a COLMAP project: its models, and its folders of photos."""
+"""Layout of a COLMAP project: its models, the refined one, its photos; weakly observed photos."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 PHOTO_FOLDERS = ("images", "images_2", "images_4", "images_8")
@@ -13,6 +14,15 @@ SPARSE = "sparse"
 RECONSTRUCTION = "reconstruction"
 """What `reconstruct` keeps for itself."""
 SUFFIXES = (".bin", ".txt")
+FIRST_MODEL, REFINED = "0", "refined"
+CAMERAS_FILE = "cameras.bin"
+REFINED_FILES = (CAMERAS_FILE, "images.bin", "points3D.bin")
+"""Of a refined model, which is always binary."""
+IMAGES_FILES = ("images.bin", "images.txt")
+"""Every model has one of these."""
+FEWEST_OBSERVED = 30
+"""COLMAP itself registers a photo only by so many points. It has fewer if they proved wrong later,
+or if lower limits were used to register it at all."""
 
 
 def model_suffix(folder: Path) -> str | None:
@@ -45,6 +55,56 @@ def top_folder(folder: Path) -> Path:
         folder = folder.parent
     photos = folder.name.startswith(PHOTO_FOLDERS[0]) and os.path.isdir(folder.parent / SPARSE)
     return folder.parent if photos else folder
+
+
+def refined_folder(colmap: Path) -> Path:
+    """The folder of the refined model, for the folder of a project or of one of its models.
+
+    A project's folder of photos stands for the project. In a project with `sparse` it is
+    `sparse/refined`; for a model `sparse/1`, `sparse/refined-1`. No two models share one, and the
+    engine finds the project's photos from there.
+    """
+    colmap = project_folder(colmap)
+    inside = colmap / SPARSE
+    if os.path.isdir(inside):
+        return inside / REFINED
+    if colmap.parent.name != SPARSE:
+        return colmap / REFINED
+    if is_refined_name(colmap):
+        return colmap
+    return colmap.with_name(REFINED if colmap.name == FIRST_MODEL else f"{REFINED}-{colmap.name}")
+
+
+def is_refined_name(folder: Path) -> bool:
+    """Whether the folder is called like that of a refined model."""
+    return folder.name == REFINED or folder.name.startswith(f"{REFINED}-")
+
+
+def is_refined_model(folder: Path) -> bool:
+    """Whether a folder holds a refined model."""
+    return all(os.path.isfile(folder / name) for name in REFINED_FILES)
+
+
+def is_outdated(folder: Path) -> bool:
+    """Whether a model that the refined one may have been made from is newer."""
+    parent = folder.parent
+    models = [parent, *(child for child in parent.glob("*") if child.name.isdecimal())]
+    return _newest(models) > _newest([folder])
+
+
+def _newest(models: Iterable[Path]) -> float:
+    files = (model / name for model in models for name in IMAGES_FILES)
+    return max((file.stat().st_mtime for file in files if os.path.isfile(file)), default=0.0)
+
+
+def weakly_observed(points: Mapping[str, int]) -> list[str]:
+    """The photos with fewer points, the fewest first.
+
+    Args:
+        points: photo -> how many it observes.
+    """
+    found = [name for name, count in points.items() if count < FEWEST_OBSERVED]
+    return sorted(found, key=lambda name: (points[name], name))
 
 
 def _children(folder: Path) -> list[Path]:

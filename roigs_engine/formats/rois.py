@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import RoiError
 from .files import read_json
 from .names import MAX_NAME, first_taken, is_file_name
-from .poses import is_mirrored, rigid_flaw
+from .transforms import is_mirrored, rigid_flaw
 
 Float64 = NDArray[np.float64]
 NAME_HINT = (

@@ -11,7 +11,7 @@ from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
 from ..errors import ConfigError
 from ..formats.files import atomic_write, own_folder, remove_leftovers
-from ..formats.made_masks import made_masks, made_of, mask_name, record_masks
+from ..formats.mask_record import made_masks, made_of, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..formats.text import counted
 from ..model.roi import OrientedBox

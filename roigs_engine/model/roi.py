@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RoiError
+from ..formats.foreground import View, foreground_bounds
+from ..formats.gravity import gravity_alignment
 from ..formats.rois import RoiRecord, read_rois, roi_record
-from ..formats.subject import View, subject
-from ..formats.upright import levelled
 from .scene import Camera, Float64, SfmScene
 
 # Near plane for clipping a box, in units of the box's diagonal.
@@ -214,9 +214,9 @@ def automatic_box(scene: SfmScene) -> OrientedBox:
     """
     poses = np.array([image.world_to_camera for image in scene.images])
     transform = np.eye(4)
-    transform[:3, :3] = levelled(poses)
+    transform[:3, :3] = gravity_alignment(poses)
     views = [View(pose=image.world_to_camera, **asdict(image.camera)) for image in scene.images]
-    bounds = subject(views, scene.points, transform)
+    bounds = foreground_bounds(views, scene.points, transform)
     if bounds is None or not (bounds[1] > bounds[0]).all():
         raise RoiError(
             "--roi auto finds no object: too few points are in the middle of the photos.",

@@ -10,7 +10,7 @@ such a file has its alpha channel, if there is one, as its mask. Before that com
 names a folder, the mask that `reconstruct` has used, which lies in its own folder.
 
 Masks of a box's object have the names of the first two columns, in the folder `masks/BOX`. Those
-that could not be written there are in a run folder (`formats.made_masks.used_mask`).
+that could not be written there are in a run folder (`formats.mask_record.used_mask`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from functools import cached_property
 from pathlib import Path
 
 from ..errors import ConfigError
-from ..formats.made_masks import used_mask
+from ..formats.mask_record import used_mask
 from ..formats.projects import RECONSTRUCTION
 from .files import MASK_ENDS, PhotoFolder, is_mask, same_name
 

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..formats.files import read_json
 from ..formats.names import first_taken, safe_name
-from ..formats.poses import rigid_flaw
+from ..formats.transforms import rigid_flaw
 from ..model.scene import Camera, Float64
 
 CameraPath = Sequence[tuple[str, Camera, Float64]]

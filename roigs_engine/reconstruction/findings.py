@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..formats import weak_photos
+from ..formats.projects import FEWEST_OBSERVED, weakly_observed
 from ..formats.text import counted, printable
 from .checks import blurred, named, small, warnings_of
 from .database import FEWEST_INLIERS, Pair
@@ -95,7 +95,7 @@ def findings(result: Reconstruction) -> list[tuple[str, str]]:
         text = f"{counted(len(model.photos), 'photo')} form a model of their own (model {number}):"
         told.append(("warning", f"{text} {named(sorted(model.photos))}."))
     told += [("warning", text) for text in _unreliable(result)]
-    weak = sum(weak_photos.FEWEST <= points < FEW_POINTS for points in best.photos.values())
+    weak = sum(FEWEST_OBSERVED <= points < FEW_POINTS for points in best.photos.values())
     if weak:
         text = f"{counted(weak, 'photo')} with fewer than {FEW_POINTS} points: cameras may be off."
         told.append(("warning" if weak > WEAK * len(best.photos) else "info", text))
@@ -106,12 +106,12 @@ def findings(result: Reconstruction) -> list[tuple[str, str]]:
 
 def _unreliable(result: Reconstruction) -> list[str]:
     """The sentence about photos that hang on too few points, if there are any."""
-    names = weak_photos.weak_photos(result.registered)
+    names = weakly_observed(result.registered)
     if not names:
         return []
     are = "has" if len(names) == 1 else "have"
     return [
-        f"{counted(len(names), 'photo')} {are} fewer than {weak_photos.FEWEST} points and may be"
+        f"{counted(len(names), 'photo')} {are} fewer than {FEWEST_OBSERVED} points and may be"
         f" placed wrongly: {named(names)}. Leave them out (--exclude)."
     ]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..formats.upright import Matrix, Vector, levelled
+from ..formats.gravity import Matrix, Vector, gravity_alignment
 
 DISTANCE = 2.0  # from the cameras to what they see, in units of the scene; a guess at metres
 LAYERS = 200  # of the height, in the search for the floor
@@ -35,7 +35,7 @@ def placement(poses: Matrix, points: Matrix, distance: float) -> Placement:
         distance: median distance of the points from the cameras that observe them.
     """
     scale = DISTANCE / distance if distance > 0 else 1.0
-    rotation = levelled(poses)
+    rotation = gravity_alignment(poses)
     placed = scale * points @ rotation.T
     eyes = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
     heights = scale * eyes @ rotation[2]

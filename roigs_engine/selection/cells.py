@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..context import QUIET, Context
-from ..formats.upright import turning, up_and_error
+from ..formats.gravity import rotation_between, up_direction
 from ..model.scene import Float64, Int64, PosedImage, SfmScene
 from ..model.visibility import observed_points
 
@@ -97,10 +97,10 @@ def _areas(image: PosedImage, points: Float64) -> Float64:
 def ground(scene: SfmScene, positions: Float64) -> Float64:
     """(N, 3) positions -> (N, 2) on the ground: by the photos' up, else the cameras' plane."""
     poses = np.array([image.world_to_camera for image in scene.images]).reshape(-1, 4, 4)
-    up, _ = up_and_error(poses)
+    up, _ = up_direction(poses)
     if not up.any():
         up = _axes(scene.centres())[:, 0]
-    on_ground: Float64 = (positions @ turning(up, np.array([0.0, 0.0, 1.0])).T)[:, :2]
+    on_ground: Float64 = (positions @ rotation_between(up, np.array([0.0, 0.0, 1.0])).T)[:, :2]
     return on_ground
 
 

@@ -153,7 +153,7 @@ def test_masks_in_the_run_folder_are_shown_used_and_removed(
     from roigs_addon.jobs import options_files
     from roigs_addon.scene import masks
     from roigs_engine.formats.files import read_json, sha256
-    from roigs_engine.formats.made_masks import record_masks
+    from roigs_engine.formats.mask_record import record_masks
 
     scene, folder = run
     photo = names(scene)[0]
@@ -177,7 +177,7 @@ def test_masks_in_the_run_folder_are_shown_used_and_removed(
 def test_stepping_through_masks_and_removing_them(blender: ModuleType, run, box) -> None:
     from roigs_addon.scene import lookup
     from roigs_engine.formats.files import sha256
-    from roigs_engine.formats.made_masks import record_masks
+    from roigs_engine.formats.mask_record import record_masks
 
     scene, folder = run
     out = folder / "blender/masks"

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.placement import FILE, read_placements
+from roigs_engine.formats.scene_transform import FILE, read_transforms
 from tests.addon.placement_cases import matrix
 from tests.addon.scenes import add_box, command_line, imported, record
 
@@ -49,7 +49,7 @@ def test_lengths_in_the_file_are_metres(blender: ModuleType, garden) -> None:
     scene, folder = garden
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.001
     blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=250)  # millimetres
-    (kept,) = read_placements(folder / FILE)
+    (kept,) = read_transforms(folder / FILE)
     np.testing.assert_allclose(kept.matrix[:3], matrix(scene)[:3] / 1000, rtol=1e-5, atol=1e-9)
     mine = matrix(scene)
     blender.ops.wm.read_factory_settings(use_empty=True)

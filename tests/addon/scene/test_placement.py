@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.placement import FILE
+from roigs_engine.formats.scene_transform import FILE
 from tests.addon.placement_cases import matrix, moved, select_points, triangle
 from tests.addon.scenes import add_box, imported, record
 

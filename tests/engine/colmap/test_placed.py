@@ -11,7 +11,7 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.colmap.placed import placed
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.formats.placement import FILE, Placement, document
+from roigs_engine.formats.scene_transform import FILE, SceneTransform, document
 from tests.engine.synthetic_colmap import write_project
 
 TURN = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])
@@ -27,7 +27,7 @@ def garden(tmp_path: Path) -> Path:
 def place(garden: Path, shift: float = 0.0) -> None:
     images = load_colmap(garden, pixels=False).images
     cameras = {image.name: image.centre + shift for image in images}
-    (garden / FILE).write_text(document(Placement(matrix=MATRIX, cameras=cameras), []))
+    (garden / FILE).write_text(document(SceneTransform(matrix=MATRIX, cameras=cameras), []))
 
 
 def exported(garden: Path, out: Path, *options: str) -> tuple[dict, np.ndarray]:

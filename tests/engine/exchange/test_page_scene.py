@@ -17,8 +17,8 @@ from roigs_engine.cli import main
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.axes import UP
 from roigs_engine.exchange.page_views import Ball, viewpoint
+from roigs_engine.formats.gravity import gravity_alignment
 from roigs_engine.formats.splat_ply import write_ply
-from roigs_engine.formats.upright import levelled
 from tests.engine import synthetic_colmap
 from tests.engine.page_cases import (
     arrays,
@@ -83,7 +83,7 @@ def test_a_scene_says_what_is_up_and_where_photos_were_taken(
 
 def run_of(up: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run folder with its project, in which an axis points up."""
-    before = levelled(ring(8, np.pi))[2]
+    before = gravity_alignment(ring(8, np.pi))[2]
     wanted = np.array(UP[up])[:, 2]
     turned = np.eye(4)
     turned[:3, :3] = Rotation.align_vectors([before], [wanted])[0].as_matrix()

@@ -14,7 +14,7 @@ from threading import Barrier
 import pytest
 
 from roigs_engine.errors import RunFolderError
-from roigs_engine.formats import process
+from roigs_engine.formats import lock
 from roigs_engine.formats.lock import check_held, holder, locked
 from tests.engine.other_process import in_the_middle
 
@@ -125,7 +125,7 @@ def left_by(folder: Path, **record: object) -> Path:
     with subprocess.Popen([sys.executable, "-c", ""]) as ended:
         pass
     folder.mkdir(exist_ok=True)
-    values = {"pid": ended.pid, "started": 1.8e9, **process.identity(), **record}
+    values = {"pid": ended.pid, "started": 1.8e9, **lock.identity(), **record}
     (folder / "run.lock").write_text(json.dumps(values), encoding="utf-8")
     return folder / "run.lock"
 

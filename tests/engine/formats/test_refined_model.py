@@ -8,15 +8,14 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.colmap.project import find_model
-from roigs_engine.formats import refined_model
-from roigs_engine.formats.projects import PHOTO_FOLDERS
-from roigs_engine.formats.refined_model import IMAGES, PARTS, refined_folder
+from roigs_engine.formats import projects
+from roigs_engine.formats.projects import IMAGES_FILES, PHOTO_FOLDERS, REFINED_FILES, refined_folder
 
 
 def model(folder: Path, seconds: float) -> Path:
     """A folder with the files of a model, last changed then."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in PARTS:
+    for name in REFINED_FILES:
         (folder / name).touch()
         os.utime(folder / name, (seconds, seconds))
     return folder
@@ -64,19 +63,19 @@ def test_a_project_below_a_folder_called_sparse(tmp_path: Path) -> None:
 
 
 def test_a_model_is_complete_with_all_its_files(tmp_path: Path) -> None:
-    assert not refined_model.is_complete(tmp_path / "none")
+    assert not projects.is_refined_model(tmp_path / "none")
     folder = model(tmp_path / "refined", 1000)
-    assert refined_model.is_complete(folder)
+    assert projects.is_refined_model(folder)
     (folder / "points3D.bin").unlink()
-    assert not refined_model.is_complete(folder)
+    assert not projects.is_refined_model(folder)
 
 
 @pytest.mark.parametrize("source", ["sparse/0", "sparse"])
 def test_a_newer_model_makes_it_outdated(tmp_path: Path, source: str) -> None:
     made_from = model(tmp_path / source, 1000)
     folder = model(tmp_path / "sparse" / "refined", 2000)
-    assert not refined_model.is_outdated(folder)
+    assert not projects.is_outdated(folder)
     model(tmp_path / "sparse" / "other", 3000)  # no model that the engine would take by itself
-    assert not refined_model.is_outdated(folder)
-    os.utime(made_from / IMAGES[0], (3000, 3000))
-    assert refined_model.is_outdated(folder)
+    assert not projects.is_outdated(folder)
+    os.utime(made_from / IMAGES_FILES[0], (3000, 3000))
+    assert projects.is_outdated(folder)

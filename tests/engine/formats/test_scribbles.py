@@ -11,7 +11,7 @@ import pytest
 
 from roigs_engine.errors import ConfigError, EngineError
 from roigs_engine.formats.files import sha256
-from roigs_engine.formats.made_masks import MADE, made_masks, record_masks, remove_masks
+from roigs_engine.formats.mask_record import MADE, made_masks, record_masks, remove_masks
 from roigs_engine.formats.scribbles import (
     BACKGROUND,
     OBJECT,

@@ -15,7 +15,7 @@ from PIL import Image
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError, EngineError, Stopped
 from roigs_engine.formats.events import Event, Message
-from roigs_engine.formats.made_masks import MADE, made_masks
+from roigs_engine.formats.mask_record import MADE, made_masks
 from roigs_engine.formats.scribbles import BACKGROUND, OBJECT, Stroke
 
 from .scenes import BOX, BallScene, ball_scene, iou, strokes

@@ -1,4 +1,4 @@
-"""One rule for the matrices of boxes and cameras, and for those of placed scenes."""
+"""Checks of 4 x 4 transforms: rigid ones of boxes and cameras, similarities of scenes."""
 
 from __future__ import annotations
 

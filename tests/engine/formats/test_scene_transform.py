@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from roigs_engine.errors import ConfigError
-from roigs_engine.formats.placement import (
+from roigs_engine.formats.scene_transform import (
     MOST_CAMERAS,
-    MOST_PLACEMENTS,
-    Placement,
+    MOST_TRANSFORMS,
+    SceneTransform,
     document,
-    placement_among,
-    placement_file,
-    read_placements,
+    read_transforms,
     some_cameras,
+    transform_among,
+    transform_file,
 )
 
 MATRIX = np.array([[0, -2, 0, 5], [2, 0, 0, 0], [0, 0, 2, 1], [0, 0, 0, 1.0]])
@@ -29,23 +29,23 @@ def cameras(count: int = 6, shift: float = 0.0) -> dict[str, np.ndarray]:
     return {f"{k}.jpg": np.array([np.cos(a), np.sin(a) + shift, 0]) for k, a in enumerate(ring)}
 
 
-def placement(shift: float = 0.0, matrix: np.ndarray = MATRIX) -> Placement:
-    return Placement(matrix=matrix, cameras=cameras(shift=shift))
+def placement(shift: float = 0.0, matrix: np.ndarray = MATRIX) -> SceneTransform:
+    return SceneTransform(matrix=matrix, cameras=cameras(shift=shift))
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     path = tmp_path / "ein Garten 庭.json"
     path.write_text(document(placement(), []), encoding="utf-8")
-    (found,) = read_placements(path)
+    (found,) = read_transforms(path)
     np.testing.assert_array_equal(found.matrix, MATRIX)
     assert found.cameras.keys() == cameras().keys()
-    assert read_placements(tmp_path / "none.json") == []
+    assert read_transforms(tmp_path / "none.json") == []
 
 
 def test_it_is_that_of_a_model() -> None:
     mine, other = placement(), placement(shift=3.0)
-    assert placement_among([other, mine], cameras()) is mine
-    assert placement_among([other], cameras()) is None
+    assert transform_among([other, mine], cameras()) is mine
+    assert transform_among([other], cameras()) is None
     few = {name: cameras()[name] for name in ("1.jpg", "4.jpg")}
     assert mine.is_of(few) and not mine.is_of({}) and not mine.is_of({"x": np.zeros(3)})
     refined = {name: centre + 0.004 for name, centre in cameras().items()}
@@ -56,11 +56,11 @@ def test_it_is_that_of_a_model() -> None:
 def test_a_new_one_replaces_that_of_its_model_alone(tmp_path: Path) -> None:
     path, matrix = tmp_path / "a.json", np.eye(4)
     path.write_text(document(placement(matrix=matrix), [placement(3.0), placement()]))
-    new, other = read_placements(path)
+    new, other = read_transforms(path)
     np.testing.assert_array_equal(new.matrix, matrix)
     assert other.is_of(cameras(shift=3.0))
     path.write_text(document(placement(), [placement(float(k)) for k in range(3, 30)]))
-    assert len(read_placements(path)) == MOST_PLACEMENTS
+    assert len(read_transforms(path)) == MOST_TRANSFORMS
 
 
 @pytest.mark.parametrize("count", [0, 1, MOST_CAMERAS, MOST_CAMERAS + 1, 1000])
@@ -73,9 +73,9 @@ def test_where_the_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     project = tmp_path / "garden"
     for name in ("sparse/0", "sparse/refined", "images"):
         (project / name).mkdir(parents=True)
-        assert placement_file(project / name) == project / "roigs_placement.json"
+        assert transform_file(project / name) == project / "roigs_placement.json"
     monkeypatch.chdir(project / "sparse")
-    assert placement_file(Path()) == project / "roigs_placement.json"
+    assert transform_file(Path()) == project / "roigs_placement.json"
 
 
 GOOD: dict[str, Any] = {"matrix": MATRIX.tolist(), "cameras": {"a": [0, 0, 1]}}
@@ -113,7 +113,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, record: object, text:
     path = tmp_path / "roigs_placement.json"
     path.write_text(json.dumps({"placements": [record]}))
     with pytest.raises(ConfigError, match=text) as error:
-        read_placements(path)
+        read_transforms(path)
     assert "roigs_placement.json" in str(error.value) and "\n" not in str(error.value)
 
 
@@ -121,4 +121,4 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, record: object, text:
 def test_files_that_are_no_placements(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(ConfigError):
-        read_placements(tmp_path / "a.json")
+        read_transforms(tmp_path / "a.json")

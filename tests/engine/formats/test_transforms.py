@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from roigs_engine.errors import ConfigError, EngineError, RoiError
-from roigs_engine.formats.poses import is_mirrored, rigid_flaw
 from roigs_engine.formats.rois import RoiRecord, read_rois, roi_record
+from roigs_engine.formats.transforms import is_mirrored, rigid_flaw
 from roigs_engine.model.roi import roi_from_dict
 from roigs_engine.rasterize.camera_path import load_camera_path
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from roigs_engine.formats.subject import View, subject
+from roigs_engine.formats.foreground import View, foreground_bounds
 from tests.addon.colmap_project import ring
 
 
@@ -26,7 +26,7 @@ def room(seed: int = 0, offset: tuple[float, ...] = (0, 0, 0)) -> np.ndarray:
 
 
 def test_the_box_is_around_what_the_photos_show() -> None:
-    low, high = subject(photos(), room(), np.eye(4))
+    low, high = foreground_bounds(photos(), room(), np.eye(4))
     np.testing.assert_allclose(low, -0.2, atol=0.06)
     np.testing.assert_allclose(high, 0.2, atol=0.06)
 
@@ -35,7 +35,7 @@ def test_it_is_along_the_axes_of_the_frame_asked_for() -> None:
     matrix = np.eye(4)
     matrix[:3, :3] = 2 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
     matrix[:3, 3] = 1, 2, 3
-    low, high = subject(photos(), room(), matrix)
+    low, high = foreground_bounds(photos(), room(), matrix)
     np.testing.assert_allclose((low + high) / 2, (1, 2, 3), atol=0.05)
     np.testing.assert_allclose((high - low) / 2, 0.4, atol=0.1)
 
@@ -45,22 +45,22 @@ def test_what_is_tall_is_whole_though_photos_aim_at_its_foot() -> None:
     tower = random.uniform((-0.2, -0.9, -0.2), (0.2, 0.1, 0.2), (4000, 3))
     upright = np.eye(4)
     upright[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # the photos' y points down
-    low, high = subject(photos(), np.concatenate([tower, room()[2000:]]), upright)
+    low, high = foreground_bounds(photos(), np.concatenate([tower, room()[2000:]]), upright)
     np.testing.assert_allclose(high, (0.2, 0.2, 0.9), atol=0.12)
     assert -0.25 < low[2] < 0
 
 
 @pytest.mark.parametrize("count", [0, 5])
 def test_too_little_to_tell(count: int) -> None:
-    assert subject(photos(), room()[:count], np.eye(4)) is None
-    assert subject([], room(), np.eye(4)) is None
+    assert foreground_bounds(photos(), room()[:count], np.eye(4)) is None
+    assert foreground_bounds([], room(), np.eye(4)) is None
     behind = -photos(1)[0].pose[2, :3] * 100 + room()[:50]
-    assert subject(photos(1), behind, np.eye(4)) is None
+    assert foreground_bounds(photos(1), behind, np.eye(4)) is None
 
 
 def test_many_photos_take_no_longer_than_few() -> None:
     started = time.perf_counter()
-    assert subject(photos(2000), np.tile(room(), (100, 1)), np.eye(4))
+    assert foreground_bounds(photos(2000), np.tile(room(), (100, 1)), np.eye(4))
     assert time.perf_counter() - started < 2
 
 
@@ -70,7 +70,7 @@ def test_a_thin_top_is_inside() -> None:
     upright[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     foot = random.uniform((-0.2, -0.1, -0.2), (0.2, 0.1, 0.2), (4000, 3))
     neck = random.uniform((-0.03, -0.6, -0.03), (0.03, 0.1, 0.03), (70, 3))
-    _, high = subject(photos(), np.concatenate([foot, neck, room()[2000:]]), upright)
+    _, high = foreground_bounds(photos(), np.concatenate([foot, neck, room()[2000:]]), upright)
     assert high[2] > 0.4
 
 
@@ -92,7 +92,7 @@ def test_of_things_on_a_table_one_is_in_the_box_and_the_table_is_not(scale: floa
     views = photos()
     for view in views:
         view.pose[:3, 3] *= scale
-    low, high = subject(views, scale * points, UPRIGHT)
+    low, high = foreground_bounds(views, scale * points, UPRIGHT)
     np.testing.assert_allclose(low / scale, (-0.1, -0.1, 0), atol=0.03)
     np.testing.assert_allclose(high / scale, (0.2, 0.2, 0.3), atol=0.03)
 
@@ -103,12 +103,12 @@ def test_a_table_that_is_not_quite_level_is_still_the_table() -> None:
         [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
     )
     points = on_a_table((-0.15, -0.15), (0.5, 0.3)) @ tilt.T @ UPRIGHT[:3, :3]
-    low, high = subject(photos(), points, UPRIGHT)
+    low, high = foreground_bounds(photos(), points, UPRIGHT)
     assert (high - low < 0.42).all()
 
 
 def test_what_floats_or_lies_flat_has_a_box_too() -> None:
     """As without a table: there is nothing to tell them from."""
     points = on_a_table() @ UPRIGHT[:3, :3]
-    low, high = subject(photos(), points, UPRIGHT)
+    low, high = foreground_bounds(photos(), points, UPRIGHT)
     assert (high > low).all() and high[0] - low[0] > 0.5

@@ -1,4 +1,4 @@
-"""Which way is up in a COLMAP model, whose axes are arbitrary.
+"""Direction of gravity in a COLMAP model, whose axes are arbitrary, estimated from its cameras.
 
 People hold cameras level, but point them up and down. So the side of the picture is horizontal:
 up is the direction to which the photos' x axes (their y axes, in portraits) are most nearly at
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-SPREAD = 0.05  # least eigenvalue, of 1 in sum, of directions that span a plane
+LEAST_SPAN = 0.05  # least eigenvalue, of 1 in sum, of directions that span a plane
 ROUND = 0.25  # the same of directions all around
 LEVEL = 0.04  # largest one of directions in a plane: more is no plane
 CLEAR = 0.5  # length of the mean of unit vectors that mostly agree
@@ -24,7 +24,7 @@ NEAREST = np.radians(3)  # and no farther than this: with few photos the errors 
 FEWEST = 3  # photos for an estimate with an error
 
 
-def levelled(poses: NDArray[np.float64]) -> Matrix:
+def gravity_alignment(poses: NDArray[np.float64]) -> Matrix:
     """(3, 3) rotation from the model's frame to one whose z axis points up.
 
     A model whose own axis points up, as far as the photos tell, is only turned by right angles, or
@@ -33,7 +33,7 @@ def levelled(poses: NDArray[np.float64]) -> Matrix:
     Args:
         poses: (N, 4, 4) world_to_camera of the photos, OpenCV axes.
     """
-    up, error = up_and_error(poses)
+    up, error = up_direction(poses)
     if not up.any():
         return np.eye(3)
     axis = np.zeros(3)
@@ -41,10 +41,10 @@ def levelled(poses: NDArray[np.float64]) -> Matrix:
     axis[longest] = np.sign(up[longest])
     if np.arccos(min(1.0, float(up @ axis))) <= min(ERRORS * error, NEAREST):
         up = axis
-    return turning(up, np.array([0.0, 0.0, 1.0]))
+    return rotation_between(up, np.array([0.0, 0.0, 1.0]))
 
 
-def up_and_error(poses: NDArray[np.float64]) -> tuple[Vector, float]:
+def up_direction(poses: NDArray[np.float64]) -> tuple[Vector, float]:
     """Up as a unit vector, zero if nothing tells, and its standard error in radians.
 
     Portraits are taken for such only where they look all around: a pan of portraits and a tilt of
@@ -55,7 +55,7 @@ def up_and_error(poses: NDArray[np.float64]) -> tuple[Vector, float]:
     right, down, forward = (poses[:, row, :3] for row in range(3))
     mean = -down.mean(axis=0)
     length = float(np.linalg.norm(mean))
-    landscape = _normal(right, SPREAD)
+    landscape = _normal(right, LEAST_SPAN)
     if landscape is not None:
         up, error = landscape
         hint = mean if abs(up @ mean) >= WEAK else -forward.mean(axis=0)  # straight from above
@@ -66,13 +66,13 @@ def up_and_error(poses: NDArray[np.float64]) -> tuple[Vector, float]:
     return (mean / length if length > 1e-6 else np.zeros(3)), 0.0
 
 
-def _normal(sides: Vector, spread: float) -> tuple[Vector, float] | None:
+def _normal(sides: Vector, least: float) -> tuple[Vector, float] | None:
     """The direction to which unit vectors (N, 3) are at right angles, and its standard error.
 
-    None if they are too few, in no plane, or span it too little.
+    None if they are too few, in no plane, or span it less than `least`.
     """
     values, vectors = np.linalg.eigh(sides.T @ sides / len(sides))
-    if len(sides) < FEWEST or values[0] > LEVEL or values[1] < spread:
+    if len(sides) < FEWEST or values[0] > LEVEL or values[1] < least:
         return None
     residual = np.sqrt(max(values[0], 0.0) / len(sides))
     return vectors[:, 0], float(residual * np.sqrt(1 / values[1] + 1 / values[2]))
@@ -83,7 +83,7 @@ def _along(direction: Vector, hint: Vector) -> Vector:
     return direction if direction @ hint >= 0 else -direction
 
 
-def turning(start: Vector, end: Vector) -> Matrix:
+def rotation_between(start: Vector, end: Vector) -> Matrix:
     """The smallest rotation (3, 3) from one unit vector to another."""
     cosine = float(start @ end)
     if cosine < -1 + 1e-12:

@@ -1,11 +1,11 @@
-"""`roigs_placement.json`: where a project's model stands in the world; numpy only.
+"""`roigs_placement.json`: the pose and scale of a project's model in Blender's world; numpy only.
 
 {"placements": [{"matrix": [[...4], [...4], [...4], [...4]],
                  "cameras": {"IMG_0001.jpg": [x, y, z], ...}}]}
 
 `matrix` leads from the COLMAP frame to the world, which has metres and z up: a rotation, one scale
-and a translation. `cameras` says where photos were taken, in the COLMAP frame. A placement is that
-of a model which has them there: another model of the project, or one that was made again, has
+and a translation. `cameras` says where photos were taken, in the COLMAP frame. A transform applies
+to the model that has them there: another model of the project, or one that was made again, has
 another frame.
 """
 
@@ -23,21 +23,22 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from .files import read_json
-from .poses import similarity_flaw
 from .projects import top_folder
+from .transforms import similarity_flaw
 
 Float64 = NDArray[np.float64]
 
 FILE = "roigs_placement.json"
 FAR = 1e15  # as for boxes
-MOST_CAMERAS, MOST_PLACEMENTS = 32, 8
-SAME = 0.01  # of the cameras' spread: refined cameras are nearer to where they were
+MOST_CAMERAS, MOST_TRANSFORMS = 32, 8
+# Of the largest distance of a camera from their mean: refined cameras move less.
+SAME = 0.01
 HINT = "Delete it, or place the scene in Blender again."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Placement:
-    """Where a model stands.
+class SceneTransform:
+    """A model's pose and scale in the world.
 
     Attributes:
         matrix: (4, 4) similarity from the COLMAP frame to the world in metres.
@@ -48,29 +49,29 @@ class Placement:
     cameras: dict[str, Float64]
 
     def is_of(self, cameras: Mapping[str, Float64]) -> bool:
-        """Whether it is the placement of the model with these cameras, photo -> (3,) centre."""
+        """Whether it is the transform of the model with these cameras, photo -> (3,) centre."""
         shared = [name for name in self.cameras if name in cameras]
         if not shared:
             return False
         known = np.array(list(self.cameras.values()))
-        spread = float(np.linalg.norm(known - known.mean(axis=0), axis=1).max())
+        radius = float(np.linalg.norm(known - known.mean(axis=0), axis=1).max())
         moved = [np.linalg.norm(self.cameras[name] - cameras[name]) for name in shared]
-        return float(np.median(moved)) <= SAME * spread + 1e-6 * float(np.abs(known).max())
+        return float(np.median(moved)) <= SAME * radius + 1e-6 * float(np.abs(known).max())
 
 
-def placement_file(colmap: Path) -> Path:
+def transform_file(colmap: Path) -> Path:
     """The file of a project, of which a model's folder may be given."""
     return top_folder(Path(os.path.abspath(colmap))) / FILE
 
 
 def some_cameras(cameras: Mapping[str, Float64]) -> dict[str, Float64]:
-    """As many of the cameras as a file keeps, spread over the names."""
+    """As many of the cameras as a file keeps, evenly over the names."""
     names = sorted(cameras)
     return {name: cameras[name] for name in names[:: -(-len(names) // MOST_CAMERAS) or 1]}
 
 
-def read_placements(path: Path) -> list[Placement]:
-    """The placements of a file, the newest first; none if there is no file.
+def read_transforms(path: Path) -> list[SceneTransform]:
+    """The transforms of a file, the newest first; none if there is no file.
 
     Raises:
         ConfigError: it cannot be read, or is malformed.
@@ -82,33 +83,33 @@ def read_placements(path: Path) -> list[Placement]:
     if not isinstance(records, list):
         raise ConfigError(f'{path} has no list "placements".', HINT)
     try:
-        return [_placement(record) for record in records]
+        return [_transform(record) for record in records]
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
 
 
-def placement_among(
-    placements: list[Placement], cameras: Mapping[str, Float64]
-) -> Placement | None:
-    """The placement of the model with these cameras, photo -> (3,) centre; None: it has none."""
-    return next((placement for placement in placements if placement.is_of(cameras)), None)
+def transform_among(
+    transforms: list[SceneTransform], cameras: Mapping[str, Float64]
+) -> SceneTransform | None:
+    """The transform of the model with these cameras, photo -> (3,) centre; None: it has none."""
+    return next((each for each in transforms if each.is_of(cameras)), None)
 
 
-def document(placement: Placement, others: list[Placement]) -> str:
-    """The text of a file with a placement, and those of `others` that are of other models."""
-    kept = [other for other in others if not other.is_of(placement.cameras)]
+def document(transform: SceneTransform, others: list[SceneTransform]) -> str:
+    """The text of a file with a transform, and those of `others` that are of other models."""
+    kept = [other for other in others if not other.is_of(transform.cameras)]
     records = [
         {
             "matrix": entry.matrix.tolist(),
             "cameras": {name: centre.tolist() for name, centre in entry.cameras.items()},
         }
-        for entry in (placement, *kept)[:MOST_PLACEMENTS]
+        for entry in (transform, *kept)[:MOST_TRANSFORMS]
     ]
     return json.dumps({"placements": records}, indent=1, ensure_ascii=False) + "\n"
 
 
-def _placement(record: Any) -> Placement:
-    """A placement of a file; ValueError or another error of wrong values if it is none."""
+def _transform(record: Any) -> SceneTransform:
+    """A transform of a file; ValueError or another error of wrong values if it is none."""
     matrix = _numbers(record["matrix"], (4, 4), "matrix")
     flaw = similarity_flaw(matrix)
     if flaw:
@@ -117,7 +118,7 @@ def _placement(record: Any) -> Placement:
     cameras = {str(name): _numbers(centre, (3,), "a camera") for name, centre in centres}
     if not cameras:
         raise ValueError("it has no cameras")
-    return Placement(matrix=matrix, cameras=cameras)
+    return SceneTransform(matrix=matrix, cameras=cameras)
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Float64:

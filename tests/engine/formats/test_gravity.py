@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roigs_engine.formats.upright import levelled
+from roigs_engine.formats.gravity import gravity_alignment
 from tests.poses import look_at
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -59,7 +59,7 @@ def test_the_helper_has_z_up() -> None:
 @pytest.mark.parametrize("portrait", [False, True])
 def test_up_is_found_in_any_frame(seed: int, portrait: bool) -> None:
     frame = rotation(seed)
-    level = levelled(turned(photos(roll=1.5, portraits=float(portrait)), frame))
+    level = gravity_alignment(turned(photos(roll=1.5, portraits=float(portrait)), frame))
     assert degrees(level @ frame @ UP, UP) < 1.0
     np.testing.assert_allclose(level @ level.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(level) == pytest.approx(1)
@@ -67,18 +67,18 @@ def test_up_is_found_in_any_frame(seed: int, portrait: bool) -> None:
 
 def test_photos_that_look_down_on_one_side_do_not_tilt_it() -> None:
     frame = rotation(7)
-    level = levelled(turned(photos(arc=0.5), frame))
+    level = gravity_alignment(turned(photos(arc=0.5), frame))
     assert degrees(level @ frame @ UP, UP) < 0.01
 
 
 @pytest.mark.parametrize("roll", [0.0, 1.5, 8.0])
 def test_a_level_model_is_left_alone(roll: float) -> None:
-    np.testing.assert_array_equal(levelled(photos(roll=roll)), np.eye(3))
+    np.testing.assert_array_equal(gravity_alignment(photos(roll=roll)), np.eye(3))
 
 
 def test_a_level_model_with_another_axis_up_is_turned_by_right_angles() -> None:
     frame = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z becomes y
-    level = levelled(turned(photos(roll=1.5), frame))
+    level = gravity_alignment(turned(photos(roll=1.5), frame))
     assert set(np.unique(level.round(12))) <= {-1.0, 0.0, 1.0}
     np.testing.assert_allclose(level @ frame @ UP, UP, atol=1e-12)
 
@@ -88,24 +88,24 @@ def test_a_model_that_is_really_tilted_is_levelled() -> None:
     tilt = np.array(
         [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
     )
-    level = levelled(turned(photos(roll=1.0), tilt))
+    level = gravity_alignment(turned(photos(roll=1.0), tilt))
     assert degrees(level @ tilt @ UP, UP) < 1.0
 
 
 def test_photos_that_look_one_way_take_their_own_up() -> None:
     one = turned(photos()[:1].repeat(4, axis=0), rotation(3))
-    level = levelled(one)
+    level = gravity_alignment(one)
     assert degrees(level @ -one[0, 1, :3], UP) < 1e-6
 
 
 def test_without_photos_nothing_is_turned() -> None:
-    np.testing.assert_array_equal(levelled(np.zeros((0, 4, 4))), np.eye(3))
+    np.testing.assert_array_equal(gravity_alignment(np.zeros((0, 4, 4))), np.eye(3))
 
 
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.4])
 def test_a_few_portraits_among_landscapes_do_not_turn_the_world_over(share: float) -> None:
     frame = rotation(11)
-    level = levelled(turned(photos(roll=2, portraits=share), frame))
+    level = gravity_alignment(turned(photos(roll=2, portraits=share), frame))
     assert degrees(level @ frame @ UP, UP) < 15
 
 
@@ -120,7 +120,7 @@ def test_a_tilt_over_a_facade_is_no_pan_of_portraits() -> None:
             pose[:2] *= -1
         poses.append(pose)
     frame = rotation(12)
-    level = levelled(turned(np.array(poses), frame))
+    level = gravity_alignment(turned(np.array(poses), frame))
     assert degrees(level @ frame @ UP, UP) < 15
 
 
@@ -134,7 +134,7 @@ def test_photos_from_straight_above() -> None:
         pose[:3, :3] = right, np.cross(forward, right), forward
         poses.append(pose)
     frame = rotation(13)
-    level = levelled(turned(np.array(poses), frame))
+    level = gravity_alignment(turned(np.array(poses), frame))
     assert degrees(level @ frame @ UP, UP) < 1
 
 
@@ -143,5 +143,5 @@ def test_few_photos_are_not_snapped_far() -> None:
     tilt = np.array(
         [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
     )
-    level = levelled(turned(photos(4, roll=4), tilt))
+    level = gravity_alignment(turned(photos(4, roll=4), tilt))
     assert not np.array_equal(level, np.eye(3))

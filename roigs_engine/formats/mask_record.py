@@ -1,4 +1,4 @@
-"""Which masks in a folder the engine has made from scribbles, and may replace.
+"""Record of the masks that the engine has made from scribbles, and may replace.
 
 Beside the masks of a box lies `made.json` with the SHA-256 of each file as it was written, and a
 hash of what it was made of, by which masks that need not change are kept:
