@@ -1,0 +1,185 @@
+"""Makes the README's moving picture in a real Blender window: box an object, train, look around it.
+
+    python -m tools.window.film BLENDER --engine-python PYTHON [--out docs/pictures/film.webp]
+
+Needs what `driver` needs, and some minutes: the demo scene is trained. Each frame is a picture of the
+window, only cropped; `--frames FOLDER` keeps them. The quality is the best that stays below the size.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from PIL import Image
+
+from .driver import REPOSITORY, Blender, WindowError
+from .scenario import BUSY, SCENE, STATE, addon, import_demo, parser, prepare, window
+
+SIZE = (920, 656)
+TOP = 26
+"""Height of Blender's menu bar, in pixels; it is cropped."""
+OBJECT = "vase"
+LIMIT = 1_500_000
+"""The largest file, in bytes."""
+QUALITIES = (80, 70, 60, 52, 45, 38, 32, 26, 20)
+
+BOX_FRAMES, ORBIT_FRAMES = 10, 24
+ORBIT = 55.0
+"""Degrees that the view turns to each side."""
+TRAINING_SECONDS = 3.0
+"""Between two frames of the training, at least."""
+
+LOOK = """
+import math, mathutils
+bpy.context.preferences.view.ui_scale = 0.85
+call("screen.screen_full_area", use_hide_panels=False)
+space = view()["area"].spaces.active
+space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = False
+space.show_gizmo_navigate = space.show_region_toolbar = False
+bpy.context.preferences.addons["bl_ext.user_default.roigs"].preferences.preview_seconds = 3
+def aim(centre, azimuth, elevation, distance):
+    data = view()["area"].spaces.active.region_3d
+    data.view_perspective = "PERSP"
+    data.view_location, data.view_distance = centre, distance
+    angles = math.radians(90 - elevation), 0, math.radians(azimuth)
+    data.view_rotation = mathutils.Euler(angles).to_quaternion()
+def fit(item, low, high, share):
+    first, last = start, mathutils.Matrix.LocRotScale(
+        [(a + b) / 2 for a, b in zip(low, high)], None, [(b - a) / 2 for a, b in zip(low, high)])
+    item.matrix_world = mathutils.Matrix(
+        [[a + (b - a) * share for a, b in zip(one, two)] for one, two in zip(first, last)])
+"""
+WIDTHS = f"[p.pixel for p in {addon('viewport.draw')}.painter()._pictures.values()]"
+"""Code for how many pixels wide the pixels of the pictures are: 1 when they are drawn in full."""
+
+
+@dataclass
+class Film:
+    """Frames of the window, and how long each is shown."""
+
+    blender: Blender
+    folder: Path
+    images: list[Image.Image] = field(default_factory=list)
+    milliseconds: list[int] = field(default_factory=list)
+
+    def take(self, milliseconds: int, pause: float = 0.6) -> None:
+        """Take a frame, after a pause in which Blender draws."""
+        self.blender.pause(pause)
+        path = self.folder / f"{len(self.images):03d}.png"
+        width, height = SIZE
+        self.blender.screen.picture(path, f"{width}x{height - TOP}+0+{TOP}")
+        with Image.open(path) as image:
+            self.images.append(image.convert("RGB"))
+        self.milliseconds.append(milliseconds)
+
+    def aim(self, centre: list[float], azimuth: float, elevation: float, distance: float) -> None:
+        """Look at a point in the world; degrees and metres."""
+        self.blender.ask(f"aim({centre}, {azimuth}, {elevation}, {distance})")
+
+    def save(self, path: Path) -> int:
+        """Write the film as an animated WebP that repeats; returns its bytes.
+
+        Raises:
+            WindowError: it is too large in every quality.
+        """
+        first, *others = self.images
+        for quality in QUALITIES:
+            data = io.BytesIO()
+            first.save(
+                data,
+                "WEBP",
+                save_all=True,
+                append_images=others,
+                duration=self.milliseconds,
+                loop=0,
+                quality=quality,
+                method=6,
+            )
+            if data.tell() <= LIMIT:
+                path.write_bytes(data.getvalue())
+                print(f"{path}: {len(self.images)} frames, quality {quality}, {data.tell():,} bytes")
+                return data.tell()
+        raise WindowError(f"{len(self.images)} frames are more than {LIMIT:,} bytes")
+
+
+def box(film: Film, low: list[float], high: list[float]) -> None:
+    """Add a box, and move it onto the object."""
+    blender = film.blender
+    middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+    film.aim(middle, 60, 22, 2.0)
+    film.take(900, 2.0)
+    blender.click(blender.find("roigs.add_roi"))
+    item = "next(o for o in bpy.context.scene.objects if o.roigs.kind == 'ROI')"
+    blender.until(f"any(o.roigs.kind == 'ROI' for o in bpy.context.scene.objects)")
+    blender.ask(f"start = {item}.matrix_world.copy(); {item}.name = {OBJECT!r}")
+    blender.screen.do("mousemove", "3", "450")
+    film.take(500)
+    for k in range(1, BOX_FRAMES + 1):
+        share = (1 - math.cos(math.pi * k / BOX_FRAMES)) / 2
+        film.aim(middle, 60, 22, 2.0 - 1.1 * share)
+        blender.ask(f"fit({item}, {low}, {high}, {share})")
+        film.take(90)
+    film.milliseconds[-1] = 900
+
+
+def train(film: Film) -> None:
+    """Train; a frame every few seconds."""
+    blender = film.blender
+    blender.click(blender.find("roigs.train_roi", x=0.3))
+    blender.screen.do("mousemove", "3", "450")
+    blender.until(f"{STATE}.step > 0", 600)
+    blender.scroll(6)
+    blender.screen.do("mousemove", "3", "450")
+    blender.ask("view()['area'].spaces.active.overlay.show_overlays = False")
+    while blender.ask(BUSY):
+        film.take(140, TRAINING_SECONDS)
+    error = blender.ask(f"{STATE}.error")
+    if error:
+        raise WindowError(str(error))
+
+
+def orbit(film: Film, middle: list[float]) -> None:
+    """Look around the object."""
+    film.blender.ask("view()['area'].spaces.active.show_region_ui = False")
+    for k in range(ORBIT_FRAMES):
+        angle = ORBIT * math.sin(2 * math.pi * k / ORBIT_FRAMES)
+        film.aim(middle, 60 + angle, 22, 0.9)
+        film.blender.pause(1.0)
+        film.blender.until(f"set({WIDTHS}) == {{1}}", 30)
+        film.take(100)
+
+
+def main() -> int:
+    """Make it."""
+    options = parser(__doc__)
+    options.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "pictures" / "film.webp")
+    options.add_argument("--frames", type=Path, required=True, help="folder for the frames")
+    options.add_argument("--max-side", type=int, default=640, help="of the photos in training")
+    given = options.parse_args()
+    records = json.loads((SCENE / "rois.json").read_text(encoding="utf-8"))["rois"]
+    record = next(record for record in records if record["name"] == OBJECT)
+    low, high = record["min"], record["max"]
+    with window(given, *SIZE) as blender:
+        film = Film(blender, given.frames)
+        prepare(blender)
+        blender.ask(LOOK)
+        import_demo(blender)
+        blender.ask("[o.select_set(False) for o in bpy.context.scene.objects] and None")
+        run = given.frames / "run"
+        blender.ask(
+            f"s = bpy.context.scene.roigs; s.max_side = {given.max_side}; s.run_dir = {str(run)!r}"
+        )
+        box(film, low, high)
+        train(film)
+        orbit(film, [(a + b) / 2 for a, b in zip(low, high, strict=True)])
+    film.save(given.out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
