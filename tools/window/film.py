@@ -1,9 +1,10 @@
 """Makes the README's moving picture in a real Blender window: box an object, train, look around it.
 
-    python -m tools.window.film BLENDER --engine-python PYTHON [--out docs/pictures/film.webp]
+    python -m tools.window.film BLENDER --engine-python PYTHON --frames FOLDER [--out FILE.webp]
 
-Needs what `driver` needs, and some minutes: the demo scene is trained. Each frame is a picture of the
-window, only cropped; `--frames FOLDER` keeps them. The quality is the best that stays below the size.
+Needs what `driver` needs, and some minutes: the demo scene is trained. Each frame is a picture of
+the window, only cropped; FOLDER of `--frames` keeps them. The quality is the best that is small
+enough.
 """
 
 from __future__ import annotations
@@ -31,8 +32,18 @@ QUALITIES = (80, 70, 60, 52, 45, 38, 32, 26, 20)
 BOX_FRAMES, ORBIT_FRAMES = 10, 24
 ORBIT = 55.0
 """Degrees that the view turns to each side."""
-TRAINING_SECONDS = 3.0
+TRAINING_SECONDS = 4.0
 """Between two frames of the training, at least."""
+TRAINING_FRAMES = 26
+"""Frames of the training that are kept, at equal distances."""
+VIEW = (60.0, 22.0, 0.72)
+"""Where the object is looked at from: azimuth and elevation in degrees, and the distance."""
+FAR = 1.6
+"""The distance from which the film begins, in metres."""
+SLIDE = 4
+"""Frames in which the object moves to the middle, when the sidebar has gone."""
+ASIDE = 0.09
+"""How far beside the object the view aims, in metres: the sidebar covers its right side."""
 
 LOOK = """
 import math, mathutils
@@ -42,12 +53,17 @@ space = view()["area"].spaces.active
 space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = False
 space.show_gizmo_navigate = space.show_region_toolbar = False
 bpy.context.preferences.addons["bl_ext.user_default.roigs"].preferences.preview_seconds = 3
-def aim(centre, azimuth, elevation, distance):
+def aim(centre, azimuth, elevation, distance, aside):
     data = view()["area"].spaces.active.region_3d
     data.view_perspective = "PERSP"
-    data.view_location, data.view_distance = centre, distance
     angles = math.radians(90 - elevation), 0, math.radians(azimuth)
-    data.view_rotation = mathutils.Euler(angles).to_quaternion()
+    turned = data.view_rotation = mathutils.Euler(angles).to_quaternion()
+    data.view_location = mathutils.Vector(centre) + turned @ mathutils.Vector((aside, 0, 0))
+    data.view_distance = distance
+def hide(kind):
+    for item in bpy.context.scene.objects:
+        if item.roigs.kind == kind:
+            item.hide_set(True)
 def fit(item, low, high, share):
     first, last = start, mathutils.Matrix.LocRotScale(
         [(a + b) / 2 for a, b in zip(low, high)], None, [(b - a) / 2 for a, b in zip(low, high)])
@@ -66,20 +82,33 @@ class Film:
     folder: Path
     images: list[Image.Image] = field(default_factory=list)
     milliseconds: list[int] = field(default_factory=list)
+    taken: int = 0
 
     def take(self, milliseconds: int, pause: float = 0.6) -> None:
         """Take a frame, after a pause in which Blender draws."""
         self.blender.pause(pause)
-        path = self.folder / f"{len(self.images):03d}.png"
+        self.taken += 1
+        path = self.folder / f"{self.taken:03d}.png"
         width, height = SIZE
         self.blender.screen.picture(path, f"{width}x{height - TOP}+0+{TOP}")
         with Image.open(path) as image:
             self.images.append(image.convert("RGB"))
         self.milliseconds.append(milliseconds)
 
-    def aim(self, centre: list[float], azimuth: float, elevation: float, distance: float) -> None:
-        """Look at a point in the world; degrees and metres."""
-        self.blender.ask(f"aim({centre}, {azimuth}, {elevation}, {distance})")
+    def aim(
+        self, centre: list[float], distance: float, turn: float = 0.0, aside: float = ASIDE
+    ) -> None:
+        """Look at a point in the world from `VIEW`, turned by degrees."""
+        azimuth, elevation, _ = VIEW
+        self.blender.ask(f"aim({centre}, {azimuth + turn}, {elevation}, {distance}, {aside})")
+
+    def thin(self, first: int, count: int) -> None:
+        """Keep `count` of the frames from `first` on, at equal distances."""
+        last = len(self.images) - 1
+        count = min(count, last - first + 1)
+        kept = [first + round(k * (last - first) / max(1, count - 1)) for k in range(count)]
+        self.images[first:] = [self.images[k] for k in kept]
+        self.milliseconds[first:] = [self.milliseconds[k] for k in kept]
 
     def save(self, path: Path) -> int:
         """Write the film as an animated WebP that repeats; returns its bytes.
@@ -102,7 +131,7 @@ class Film:
             )
             if data.tell() <= LIMIT:
                 path.write_bytes(data.getvalue())
-                print(f"{path}: {len(self.images)} frames, quality {quality}, {data.tell():,} bytes")
+                print(f"{path}: {len(self.images)} frames, quality {quality}, {data.tell()} bytes")
                 return data.tell()
         raise WindowError(f"{len(self.images)} frames are more than {LIMIT:,} bytes")
 
@@ -111,17 +140,17 @@ def box(film: Film, low: list[float], high: list[float]) -> None:
     """Add a box, and move it onto the object."""
     blender = film.blender
     middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
-    film.aim(middle, 60, 22, 2.0)
+    film.aim(middle, FAR)
     film.take(900, 2.0)
     blender.click(blender.find("roigs.add_roi"))
     item = "next(o for o in bpy.context.scene.objects if o.roigs.kind == 'ROI')"
-    blender.until(f"any(o.roigs.kind == 'ROI' for o in bpy.context.scene.objects)")
+    blender.until("any(o.roigs.kind == 'ROI' for o in bpy.context.scene.objects)")
     blender.ask(f"start = {item}.matrix_world.copy(); {item}.name = {OBJECT!r}")
     blender.screen.do("mousemove", "3", "450")
     film.take(500)
     for k in range(1, BOX_FRAMES + 1):
         share = (1 - math.cos(math.pi * k / BOX_FRAMES)) / 2
-        film.aim(middle, 60, 22, 2.0 - 1.1 * share)
+        film.aim(middle, FAR + (VIEW[2] - FAR) * share)
         blender.ask(f"fit({item}, {low}, {high}, {share})")
         film.take(90)
     film.milliseconds[-1] = 900
@@ -135,9 +164,11 @@ def train(film: Film) -> None:
     blender.until(f"{STATE}.step > 0", 600)
     blender.scroll(6)
     blender.screen.do("mousemove", "3", "450")
-    blender.ask("view()['area'].spaces.active.overlay.show_overlays = False")
+    blender.ask("hide('CAMERA')")
+    first = len(film.images)
     while blender.ask(BUSY):
         film.take(140, TRAINING_SECONDS)
+    film.thin(first, TRAINING_FRAMES)
     error = blender.ask(f"{STATE}.error")
     if error:
         raise WindowError(str(error))
@@ -145,10 +176,13 @@ def train(film: Film) -> None:
 
 def orbit(film: Film, middle: list[float]) -> None:
     """Look around the object."""
-    film.blender.ask("view()['area'].spaces.active.show_region_ui = False")
+    film.blender.ask(
+        "space = view()['area'].spaces.active\n"
+        "space.show_region_ui = space.overlay.show_overlays = space.show_gizmo = False"
+    )
     for k in range(ORBIT_FRAMES):
         angle = ORBIT * math.sin(2 * math.pi * k / ORBIT_FRAMES)
-        film.aim(middle, 60 + angle, 22, 0.9)
+        film.aim(middle, VIEW[2], angle, ASIDE * (1 - min(1.0, k / SLIDE)))
         film.blender.pause(1.0)
         film.blender.until(f"set({WIDTHS}) == {{1}}", 30)
         film.take(100)
