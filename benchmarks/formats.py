@@ -26,7 +26,7 @@ from roigs_engine.exchange.arrays import Arrays
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import PosedImage
-from roigs_engine.rasterize.placed import PlacedModel, render_placed
+from roigs_engine.rasterize.instances import Instance, render_instances
 
 PHOTOS = 6
 HEAD = ("format", "MB", "of the PLY", "seconds", "PSNR, dB", "lowest", "splat-transform, dB")
@@ -38,8 +38,8 @@ ITS = (".compressed.ply", ".spz", ".sog", ".splat")
 def pictures(arrays: Arrays, photos: list[PosedImage]) -> list[Tensor]:
     """The model from the photos' cameras, on black."""
     gaussians, frame = Gaussians.framed(arrays)
-    model = PlacedModel(gaussians=gaussians, frame=frame, matrix=np.eye(4))
-    layers = [render_placed([model], photo.camera, photo.world_to_camera) for photo in photos]
+    model = Instance(gaussians=gaussians, frame=frame, matrix=np.eye(4))
+    layers = [render_instances([model], photo.camera, photo.world_to_camera) for photo in photos]
     return [layer.image * layer.alpha[..., None] for layer in layers]
 
 

@@ -33,7 +33,7 @@ from .values import PATH, integer
 if TYPE_CHECKING:
     from ..exchange.arrays import Arrays
     from ..model.scene import Float64
-    from ..rasterize.placed import PlacedModel
+    from ..rasterize.instances import Instance
 
 HELP = "write Gaussians in another format, turned, cropped to boxes, or placed as a list says"
 EXAMPLES = """\
@@ -191,7 +191,7 @@ def _placed(
     """
     from ..exchange import formats
     from ..model.gaussians import Gaussians
-    from ..rasterize.placed import PlacedModel
+    from ..rasterize.instances import Instance
 
     if boxes(args, required=False):
         raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
@@ -214,7 +214,7 @@ def _placed(
     for item in wanted:
         gaussians, frame = read[item.file]
         placed.append(
-            PlacedModel(
+            Instance(
                 gaussians=gaussians,
                 frame=frame,
                 matrix=matrix @ item.matrix,
@@ -226,7 +226,7 @@ def _placed(
     return _merged(placed), there, antialiased, poses
 
 
-def _merged(models: list[PlacedModel]) -> Arrays:
+def _merged(models: list[Instance]) -> Arrays:
     from ..exchange.merged import merged
 
     model, frame = merged(models)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
-    from ..rasterize.placed import PlacedModel
+    from ..rasterize.instances import Instance
 
 HELP = "find Gaussians that hang in the air, by the rule with which a training ends"
 EXAMPLES = """\
@@ -120,7 +120,7 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
     from ..exchange.merged import merged
     from ..formats.splat_ply import is_antialiased, read_ply
     from ..model.gaussians import Gaussians
-    from ..rasterize.placed import PlacedModel
+    from ..rasterize.instances import Instance
 
     into = np.diag([*[frame.scale] * 3, 1.0])
     into[:3, 3] = -frame.scale * frame.origin
@@ -132,7 +132,7 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
         masks.append(mask)
         if mask.any():
             kept, own = Gaussians.framed(usable(arrays, mask), antialiased=is_antialiased(path))
-            models.append(PlacedModel(gaussians=kept, frame=own, matrix=into @ item.matrix))
+            models.append(Instance(gaussians=kept, frame=own, matrix=into @ item.matrix))
     if not models:
         raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
     model, own = merged(_alike(models))
@@ -140,7 +140,7 @@ def _model(wanted: list[Placed], frame: LocalFrame) -> tuple[Gaussians, NDArray[
     return whole, np.concatenate(masks)
 
 
-def _alike(models: list[PlacedModel]) -> list[PlacedModel]:
+def _alike(models: list[Instance]) -> list[Instance]:
     """All with anti-aliasing or all without, as most Gaussians are drawn.
 
     They are judged as one model, which is either; it matters little for what hides what.

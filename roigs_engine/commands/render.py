@@ -69,7 +69,7 @@ def run(args: argparse.Namespace, console: Console) -> dict[str, str]:
     """Render every camera to a PNG."""
     import torch
 
-    from ..rasterize.sequence import render_sequence
+    from ..rasterize.image_files import render_sequence
 
     if args.path and args.images:
         raise ConfigError("--images has no meaning with --path.", "Leave it out.")

@@ -133,7 +133,7 @@ def answer(request: Path, models: Models, context: Context) -> Path:
 
     from ..rasterize.camera_path import camera_from_record
     from ..rasterize.image_files import save_layer
-    from ..rasterize.placed import PlacedModel, render_placed
+    from ..rasterize.instances import Instance, render_instances
 
     record = read_json(request, ConfigError, HINT)
     try:
@@ -144,7 +144,7 @@ def answer(request: Path, models: Models, context: Context) -> Path:
         raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
     read = models.get([item.file for item in wanted], context)
     placed = [
-        PlacedModel(
+        Instance(
             gaussians=gaussians,
             frame=frame,
             matrix=item.matrix,
@@ -153,6 +153,6 @@ def answer(request: Path, models: Models, context: Context) -> Path:
         )
         for (gaussians, frame), item in zip(read, wanted, strict=True)
     ]
-    layer = render_placed(placed, camera, pose, torch.device(context.device))
+    layer = render_instances(placed, camera, pose, torch.device(context.device))
     save_layer(colour_file(out), depth_file(out), layer)
     return colour_file(out)

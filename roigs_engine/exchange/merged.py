@@ -13,11 +13,11 @@ from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.operations import faded, recoloured
 from ..model.scene import Float64
-from ..rasterize.placed import PlacedModel, transformed
+from ..rasterize.instances import Instance, transformed
 from .turned_sh import turned_sh
 
 
-def merged(models: Sequence[PlacedModel]) -> tuple[Gaussians, LocalFrame]:
+def merged(models: Sequence[Instance]) -> tuple[Gaussians, LocalFrame]:
     """One model of all, in the world, and the frame that it is in.
 
     Args:
@@ -33,7 +33,7 @@ def merged(models: Sequence[PlacedModel]) -> tuple[Gaussians, LocalFrame]:
     return replace(model, means=means, log_scales=log_scales), frame
 
 
-def _in_world(model: PlacedModel, bands: int) -> tuple[Float64, Gaussians]:
+def _in_world(model: Instance, bands: int) -> tuple[Float64, Gaussians]:
     """(N, 3) centres in the world, and the model there as it looks, with so many SH bands."""
     gaussians, to_world = model.gaussians, model.from_frame
     linear = to_world[:3, :3]

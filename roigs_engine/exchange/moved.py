@@ -7,7 +7,7 @@ import numpy as np
 from ..formats.drawable import usable
 from ..model.gaussians import Gaussians
 from ..model.scene import Float64
-from ..rasterize.placed import PlacedModel
+from ..rasterize.instances import Instance
 from .arrays import Arrays, flaw
 from .merged import merged
 
@@ -33,5 +33,5 @@ def moved(arrays: Arrays, matrix: Float64) -> Arrays:
     if not len(arrays["means"]):
         return arrays
     gaussians, frame = Gaussians.framed(arrays)
-    model, frame = merged([PlacedModel(gaussians=gaussians, frame=frame, matrix=matrix)])
+    model, frame = merged([Instance(gaussians=gaussians, frame=frame, matrix=matrix)])
     return model.arrays(frame)

@@ -13,7 +13,7 @@ from ..cuda.device import CPU
 from ..model.gaussians import Gaussians
 from ..model.scene import PosedImage
 from ..rasterize.limits import PICTURE_LIMITS
-from ..rasterize.weights import View, blending_weights
+from ..rasterize.view import View, blending_weights
 from ..training.config import TrainConfig
 from ..training.photo_order import shuffled
 from ..training.stage_data import StageData

@@ -19,7 +19,7 @@ from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.scene import PosedImage
 from ..photos.headers import content_digest
-from ..rasterize.weights import View
+from ..rasterize.view import View
 from ..training.floaters.between_views import poses_between
 from .ladder import LEAST, STEPS, make_level
 from .measure import farther, measure, spaced

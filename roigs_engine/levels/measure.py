@@ -19,7 +19,7 @@ from ..context import QUIET, Context
 from ..evaluation.metrics import psnr_from_mse
 from ..formats.levels import FADE
 from ..model.gaussians import Gaussians
-from ..rasterize.weights import View
+from ..rasterize.view import View
 from .parts import Part
 from .teacher import samples_for, small_picture, views_at
 

@@ -17,7 +17,7 @@ from ..formats.levels import rate_in_view
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.scene import Camera, Float64, PosedImage
-from ..rasterize.weights import View
+from ..rasterize.view import View
 
 PROBES = 256
 FARTHEST = 1e9  # of a probe, units of the frame

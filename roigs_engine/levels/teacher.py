@@ -18,8 +18,7 @@ from torch import Tensor
 from ..context import QUIET, Context
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
-from ..rasterize.view import render_view
-from ..rasterize.weights import View
+from ..rasterize.view import View, render_view
 from .parts import Part, rate_of
 
 MARGIN = 0.06  # around what the part covers, of its size

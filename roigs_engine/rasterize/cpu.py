@@ -18,7 +18,6 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .culling import centre_bounds
 from .inputs import BackwardStep, Depth, RenderInputs, RenderOutput
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
@@ -155,7 +154,7 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
         camera.focal_and_centre[:] = [K[0][0], K[1][1], K[0][2], K[1][2]]
         camera.background[:] = background
         camera.blur[:] = inputs.blur
-        camera.centre_bounds[:] = centre_bounds(inputs, c)
+        camera.centre_bounds[:] = inputs.centre_bounds(c)
         camera.min_sigmas = inputs.limits.min_sigmas
         camera.min_transmittance = inputs.limits.min_transmittance
         camera.size[:] = [inputs.width, inputs.height]

@@ -31,7 +31,6 @@ from ..cuda.bindings import (
 )
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
-from .culling import centre_bounds
 from .inputs import RenderInputs, RenderOutput
 
 _MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
@@ -152,7 +151,7 @@ def _set_camera(view: View, c: int) -> None:
         camera_values=view.empty(CAMERA_VALUES),
     )
     shape.blur[:] = inputs.blur
-    shape.centre_bounds[:] = centre_bounds(inputs, c)
+    shape.centre_bounds[:] = inputs.centre_bounds(c)
     shape.min_sigmas = inputs.limits.min_sigmas
     shape.min_transmittance = inputs.limits.min_transmittance
     shape.size[:] = [inputs.width, inputs.height]

@@ -155,6 +155,18 @@ class RenderInputs:
         """(N, 3) centres."""
         return self.parameters[0]
 
+    def centre_bounds(self, camera: int) -> tuple[float, float, float, float]:
+        """Left, top, right, bottom, px: Gaussians with a centre not inside are culled.
+
+        They follow from the camera and the whole image, also where only a part of it is active.
+        """
+        slope = self.limits.max_slope
+        if slope == math.inf:  # the intrinsics wait for the GPU: not in training
+            return -math.inf, -math.inf, math.inf, math.inf
+        (fx, _, cx), (_, fy, cy), _ = self.Ks[camera].tolist()
+        x, y = slope * fx, slope * fy
+        return min(0, cx - x), min(0, cy - y), max(self.width, cx + x), max(self.height, cy + y)
+
 
 def check_inputs(
     parameters: tuple[Tensor, Tensor, Tensor, Tensor, Tensor],

@@ -1,4 +1,4 @@
-"""What a picture leaves out: what the EWA approximation draws wrong, or other Gaussians hide."""
+"""Limits of drawing: Gaussians that the EWA approximation draws wrong, light that is left."""
 
 from __future__ import annotations
 

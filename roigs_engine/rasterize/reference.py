@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from ..model.rotations import rotation_matrices
-from .culling import within
 from .inputs import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -99,6 +98,22 @@ def project(inputs: RenderInputs, camera: int) -> ProjectedGaussians:
         colour=colour,
         depth=depth.detach(),
     )
+
+
+def within(inputs: RenderInputs, camera: int, means2d: Tensor) -> Tensor:
+    """(..., N) bool: which Gaussians, whose projected centres are (..., N, 2), the limits keep.
+
+    Call it without gradients.
+    """
+    left, top, right, bottom = inputs.centre_bounds(camera)
+    x, y = means2d.unbind(-1)
+    inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+    means, quats, scales, _, _ = inputs.parameters
+    axis = inputs.viewmats[camera, 2].to(means)
+    axes = rotation_matrices(quats / quats.norm(dim=-1, keepdim=True))
+    sigma = (axis[:3] @ axes * (scales.exp() if inputs.raw else scales)).norm(dim=-1)
+    kept: Tensor = inside & (means @ axis[:3] + axis[3] > inputs.limits.min_sigmas * sigma)
+    return kept
 
 
 def project_all(inputs: RenderInputs, camera: int, index: Tensor) -> tuple[Tensor, ...]:

@@ -1,19 +1,21 @@
-"""Renders a model from one camera."""
+"""Views of a model from one camera: pictures, and the blending weights of its Gaussians."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..context import QUIET, Context
 from ..cuda.device import explain_out_of_memory, smaller_side
 from ..model.gaussians import Gaussians
 from ..model.scene import Camera, Float64
 from . import RenderOutput, rasterize
-from .limits import PICTURE_LIMITS
+from .limits import NO_LIMITS, PICTURE_LIMITS, Limits
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,3 +94,58 @@ def rasterize_view(
         antialiased=gaussians.antialiased,
         **options,
     )
+
+
+View = tuple[Camera, Float64]
+"""A camera and its world_to_camera."""
+
+
+class BlendingWeights(NamedTuple):
+    """The weights of N Gaussians in a view's pixels.
+
+    Attributes:
+        largest: (N,) the largest one of each.
+        total: (N,) their sum, each times its pixel's weight if pixels have weights.
+    """
+
+    largest: Tensor
+    total: Tensor
+
+
+@torch.no_grad()
+def blending_weights(
+    gaussians: Gaussians,
+    views: Iterable[View],
+    context: Context = QUIET,
+    *,
+    limits: Limits = NO_LIMITS,
+    pixels: Iterable[Tensor | None] | None = None,
+) -> Iterator[BlendingWeights]:
+    """The weights in each view in turn, on the model's device.
+
+    Args:
+        gaussians: the model, N rows.
+        views: to look from.
+        context: checked for cancellation before each view.
+        limits: which Gaussians are drawn; by default as in training.
+        pixels: for each view, (H, W) weights of its pixels in the total; None: 1.
+
+    Raises:
+        Stopped: the user stopped.
+    """
+    every = iter(() if pixels is None else pixels)
+    for camera, pose in views:
+        counted = next(every, None)
+        context.check_cancelled()
+        output = rasterize_view(
+            gaussians,
+            camera,
+            pose,
+            sh_degree=0,  # colours do not matter
+            limits=limits,
+            with_max_weight=True,
+            with_weight_sum=True,
+            pixel_weights=None if counted is None else counted.to(gaussians.means)[None],
+        )
+        assert output.max_weight is not None and output.weight_sum is not None
+        yield BlendingWeights(output.max_weight, output.weight_sum)

@@ -24,7 +24,7 @@ from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
 from ..rasterize import rasterize
-from ..rasterize.weights import blending_weights
+from ..rasterize.view import blending_weights
 from .masks import split_mask
 from .photo_views import PhotoViews
 from .spread import spread

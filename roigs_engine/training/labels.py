@@ -23,7 +23,7 @@ from ..model.ownership import owners
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.masks import load_mask, load_object_mask
-from ..rasterize.weights import blending_weights
+from ..rasterize.view import blending_weights
 
 
 class MaskedView(NamedTuple):

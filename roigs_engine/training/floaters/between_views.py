@@ -21,7 +21,7 @@ from torch import Tensor
 from ...context import QUIET, Context
 from ...model.gaussians import Gaussians
 from ...model.scene import Float64, PosedImage
-from ...rasterize.weights import View
+from ...rasterize.view import View
 from ..spread import spread
 from .view_shares import LEAST, MORE, NEAREST, SIDE, largest_shares, reach
 

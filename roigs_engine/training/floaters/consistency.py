@@ -20,7 +20,7 @@ from ...model.gaussians import Gaussians
 from ...model.ownership import owners
 from ...model.roi import OrientedBox
 from ...model.scene import Float64, PosedImage
-from ...rasterize.weights import blending_weights
+from ...rasterize.view import blending_weights
 from ..densification.adaptive import VISIBLE_WEIGHT
 from .view_shares import in_the_air
 

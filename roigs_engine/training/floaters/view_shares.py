@@ -12,7 +12,7 @@ from torch import Tensor
 from ...context import QUIET, Context
 from ...model.gaussians import Gaussians
 from ...model.scene import Float64, PosedImage
-from ...rasterize.weights import View, blending_weights
+from ...rasterize.view import View, blending_weights
 
 SIDE = 256  # pixels; shares of a view need no more
 NEAREST = 0.25  # least distance of a view from the scene, in distances of the photos near it

@@ -81,7 +81,7 @@ def test_the_viewport_draws_what_the_engine_draws(
     from roigs_engine.formats.splat_ply import write_ply
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.rasterize.camera_path import load_camera_path
-    from roigs_engine.rasterize.sequence import render_sequence
+    from roigs_engine.rasterize.image_files import render_sequence
 
     path, arrays = tmp_path / "splats.ply", random_arrays(1500, 5, coefficients)
     # Opacities of exactly 1 and 0, and flat Gaussians, as programs write them.
@@ -103,17 +103,17 @@ def engine_picture(folder: Path, camera: dict, *plain: str) -> np.ndarray:
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.model.scene import Camera
     from roigs_engine.rasterize.image_files import to_uint8
-    from roigs_engine.rasterize.placed import PlacedModel, render_placed
+    from roigs_engine.rasterize.instances import Instance, render_instances
 
     models = []
     for path in sorted(folder.glob("splats*.ply")):
         gaussians, frame = Gaussians.load_framed(path)
         if path.stem in plain:
             gaussians = replace(gaussians, antialiased=False)
-        models.append(PlacedModel(gaussians=gaussians, frame=frame, matrix=np.eye(4)))
+        models.append(Instance(gaussians=gaussians, frame=frame, matrix=np.eye(4)))
     names = ("width", "height", "fx", "fy", "cx", "cy")
     lens = Camera(**{name: camera[name] for name in names})
-    layer = render_placed(models, lens, np.array(camera["world_to_camera"]))
+    layer = render_instances(models, lens, np.array(camera["world_to_camera"]))
     return to_uint8(layer.image * layer.alpha[..., None])
 
 
@@ -149,7 +149,7 @@ def test_the_viewport_leaves_out_what_the_engine_leaves_out(blender: str, tmp_pa
     from roigs_engine.formats.splat_ply import write_ply
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.rasterize.camera_path import load_camera_path
-    from roigs_engine.rasterize.sequence import render_sequence
+    from roigs_engine.rasterize.image_files import render_sequence
 
     arrays, chosen = random_arrays(700, seed=6), cameras()[2:]
     to_world = np.linalg.inv(chosen[0]["world_to_camera"])
@@ -177,7 +177,7 @@ def test_the_viewport_draws_the_demo(blender: str, tmp_path: Path) -> None:
     from roigs_engine import load_colmap
     from roigs_engine.model.gaussians import Gaussians
     from roigs_engine.rasterize.camera_path import load_camera_path
-    from roigs_engine.rasterize.sequence import render_sequence
+    from roigs_engine.rasterize.image_files import render_sequence
 
     (tmp_path / "splats.ply").symlink_to(result.resolve())
     chosen = []

@@ -18,7 +18,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import PosedImage
 from tests.engine.commands.command_line import BOX
-from tests.engine.rasterize.test_placed import cloud
+from tests.engine.rasterize.test_instances import cloud
 from tests.engine.synthetic_colmap import Project
 
 

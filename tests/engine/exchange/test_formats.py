@@ -22,8 +22,8 @@ from roigs_engine.exchange.moved import moved
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
-from roigs_engine.rasterize.placed import PlacedModel, render_placed
-from tests.engine.rasterize.test_placed import CAMERA, POSE, cloud, on_black
+from roigs_engine.rasterize.instances import Instance, render_instances
+from tests.engine.rasterize.test_instances import CAMERA, POSE, cloud, on_black
 
 NEEDS = {
     "compressed_ply": ("gsply",),
@@ -51,10 +51,10 @@ def needed(form: formats.FileFormat) -> None:
 
 def picture(values: dict[str, np.ndarray]) -> np.ndarray:
     """Of the model from the front."""
-    model = PlacedModel(
+    model = Instance(
         gaussians=Gaussians.from_arrays(values), frame=LocalFrame.world(), matrix=np.eye(4)
     )
-    return on_black(render_placed([model], CAMERA, POSE)).numpy()
+    return on_black(render_instances([model], CAMERA, POSE)).numpy()
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:

@@ -12,22 +12,30 @@ from roigs_engine.exchange.turned_sh import turned_sh
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
-from roigs_engine.rasterize.placed import PlacedModel, render_placed
+from roigs_engine.rasterize.instances import Instance, render_instances
 from roigs_engine.rasterize.reference import sh_basis
-from tests.engine.rasterize.test_placed import CAMERA, POSE, TURN, affine, cloud, on_black, placed
+from tests.engine.rasterize.test_instances import (
+    CAMERA,
+    POSE,
+    TURN,
+    affine,
+    cloud,
+    on_black,
+    placed,
+)
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
-def picture(models: list[PlacedModel], camera: Camera = CAMERA) -> torch.Tensor:
-    return on_black(render_placed(models, camera, POSE))
+def picture(models: list[Instance], camera: Camera = CAMERA) -> torch.Tensor:
+    return on_black(render_instances(models, camera, POSE))
 
 
 @pytest.mark.parametrize("linear", [TURN, 0.4 * TURN, MIRROR @ TURN], ids=str)
 def test_the_picture_is_that_of_the_placed_models(linear: np.ndarray) -> None:
     models = [placed(cloud(), affine(linear, (0.2, 0.1, 0.0))), placed(cloud(seed=1))]
     model, frame = merged(models)
-    one = PlacedModel(gaussians=model, frame=frame, matrix=np.eye(4))
+    one = Instance(gaussians=model, frame=frame, matrix=np.eye(4))
     torch.testing.assert_close(picture([one]), picture(models), atol=2e-3, rtol=0)
     unturned = placed(cloud(), affine(linear, (0.2, 0.1, 0.0)))
     assert len(model) == 2 * len(unturned.gaussians)
@@ -37,7 +45,7 @@ def test_colours_that_do_not_turn_would_be_seen() -> None:
     models = [placed(cloud(), affine(TURN))]
     model, frame = merged(models)
     same = Gaussians(**model.tensors() | {"sh": cloud().sh})
-    one = PlacedModel(gaussians=same, frame=frame, matrix=np.eye(4))
+    one = Instance(gaussians=same, frame=frame, matrix=np.eye(4))
     assert (picture([one]) - picture(models)).abs().max() > 0.05
 
 

@@ -24,7 +24,7 @@ from tests.engine.page_cases import (
     arrays,
     description,
 )
-from tests.engine.rasterize.test_placed import cloud
+from tests.engine.rasterize.test_instances import cloud
 from tests.engine.synthetic_colmap import ring, write_project
 
 pytest.importorskip("gsply")

@@ -26,8 +26,7 @@ from roigs_engine.rasterize.limits import (
     PICTURE_LIMITS,
     Limits,
 )
-from roigs_engine.rasterize.view import rasterize_view, render_view
-from roigs_engine.rasterize.weights import blending_weights
+from roigs_engine.rasterize.view import blending_weights, rasterize_view, render_view
 from roigs_engine.training.floaters.consistency import consistent_across_views
 from tests.engine.rasterize_cases import (
     BACKGROUND,

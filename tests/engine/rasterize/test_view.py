@@ -23,8 +23,7 @@ from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize import rasterize
 from roigs_engine.rasterize import view as view_module
 from roigs_engine.rasterize.camera_path import load_camera_path
-from roigs_engine.rasterize.image_files import to_uint8
-from roigs_engine.rasterize.sequence import render_sequence
+from roigs_engine.rasterize.image_files import render_sequence, to_uint8
 from roigs_engine.rasterize.view import render_view
 
 CAMERA = Camera(width=40, height=30, fx=50.0, fy=50.0, cx=20.0, cy=15.0)

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
+from roigs_engine.rasterize.instances import NOTHING, Instance, Layer, render_instances
 from roigs_engine.rasterize.limits import PICTURE_LIMITS
-from roigs_engine.rasterize.placed import NOTHING, Layer, PlacedModel, render_placed
 from roigs_engine.rasterize.view import rasterize_view, render_view
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
@@ -33,9 +33,9 @@ def cloud(count: int = 60, seed: int = 0, **changed: np.ndarray) -> Gaussians:
     return Gaussians.from_arrays({name: a.astype(np.float32) for name, a in arrays.items()})
 
 
-def placed(gaussians: Gaussians, matrix: np.ndarray | None = None) -> PlacedModel:
+def placed(gaussians: Gaussians, matrix: np.ndarray | None = None) -> Instance:
     place = np.eye(4) if matrix is None else matrix
-    return PlacedModel(gaussians=gaussians, frame=LocalFrame.world(), matrix=place)
+    return Instance(gaussians=gaussians, frame=LocalFrame.world(), matrix=place)
 
 
 def on_black(layer: Layer) -> torch.Tensor:
@@ -52,7 +52,7 @@ TURN = Rotation.from_euler("xyz", [40, 130, -70], degrees=True).as_matrix()
 
 
 def test_where_it_was_trained_it_is_the_usual_picture() -> None:
-    layer = render_placed([placed(cloud())], CAMERA, POSE)
+    layer = render_instances([placed(cloud())], CAMERA, POSE)
     usual = render_view(cloud(), CAMERA, POSE)
     assert usual.image.std() > 0.05
     torch.testing.assert_close(on_black(layer), usual.image, atol=2e-3, rtol=0)
@@ -69,7 +69,7 @@ def test_a_world_that_moves_with_its_camera_looks_the_same(scale: float) -> None
     pose = affine(POSE[:3, :3] @ TURN.T)
     pose[:3, 3] = scale * POSE[:3, 3] - pose[:3, :3] @ matrix[:3, 3]
     still, moved = (
-        render_placed([placed(cloud(), m)], CAMERA, p)
+        render_instances([placed(cloud(), m)], CAMERA, p)
         for m, p in ((np.eye(4), POSE), (matrix, pose))
     )
     torch.testing.assert_close(on_black(moved), on_black(still), atol=2e-3, rtol=0)
@@ -82,24 +82,24 @@ def test_a_world_that_moves_with_its_camera_looks_the_same(scale: float) -> None
 def test_stretching_a_ball_makes_an_ellipsoid() -> None:
     ball = {"means": np.zeros((1, 3)), "quats": np.array([[1.0, 0, 0, 0]])}
     stretch = np.diag([2.0, 1.0, 0.5])
-    sheared = render_placed(
+    sheared = render_instances(
         [placed(cloud(1, log_scales=np.log(np.full((1, 3), 0.2)), **ball), affine(TURN @ stretch))],
         CAMERA,
         POSE,
     )
-    direct = render_placed(
+    direct = render_instances(
         [placed(cloud(1, log_scales=np.log([[0.4, 0.2, 0.1]]), **ball), affine(TURN))], CAMERA, POSE
     )
     torch.testing.assert_close(sheared.alpha, direct.alpha, atol=1e-3, rtol=0)
 
 
 def test_a_mirror_image_is_mirrored() -> None:
-    plain = render_placed([placed(cloud())], CAMERA, POSE)
-    mirrored = render_placed([placed(cloud(), np.diag([-1.0, 1, 1, 1]))], CAMERA, POSE)
+    plain = render_instances([placed(cloud())], CAMERA, POSE)
+    mirrored = render_instances([placed(cloud(), np.diag([-1.0, 1, 1, 1]))], CAMERA, POSE)
     torch.testing.assert_close(on_black(mirrored), on_black(plain).flip(1), atol=2e-3, rtol=0)
 
 
-def wall(z: float, opacity: float = 0.99999, seed: int = 0) -> PlacedModel:
+def wall(z: float, opacity: float = 0.99999, seed: int = 0) -> Instance:
     """Covers the picture, at z + 4 before the camera."""
     gaussian = {
         "means": np.zeros((1, 3)),
@@ -113,24 +113,24 @@ def wall(z: float, opacity: float = 0.99999, seed: int = 0) -> PlacedModel:
 def test_a_mesh_behind_an_object_that_lets_light_through_stays_behind_it() -> None:
     """The compositor puts a mesh in front where its depth is less than the layer's."""
     object_, far, mesh = wall(-1.0, opacity=0.9), wall(26.0, seed=1), 5.0
-    layer = render_placed([far, object_], CAMERA, POSE)
+    layer = render_instances([far, object_], CAMERA, POSE)
     assert float(layer.alpha.min()) > 0.99
     assert float(layer.depth.max()) < mesh
-    thin = render_placed([far, wall(-1.0, opacity=0.4)], CAMERA, POSE)
+    thin = render_instances([far, wall(-1.0, opacity=0.4)], CAMERA, POSE)
     assert float(thin.depth.min()) > mesh
 
 
 def test_the_nearer_model_covers_the_other() -> None:
     back, front = wall(1.0, seed=1), wall(-1.0, seed=2)
-    both = render_placed([back, front], CAMERA, POSE)
-    alone = render_placed([front], CAMERA, POSE)
+    both = render_instances([back, front], CAMERA, POSE)
+    alone = render_instances([front], CAMERA, POSE)
     torch.testing.assert_close(both.image, alone.image, atol=1e-2, rtol=0)
     assert float(both.depth[24, 32]) == pytest.approx(3.0, abs=0.05)
 
 
 def test_models_with_other_numbers_of_sh_bands_go_together() -> None:
     few = cloud(5, sh=np.zeros((5, 4, 3)))
-    assert render_placed([placed(cloud()), placed(few)], CAMERA, POSE).alpha.max() > 0.5
+    assert render_instances([placed(cloud()), placed(few)], CAMERA, POSE).alpha.max() > 0.5
 
 
 def test_models_with_and_without_antialiasing_are_each_drawn_right() -> None:
@@ -139,11 +139,11 @@ def test_models_with_and_without_antialiasing_are_each_drawn_right() -> None:
     turned = affine(1.3 * TURN)
     nothing = cloud(1, means=np.full((1, 3), 1e3))
     for model in (plain, smooth):
-        alone = render_placed([placed(model, turned)], CAMERA, POSE)
+        alone = render_instances([placed(model, turned)], CAMERA, POSE)
         other = replace(nothing, antialiased=not model.antialiased)
-        both = render_placed([placed(other), placed(model, turned)], CAMERA, POSE)
+        both = render_instances([placed(other), placed(model, turned)], CAMERA, POSE)
         assert alone.alpha.max() > 0.1
         torch.testing.assert_close(on_black(both), on_black(alone), atol=1e-3, rtol=0)
     changed = replace(smooth, antialiased=False)
-    as_plain = render_placed([placed(changed, turned)], CAMERA, POSE)
+    as_plain = render_instances([placed(changed, turned)], CAMERA, POSE)
     assert (as_plain.alpha - alone.alpha).max() > 0.1

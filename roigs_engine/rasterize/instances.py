@@ -1,4 +1,4 @@
-"""Renders models that were moved, turned, scaled or sheared, together, as a layer for compositing.
+"""Instances: models under affine transforms, rendered together as a layer for compositing.
 
 Everything is computed in the camera's own frame, so places far from the origin cost no precision.
 View dependence turns with a model: its colours are evaluated in its own frame, once per picture,
@@ -31,8 +31,8 @@ SIMILAR = 1e-5  # how unequal the scales of a similarity may be
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlacedModel:
-    """A model and where it stands.
+class Instance:
+    """A model and its pose.
 
     Attributes:
         gaussians: in `frame`, on the CPU.
@@ -75,8 +75,8 @@ class Layer:
 
 
 @torch.no_grad()
-def render_placed(
-    models: Sequence[PlacedModel],
+def render_instances(
+    models: Sequence[Instance],
     camera: Camera,
     world_to_camera: Float64,
     device: torch.device = CPU,
@@ -112,7 +112,7 @@ def render_placed(
     )
 
 
-def _seen(model: PlacedModel, world_to_camera: Float64) -> Gaussians:
+def _seen(model: Instance, world_to_camera: Float64) -> Gaussians:
     """The model in the camera's frame, with float64 centres and plain colours."""
     to_camera = world_to_camera @ model.from_frame
     linear, offset = to_camera[:3, :3], to_camera[:3, 3]
