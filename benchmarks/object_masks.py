@@ -23,8 +23,8 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import PosedImage
 from roigs_engine.photos.decode import load_photo
-from roigs_engine.photos.mask_files import MaskOptions
-from roigs_engine.photos.masks import load_object_mask
+from roigs_engine.photos.mask_images import load_object_mask
+from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.rasterize.view import rasterize_view
 
 LEAST = 1024  # pixels of a true mask; photos with fewer are left out

@@ -34,8 +34,8 @@ from roigs_engine.formats.scribbles import (
 )
 from roigs_engine.masking.box_masks import masked_photos
 from roigs_engine.model.roi import OrientedBox, load_rois
-from roigs_engine.photos.mask_files import MaskOptions
-from roigs_engine.photos.masks import load_object_mask
+from roigs_engine.photos.mask_images import load_object_mask
+from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.selection import SelectionConfig, select_cameras
 
 Mask = NDArray[np.bool_]

@@ -14,7 +14,7 @@ from PIL import Image
 from benchmarks import object_masks, scribbles
 from roigs_engine.formats.scribbles import OBJECT, Scribble, Stroke, scribbles_document
 from roigs_engine.model.roi import OrientedBox
-from roigs_engine.photos.masks import write_mask
+from roigs_engine.photos.mask_images import write_mask
 from tools.window import scribble as window
 
 BOX = OrientedBox.axis_aligned("pot", [-1, -1, -1], [1, 1, 1])

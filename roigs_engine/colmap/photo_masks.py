@@ -25,12 +25,12 @@ from ..formats.text import counted
 from ..model.roi import AREA_SIDE
 from ..model.scene import PhotoMask, PosedImage
 from ..photos.headers import content_digest, photo_size
-from ..photos.mask_files import MaskFiles, MaskOptions
+from ..photos.mask_paths import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
 from .undistort import UndistortionPlan, temporary_folder, undistorted_pixels
 
 if TYPE_CHECKING:
-    from ..photos.masks import Mask
+    from ..photos.mask_images import Mask
 
 STAGE = "masks"
 VERSION = 1  # part of each mask's digest: increase it if masks become others
@@ -85,7 +85,15 @@ class MaskPlan:
 
     def make(self) -> Mask:
         """The mask for the photo's camera; raises as `read_mask` and `alpha_mask`."""
-        from ..photos.masks import ALL, HALF, HINT, OBJECT_HINT, alpha_mask, read_mask, resized
+        from ..photos.mask_images import (
+            ALL,
+            HALF,
+            HINT,
+            OBJECT_HINT,
+            alpha_mask,
+            read_mask,
+            resized,
+        )
 
         least, hint = (HALF, OBJECT_HINT) if self.of_object else (ALL, HINT)
 
@@ -103,7 +111,7 @@ class MaskPlan:
 
     def kept(self, path: Path, *, write: bool) -> Mask:
         """The mask: from the file at `path`, or made now, and written there if `write`."""
-        from ..photos.masks import MaskError, stored_mask, write_mask
+        from ..photos.mask_images import MaskError, stored_mask, write_mask
 
         with suppress(OSError, MaskError):
             mask = stored_mask(path)
@@ -123,7 +131,7 @@ def find_mask(name: str, photo: Path, files: MaskFiles, options: MaskOptions) ->
         photo: its file.
         files, options: where masks are, and which are wanted.
     """
-    from ..photos.masks import has_alpha
+    from ..photos.mask_images import has_alpha
 
     file = files.find(name)
     if file is not None:
@@ -307,7 +315,7 @@ def mention_masks(
 
 def mask_digest(file: Path, of_object: bool = False) -> str:
     """Hash of a mask's file; MaskError if it cannot be read."""
-    from ..photos.masks import HINT, OBJECT_HINT, MaskError
+    from ..photos.mask_images import HINT, OBJECT_HINT, MaskError
 
     try:
         return content_digest(file)

@@ -64,7 +64,7 @@ class PhotoPixels:
 
     def of_file(self, mask: Mask) -> Mask:
         """The file's mask (height, width) at the camera's size, (H, W)."""
-        from ..photos.masks import resized
+        from ..photos.mask_images import resized
 
         if self.lens is not None:
             grey = np.where(resized(mask, self.size), np.uint8(255), np.uint8(0))

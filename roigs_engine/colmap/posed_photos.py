@@ -19,7 +19,7 @@ from ..photos.contents import FILE as CONTENTS
 from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
-from ..photos.mask_files import USUAL_MASKS, MaskFiles, MaskOptions
+from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
 from .photo_masks import (
     HIDDEN,
     make_masks,

@@ -24,7 +24,7 @@ from ..formats.text import counted, first_of
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.scene_checks import without_outliers
 from ..photos.files import PhotoFolder, find_photos
-from ..photos.mask_files import USUAL_MASKS, MaskOptions
+from ..photos.mask_paths import USUAL_MASKS, MaskOptions
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
 from .photo_masks import HIDDEN
 from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name, pose_of

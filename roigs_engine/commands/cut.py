@@ -15,7 +15,7 @@ from ..formats.splat_ply import check_ply
 from ..formats.text import counted
 from ..model.mask_coverage import with_useful_masks
 from ..model.ownership import count_owned
-from ..photos.mask_files import MASKS, MaskOptions
+from ..photos.mask_paths import MASKS, MaskOptions
 from .console import Console
 from .options import (
     add_device_option,

@@ -12,7 +12,7 @@ from ..errors import RunFolderError
 from ..formats.files import read_json
 from ..formats.run_files import MANIFEST
 from ..run.config import AUTO_BLOCKS, MOST_BLOCKS, RunConfig
-from ..selection.groups import parsed_groups
+from ..selection.cells import parsed_groups
 from .values import NAME, Number, integer
 
 AUTO = "auto"

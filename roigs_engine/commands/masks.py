@@ -12,7 +12,7 @@ from ..errors import ConfigError
 from ..formats.files import own_folder
 from ..formats.scribbles import Scribble, read_scribbles
 from ..formats.splat_ply import check_ply
-from ..photos.mask_files import MaskOptions
+from ..photos.mask_paths import MaskOptions
 from .console import Console
 from .options import (
     add_device_option,

@@ -17,7 +17,7 @@ from ..formats.text import counted
 from ..machine import return_large_blocks
 from ..model.roi import OrientedBox, load_rois, parse_roi
 from ..model.scene import SfmScene
-from ..photos.mask_files import MaskOptions
+from ..photos.mask_paths import MaskOptions
 from ..run.config import INITS, MAX_FACTOR, ORDERS, PHOTOS, STRATEGIES, RunConfig
 from ..run.presets import PRESETS, in_strategy, preset
 from ..selection import METHODS

@@ -47,7 +47,7 @@ from .values import PATH, Number, integer
 if TYPE_CHECKING:
     from ..model.roi import OrientedBox
     from ..model.scene import SfmScene
-    from ..photos.mask_files import MaskOptions
+    from ..photos.mask_paths import MaskOptions
     from ..run.definition import Run
 
 MAX_SECONDS = 1e9

@@ -19,7 +19,7 @@ from ..model.gaussians import Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.decode import load_photo
-from ..photos.masks import load_mask, load_object_mask
+from ..photos.mask_images import load_mask, load_object_mask
 from ..rasterize.view import render_view
 from . import metrics
 from .flip import flip

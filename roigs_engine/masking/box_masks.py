@@ -16,8 +16,8 @@ from ..formats.scribbles import Stroke
 from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
-from ..photos.mask_files import MaskFiles
-from ..photos.masks import mask_png, read_mask
+from ..photos.mask_images import mask_png, read_mask
+from ..photos.mask_paths import MaskFiles
 from .inputs import mask_inputs
 from .propagate import Knowledge, make_masks
 from .views import Mask, View, in_photo, part_around, view_of

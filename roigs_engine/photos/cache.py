@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from ..machine import machine_memory
 from ..model.scene import PosedImage
 from .decode import Pixels
-from .masks import load_masked
+from .mask_images import load_masked
 
 THREADS = 2  # that decode ahead
 

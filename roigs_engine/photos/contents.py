@@ -131,7 +131,7 @@ def _stamp(path: Path) -> Content:
 
 def _read(path: Path, check: bool, context: Context) -> Content:
     """Hash the file, and decode the photo if `check`."""
-    from .damage import check_whole  # needs Pillow, which reading cameras does not
+    from .decode import check_whole  # needs Pillow, which reading cameras does not
 
     context.check_cancelled()
     try:

@@ -24,7 +24,7 @@ UNREAD = {
 }
 """Formats of cameras and of other pictures, which are not read."""
 MASK_ENDS = (".mask.png",)
-"""How the names of masks end that lie among the photos (`mask_files`)."""
+"""How the names of masks end that lie among the photos (`mask_paths`)."""
 
 
 def is_mask(name: str) -> bool:

@@ -14,8 +14,7 @@ from ..errors import EngineError, RunFolderError, SceneError
 from ..formats.events import StageStarted
 from ..formats.files import atomic_write, own_folder, read_json, write_json
 from ..formats.text import counted
-from ..photos.damage import check_whole
-from ..photos.decode import to_rgb
+from ..photos.decode import check_whole, to_rgb
 from ..photos.files import HEIC
 from ..photos.headers import PhotoError, content_digest, open_photo
 from ..photos.parallel import in_parallel, threads_for

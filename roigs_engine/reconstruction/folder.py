@@ -21,7 +21,7 @@ from ..formats.files import cannot_write, own_folder, read_json, write_json
 from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
-from ..photos.mask_files import MASKS
+from ..photos.mask_paths import MASKS
 from .checks import unread_in_words
 from .look import Photo, digests_of
 from .settings import Settings

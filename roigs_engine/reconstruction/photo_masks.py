@@ -1,7 +1,8 @@
-"""The masks of photos that are reconstructed, kept as pycolmap reads them: one file per photo.
+"""Masks of the photos to reconstruct, kept as pycolmap reads them: one file per photo.
 
-Where masks are, and what they may be, is decided as in training (`photos.mask_files`,
-`photos.masks`). pycolmap needs them in one folder, `NAME.png` for the photo NAME, at its size.
+Where masks are, and what they may be, is decided as in training (`photos.mask_paths`,
+`photos.mask_images`). pycolmap needs them in one folder, `NAME.png` for the photo NAME, at its
+size.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from ..errors import RunFolderError
 from ..formats.files import cannot_write, own_folder, read_json, sha256, write_json
 from ..formats.text import counted, json_digest
 from ..photos.headers import PhotoError, photo_size
-from ..photos.mask_files import MaskFiles, MaskOptions
-from ..photos.masks import write_mask
+from ..photos.mask_images import write_mask
+from ..photos.mask_paths import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
 from .checks import named
 from .folder import Folder

@@ -17,7 +17,7 @@ from ..formats.events import Message, StageStarted
 from ..formats.files import write_text
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
-from ..photos.mask_files import USUAL_MASKS, MaskOptions
+from ..photos.mask_paths import USUAL_MASKS, MaskOptions
 from . import pairs
 from .checks import unread_in_words, warnings_of, warnings_of_matches
 from .child import run_task

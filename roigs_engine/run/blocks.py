@@ -11,7 +11,7 @@ from ..formats.text import counted, in_gb
 from ..machine import machine_memory
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
-from ..selection.groups import Groups
+from ..selection.cells import Groups
 from .config import AUTO_BLOCKS, MOST_BLOCKS, RunConfig
 from .layout import Layout, given_groups, lay_out
 

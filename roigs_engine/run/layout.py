@@ -19,15 +19,17 @@ from ..model.roi import OrientedBox
 from ..model.scene import Float64, Int64, SfmScene
 from ..model.visibility import visible_images
 from ..selection.cells import (
+    Groups,
     Views,
     ground_cells,
+    groups_by_photos,
     names_of,
+    nearest_group,
     observed_by,
     photos_of_cells,
     rows_named,
     visible_owners,
 )
-from ..selection.groups import Groups, groups_by_photos, nearest_group
 from .config import RunConfig
 
 

@@ -12,7 +12,7 @@ from ..model.visibility import visible_images
 from ..selection import CameraSelection, select_cameras
 from ..selection.config import SelectionConfig
 from ..selection.manual import manual_selection
-from ..selection.shares import interleaved, reserved
+from ..selection.split import interleaved, reserved
 from .definition import Run
 from .layout import Cell
 

@@ -1,12 +1,8 @@
-"""Selects the photos that an object is trained on (the paper's sec. III-A).
+"""Selection of the photos that an object is trained on (the paper's sec. III-A).
 
-`select_cameras` is the only entry point. Each method has its own file: `static` (ranks of static
-features), `gp6` and `gp9` (Gaussian process, the paper's methods), `greedy` (the same score without
-a surrogate), `coverage` (facility location over points and directions), `fvs` and `random`
-(baselines).
-
-The same scene, box and settings always give the same photos in the same order: photos are processed
-in name order, names break ties, and everything random has a seed. Nothing here needs torch.
+`select_cameras` is the entry point; `METHODS` names the methods. The same scene, box and settings
+always give the same photos in the same order: photos are processed in name order, names break ties,
+and everything random has a seed. Nothing here needs torch.
 """
 
 from __future__ import annotations
@@ -15,16 +11,11 @@ from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.scene_checks import FEW, few_photos, kind_of_photos
-from ..model.visibility import Candidates, find_candidates, observations, visible_images
-from .baselines import order_fvs, order_random
-from .config import METHODS, SelectionConfig
-from .coverage import order_coverage, prefix_coverage
-from .features import StaticFeatures, static_features
-from .greedy import order_greedy
-from .records import CameraSelection, Picks
-from .report import format_selection
-from .score import prefix_scores
-from .static import order_static
+from ..model.visibility import find_candidates, observations, visible_images
+from .config import SelectionConfig
+from .methods import METHODS, Request
+from .result import CameraSelection, Picks, format_selection
+from .static import static_features
 
 __all__ = [
     "METHODS",
@@ -58,12 +49,16 @@ def select_cameras(
     """
     candidates = find_candidates(scene, roi, context)
     features = static_features(candidates, context)
-    count = config.resolved_count(len(candidates))
-    picks = _order(candidates, features, config, count, context)
-    if config.method == "coverage":
-        scores = prefix_coverage(candidates, picks.order, context)
-    else:
-        scores = prefix_scores(candidates, picks.order)
+    method = METHODS[config.method]
+    picks = method.order(
+        Request(
+            candidates=candidates,
+            features=features,
+            count=config.resolved_count(len(candidates)),
+            seed=config.seed,
+            context=context,
+        )
+    )
     flags = (
         *candidates.flags,
         *features.flags(candidates),
@@ -77,45 +72,11 @@ def select_cameras(
         roi=roi.name,
         method=config.method,
         names=tuple(names[view] for view in picks.order),
-        scores=scores,
+        scores=method.score(candidates, picks.order, context),
         candidates=names,
         flags=flags,
         features=features.to_dict(candidates),
     )
-
-
-def _order(
-    candidates: Candidates,
-    features: StaticFeatures,
-    config: SelectionConfig,
-    count: int,
-    context: Context,
-) -> Picks:
-    """Run the configured method."""
-    match config.method:
-        case "static":
-            return order_static(features, count)
-        case "gp6" | "gp9":
-            from .gp import order_gp  # scikit-learn takes a second to import
-
-            return order_gp(
-                candidates,
-                features,
-                count,
-                extended=config.method == "gp9",
-                seed=config.seed,
-                context=context,
-            )
-        case "greedy":
-            return order_greedy(candidates, count, context)
-        case "coverage":
-            return order_coverage(candidates, count, context)
-        case "fvs":
-            return order_fvs(candidates, count)
-        case "random":
-            return order_random(candidates, count, config.seed)
-        case _:
-            raise AssertionError(f"`METHODS` has {config.method}, but nothing orders by it.")
 
 
 def _count_flags(

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..model.scene import Float64
 from ..model.visibility import Candidates
-from .records import Picks
+from .result import Picks
 
 # Weight of log distance against the unit direction: a factor of 2 in distance counts as much as an
 # angle of about 10 degrees.

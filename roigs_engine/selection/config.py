@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from ..errors import ConfigError
+from .methods import METHODS
 
-METHODS = ("static", "gp6", "gp9", "greedy", "coverage", "fvs", "random")
 # The paper selects 150 of 314 candidates (sec. III-A); small scenes use the same share.
 PAPER_COUNT = 150
 PAPER_SHARE = 0.48

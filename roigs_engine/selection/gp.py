@@ -15,17 +15,14 @@ import warnings
 from typing import Any
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from ..context import QUIET, Context
 from ..model.scene import Float64
 from ..model.visibility import Candidates
 from .baselines import farthest_first, fill_up, most_keypoints
-from .features import StaticFeatures
-from .records import Picks
+from .result import Picks
 from .score import DensityOccupancy
+from .static import StaticFeatures
 
 # Photos picked before the first fit.
 SEEDS = 5
@@ -73,6 +70,9 @@ class Surrogate:
     """A GP from viewpoints to gains; keeps its hyper-parameters between optimisations."""
 
     def __init__(self, inputs: Float64, seed: int) -> None:
+        # scikit-learn takes a second to import
+        from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
         self._inputs = inputs
         self._seed = seed
         self._kernel: Any = ConstantKernel(1.0, (1e-2, 1e2)) * Matern(
@@ -82,6 +82,9 @@ class Surrogate:
 
     def fit(self, views: list[int], gains: Float64, optimise: bool) -> None:
         """Fit the (n,) gains of these photos; `optimise` the hyper-parameters or keep them."""
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+
         self._model = GaussianProcessRegressor(
             kernel=self._kernel,
             optimizer="fmin_l_bfgs_b" if optimise else None,

@@ -16,7 +16,7 @@ import numpy as np
 from ..context import QUIET, Context
 from ..model.visibility import Candidates
 from .baselines import fill_up
-from .records import Picks
+from .result import Picks
 from .score import DensityOccupancy
 
 

@@ -12,9 +12,9 @@ from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
 from ..model.visibility import find_candidates
-from .features import static_features
-from .records import CameraSelection
+from .result import CameraSelection
 from .score import prefix_scores
+from .static import static_features
 
 METHOD = "manual"
 NAMED = 3  # photos named in a warning

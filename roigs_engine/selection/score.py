@@ -1,4 +1,4 @@
-"""The score of a set of photos: point density x voxel occupancy inside the box.
+"""Score of a set of photos: point density x voxel occupancy inside the box.
 
 After ActiveInitSplat (arXiv 2503.06859), whose exact formula is unpublished. For the photos S:
 
@@ -12,8 +12,12 @@ only count points.) D and O are coverage functions; f is not submodular, log f i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Protocol
+
 import numpy as np
 
+from ..context import QUIET, Context
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, Int64
 from ..model.visibility import Candidates
@@ -59,7 +63,7 @@ class DensityOccupancy:
     @property
     def value(self) -> float:
         """f(S), 0 to 1."""
-        return self._normalised(self.product)
+        return self.product / (len(self._new_point) * len(self._new_voxel))
 
     def product_with(self, view: int) -> int:
         """`product` of S and that photo."""
@@ -89,15 +93,31 @@ class DensityOccupancy:
         self._voxels += int(np.count_nonzero(self._new_voxel[voxels]))
         self._new_voxel[voxels] = False
 
-    def _normalised(self, product: int) -> float:
-        return product / (len(self._new_point) * len(self._new_voxel))
+
+class Score(Protocol):
+    """The score of a growing set of photos."""
+
+    @property
+    def value(self) -> float:
+        """Of the set, 0 to 1."""
+        ...
+
+    def add(self, view: int) -> None:
+        """Add a photo to the set."""
+        ...
 
 
-def prefix_scores(candidates: Candidates, order: tuple[int, ...]) -> tuple[float, ...]:
-    """f after each pick of `order`."""
-    score = DensityOccupancy(candidates)
+def prefix_values(score: Score, order: Sequence[int]) -> tuple[float, ...]:
+    """The score after each photo of `order`; the set must be empty."""
     values = []
     for view in order:
         score.add(view)
         values.append(score.value)
     return tuple(values)
+
+
+def prefix_scores(
+    candidates: Candidates, order: Sequence[int], context: Context = QUIET
+) -> tuple[float, ...]:
+    """f after each pick of `order`; nothing here takes so long that `context` is asked."""
+    return prefix_values(DensityOccupancy(candidates), order)

@@ -1,4 +1,4 @@
-"""Chooses the test photos, before any other use of the scene."""
+"""Splits of the photos: test photos, chosen before anything else, and photos for each stage."""
 
 from __future__ import annotations
 
@@ -82,3 +82,32 @@ def _at_equal_steps(names: list[str], count: int) -> list[str]:
     """`count` of the names, from the middles of `count` equal parts of the list."""
     count = max(0, min(count, len(names)))
     return [names[int((k + 0.5) * len(names) / count)] for k in range(count)]
+
+
+def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
+    """Several selections merged by rank, each name once, best first."""
+    merged: dict[str, None] = {}
+    for rank in range(max(map(len, orders), default=0)):
+        for order in orders:
+            if rank < len(order):
+                merged.setdefault(order[rank])
+    return list(merged)
+
+
+def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
+    """Selected photos that the Scene-GS must not use (paper, sec. II-B: half of them).
+
+    The Scene-GS may use the share `kept_share` of each selection, evenly spread over its order. A
+    photo that any box reserves is reserved.
+    """
+    return {
+        name
+        for order in orders
+        for rank, name in enumerate(order)
+        if not evenly_spread(rank, kept_share)
+    }
+
+
+def evenly_spread(step: int, share: float) -> bool:
+    """Whether `step` (from 0) belongs to the share `share` of all steps, evenly spread."""
+    return int((step + 1) * share + 1e-9) > int(step * share + 1e-9)

@@ -22,7 +22,7 @@ from ..cuda.device import sent
 from ..model.gaussians import SH_C0, Gaussians
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
-from ..photos.masks import load_mask, load_object_mask
+from ..photos.mask_images import load_mask, load_object_mask
 from ..rasterize.view import rasterize_view
 from .photo_order import mixed, shuffled
 

@@ -22,7 +22,7 @@ from ..model.gaussians import Gaussians
 from ..model.ownership import owners
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64, PosedImage
-from ..photos.masks import load_mask, load_object_mask
+from ..photos.mask_images import load_mask, load_object_mask
 from ..rasterize.view import blending_weights
 
 

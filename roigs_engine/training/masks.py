@@ -1,7 +1,7 @@
 """Masks: the pixels of a photo that the box stage trains on, the boxes' silhouettes and a rim.
 
 In a photo with a mask of a box's object, the object takes the place of the box's silhouette. Photos
-may have masks of their own (`photos.masks`): what these ignore is trained on by no stage.
+may have masks of their own (`photos.mask_images`): what these ignore is trained on by no stage.
 
 The Scene-GS has already trained the background. Most steps of the box stage skip it: they are
 faster, and their gradients go into the boxes (ours, docs/method.md; in the paper, the loss is on
@@ -22,7 +22,7 @@ from ..context import QUIET, Context
 from ..cuda.device import CPU, sent
 from ..model.roi import OrientedBox
 from ..model.scene import PosedImage
-from ..photos.masks import load_object_mask
+from ..photos.mask_images import load_object_mask
 from ..rasterize.inputs import TILE
 from ..rasterize.tiles import ActiveTiles, tiles_of_grid, touched_tiles
 
@@ -169,7 +169,7 @@ def shown_pixels(roi: OrientedBox, image: PosedImage) -> NDArray[np.bool_]:
 
 
 def split_mask(photo: Tensor) -> tuple[Tensor, Tensor | None]:
-    """A photo as `photos.masks.load_masked` returns it -> its colours, and which pixels count."""
+    """A photo as `load_masked` returns it -> its colours, and which pixels count."""
     if photo.shape[-1] == 3:
         return photo, None
     return photo[..., :3], photo[..., 3] > 0

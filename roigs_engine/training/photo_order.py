@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..selection.shares import evenly_spread
+from ..selection.split import evenly_spread
 
 PhotoAt = Callable[[int], int]
 

@@ -19,8 +19,8 @@ from roigs_engine.model.mask_coverage import (
 )
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.photos.mask_files import MaskOptions
-from roigs_engine.photos.masks import MaskError, load_mask, load_object_mask
+from roigs_engine.photos.mask_images import MaskError, load_mask, load_object_mask
+from roigs_engine.photos.mask_paths import MaskOptions
 from tests.engine.synthetic_colmap import camera, write_project
 
 NAMES = ("sub/a.png", "b.png", "c.png")

@@ -14,8 +14,8 @@ from roigs_engine.context import Context
 from roigs_engine.errors import SceneError
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.photos.decode import load_photo
-from roigs_engine.photos.mask_files import MaskOptions
-from roigs_engine.photos.masks import MaskError, load_mask
+from roigs_engine.photos.mask_images import MaskError, load_mask
+from roigs_engine.photos.mask_paths import MaskOptions
 from tests.engine.colmap.test_undistort import distorted
 from tests.engine.synthetic_colmap import camera, write_project
 

@@ -19,7 +19,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.ownership import owners
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.cache import PhotoCache
-from roigs_engine.photos.masks import write_mask
+from roigs_engine.photos.mask_images import write_mask
 from roigs_engine.training import photo_order
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.cutouts import EVERY, Cutouts

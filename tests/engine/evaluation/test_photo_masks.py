@@ -15,7 +15,7 @@ from roigs_engine.evaluation.scores import Evaluation
 from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.model.scene import PhotoMask, SfmScene
 from roigs_engine.photos.decode import load_photo
-from roigs_engine.photos.masks import write_mask
+from roigs_engine.photos.mask_images import write_mask
 from roigs_engine.rasterize.view import render_view
 from tests.engine.synthetic_scene import BOX, make_scene, truth
 

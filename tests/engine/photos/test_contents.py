@@ -16,7 +16,7 @@ from roigs_engine.context import Context
 from roigs_engine.errors import Stopped
 from roigs_engine.formats.events import Event, Message, StageStarted
 from roigs_engine.model.scene import Camera, PosedImage
-from roigs_engine.photos import damage
+from roigs_engine.photos import decode
 from roigs_engine.photos.contents import UNREAD, Contents
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.headers import PhotoError
@@ -37,13 +37,13 @@ def photos(tmp_path: Path) -> dict[str, Path]:
 def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the photos as they are decoded."""
     names: list[str] = []
-    check = damage.check_whole
+    check = decode.check_whole
 
     def spy(path: Path) -> str:
         names.append(path.name)
         return check(path)
 
-    monkeypatch.setattr(damage, "check_whole", spy)
+    monkeypatch.setattr(decode, "check_whole", spy)
     return names
 
 
@@ -130,14 +130,14 @@ def test_a_photo_that_cannot_be_read_is_looked_at_again(tmp_path: Path) -> None:
 def test_a_disk_that_fails_once_does_not_damage_a_photo(
     photos: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    memory, check = tmp_path / "photos.json", damage.check_whole
+    memory, check = tmp_path / "photos.json", decode.check_whole
 
     def failing(path: Path) -> None:
         raise PhotoError("unreadable") from OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(damage, "check_whole", failing)
+    monkeypatch.setattr(decode, "check_whole", failing)
     assert Contents(memory).read(photos)["0.png"].whole is False
-    monkeypatch.setattr(damage, "check_whole", check)
+    monkeypatch.setattr(decode, "check_whole", check)
     assert Contents(memory).read(photos)["0.png"].whole
     assert Contents(memory).read(photos)["4.png"].whole is False
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roigs_engine.photos.damage import check_whole
+from roigs_engine.photos.decode import check_whole
 from roigs_engine.photos.headers import PhotoError, check_complete
 from tests.engine.deep_png import write_png16
 

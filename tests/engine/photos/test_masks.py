@@ -12,8 +12,7 @@ from roigs_engine.errors import ConfigError
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.photos.files import PhotoFolder
-from roigs_engine.photos.mask_files import MaskFiles, MaskOptions
-from roigs_engine.photos.masks import (
+from roigs_engine.photos.mask_images import (
     MaskError,
     alpha_mask,
     has_alpha,
@@ -23,6 +22,7 @@ from roigs_engine.photos.masks import (
     resized,
     write_mask,
 )
+from roigs_engine.photos.mask_paths import MaskFiles, MaskOptions
 
 SIZE = (40, 30)
 HALF = np.zeros((30, 40), bool)

@@ -13,9 +13,9 @@ from PIL import Image
 from roigs_engine.context import QUIET, Context
 from roigs_engine.formats.events import Event, Message
 from roigs_engine.formats.files import sha256
-from roigs_engine.photos import masks
-from roigs_engine.photos.mask_files import MaskFiles, MaskOptions
-from roigs_engine.photos.masks import stored_mask
+from roigs_engine.photos import mask_images
+from roigs_engine.photos.mask_images import stored_mask
+from roigs_engine.photos.mask_paths import MaskFiles, MaskOptions
 from roigs_engine.reconstruction.folder import Folder
 from roigs_engine.reconstruction.look import look_at
 from roigs_engine.reconstruction.photo_masks import digest_of, make_masks
@@ -91,8 +91,8 @@ def test_an_alpha_channel_is_decoded_once(tmp_path: Path, monkeypatch: pytest.Mo
     """Of c and d; when it is done again, of the opaque one alone, which has no file."""
     folder, decoded = Folder(tmp_path / "out"), list[Path]()
     source = scene(tmp_path).images
-    alpha_mask = masks.alpha_mask
-    monkeypatch.setattr(masks, "alpha_mask", lambda p: decoded.append(p) or alpha_mask(p))
+    alpha_mask = mask_images.alpha_mask
+    monkeypatch.setattr(mask_images, "alpha_mask", lambda p: decoded.append(p) or alpha_mask(p))
     photos = look_at(folder.photos_of(source), tmp_path / "photos.json", QUIET).photos
     first = make_masks(photos, source, MaskOptions(), folder, QUIET)
     assert sorted(path.name for path in decoded) == ["c.png", "d.png"]

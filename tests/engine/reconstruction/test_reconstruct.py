@@ -19,7 +19,7 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError, SceneError, Stopped
 from roigs_engine.formats.events import Event, StageStarted
-from roigs_engine.photos.mask_files import MaskOptions
+from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs

@@ -15,7 +15,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.ownership import owners
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage, SfmScene
-from roigs_engine.photos.masks import write_mask
+from roigs_engine.photos.mask_images import write_mask
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.plan import MERGE, POINTS, Source, Stage, result_of

@@ -7,7 +7,7 @@ import pytest
 
 from roigs_engine.errors import ConfigError
 from roigs_engine.model.roi import OrientedBox
-from roigs_engine.selection.groups import groups_by_photos, nearest_group, parsed_groups
+from roigs_engine.selection.cells import groups_by_photos, nearest_group, parsed_groups
 
 BOXES = ["vase", "tin", "clock"]
 

@@ -24,11 +24,10 @@ from roigs_engine.selection.coverage import (
     order_coverage,
     prefix_coverage,
 )
-from roigs_engine.selection.features import StaticFeatures, static_features
 from roigs_engine.selection.gp import FEATURE_NAMES, gp_inputs, order_gp
 from roigs_engine.selection.greedy import order_greedy
 from roigs_engine.selection.score import DensityOccupancy, voxel_indices
-from roigs_engine.selection.static import order_static
+from roigs_engine.selection.static import StaticFeatures, order_static, static_features
 from tests.poses import look_at
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=150.0, cx=80.0, cy=60.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from roigs_engine.selection.neighbours import nearest_neighbours
+from roigs_engine.selection.coverage import nearest_neighbours
 
 
 def spread(kind: str, rng: np.random.Generator) -> np.ndarray:

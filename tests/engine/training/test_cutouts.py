@@ -10,7 +10,7 @@ import torch
 
 from roigs_engine.model.gaussians import NAMES
 from roigs_engine.model.scene import PhotoMask, SfmScene
-from roigs_engine.photos.masks import load_object_mask, write_mask
+from roigs_engine.photos.mask_images import load_object_mask, write_mask
 from roigs_engine.training.cutouts import EVERY, Cutouts
 from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.optimizer import VisibleAdam

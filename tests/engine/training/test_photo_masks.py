@@ -14,7 +14,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.model.mask_coverage import counted_pixels
 from roigs_engine.model.scene import PhotoMask, PosedImage, SfmScene
 from roigs_engine.photos.decode import load_photo
-from roigs_engine.photos.masks import load_mask, write_mask
+from roigs_engine.photos.mask_images import load_mask, write_mask
 from roigs_engine.run.config import RunConfig
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.manifest import manifest_difference

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roigs_engine.selection import shares
+from roigs_engine.selection import split
 from roigs_engine.training import photo_order
 
 SHARES = st.sampled_from([0.0, 0.1, 0.25, 1 / 3, 0.5, 0.7, 0.75, 0.9, 1.0])
@@ -63,7 +63,7 @@ def test_mixed_is_spread_evenly(share: float, start: int) -> None:
 
 @given(st.lists(NAMES, max_size=4))
 def test_interleaved_has_every_name_once_and_keeps_ranks(orders: list[list[str]]) -> None:
-    merged = shares.interleaved(orders)
+    merged = split.interleaved(orders)
     assert len(merged) == len(set(merged))
     assert set(merged) == {name for order in orders for name in order}
     rank = {n: min(o.index(n) for o in orders if n in o) for n in merged}
@@ -71,22 +71,22 @@ def test_interleaved_has_every_name_once_and_keeps_ranks(orders: list[list[str]]
 
 
 def test_interleaved_takes_turns() -> None:
-    assert shares.interleaved([["a", "b", "c"], ["x", "b"]]) == ["a", "x", "b", "c"]
-    assert shares.interleaved([]) == []
+    assert split.interleaved([["a", "b", "c"], ["x", "b"]]) == ["a", "x", "b", "c"]
+    assert split.interleaved([]) == []
 
 
 @given(NAMES, SHARES)
 def test_reserved_keeps_the_share_with_the_scene(order: list[str], share: float) -> None:
-    held = shares.reserved([order], share)
+    held = split.reserved([order], share)
     assert held <= set(order)
     assert len(order) - len(held) == int(len(order) * share + 1e-9)
 
 
 def test_reserved_half_is_every_second_one_and_any_roi_reserves() -> None:
-    assert shares.reserved([["a", "b", "c", "d"]], 0.5) == {"a", "c"}
-    assert shares.reserved([["a", "b"], ["b", "c"]], 0.5) == {"a", "b"}
-    assert shares.reserved([["a", "b"]], 1.0) == set()
-    assert shares.reserved([["a", "b"]], 0.0) == {"a", "b"}
+    assert split.reserved([["a", "b", "c", "d"]], 0.5) == {"a", "c"}
+    assert split.reserved([["a", "b"], ["b", "c"]], 0.5) == {"a", "b"}
+    assert split.reserved([["a", "b"]], 1.0) == set()
+    assert split.reserved([["a", "b"]], 0.0) == {"a", "b"}
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

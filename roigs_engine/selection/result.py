@@ -1,9 +1,11 @@
-"""The result of a selection method, and of a selection."""
+"""Result of a selection method, and of a selection; the latter as text."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
+
+from ..formats.text import counted, printable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,3 +60,36 @@ class CameraSelection:
         """Ready for JSON."""
         record = asdict(self)
         return {key: list(v) if isinstance(v, tuple) else v for key, v in record.items()}
+
+
+def format_selection(selection: CameraSelection) -> str:
+    """A summary line, a table of the selected photos, best first, and the warnings."""
+    head = ("rank", "photo", "score", "distance", "area", "keypoints")
+    rows = [head]
+    for rank, (name, score) in enumerate(
+        zip(selection.names, selection.scores, strict=True), start=1
+    ):
+        values = selection.features.get(name, {})
+        rows.append(
+            (
+                str(rank),
+                printable(name),
+                f"{score:.4f}",
+                f"{values['distance']:.4g}" if "distance" in values else "-",
+                f"{100 * values['area']:.1f} %" if "area" in values else "-",
+                f"{values['keypoints']:.0f}" if "keypoints" in values else "-",
+            )
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    lines = [
+        f"Box '{selection.roi}': {counted(len(selection.names), 'photo')} selected by"
+        f" {selection.method}, of {counted(len(selection.candidates), 'candidate')}"
+    ]
+    for row in rows:
+        cells = [
+            cell.ljust(width) if column == 1 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    lines += [printable(f"! {flag}") for flag in selection.flags]
+    return "\n".join(lines)
