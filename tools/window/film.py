@@ -184,7 +184,7 @@ def orbit(film: Film, middle: list[float]) -> None:
         angle = ORBIT * math.sin(2 * math.pi * k / ORBIT_FRAMES)
         film.aim(middle, VIEW[2], angle, ASIDE * (1 - min(1.0, k / SLIDE)))
         film.blender.pause(1.0)
-        film.blender.until(f"set({WIDTHS}) == {{1}}", 30)
+        film.blender.until(f"set({WIDTHS}) == {{1}}", 120)
         film.take(100)
 
 
