@@ -21,3 +21,8 @@ def look_at(
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ eye
     return pose
+
+
+def rotation(random: np.random.Generator) -> np.ndarray:
+    q, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))

@@ -290,3 +290,11 @@ def test_one_version_number() -> None:
     assert "version" in project["project"].get("dynamic", [])
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"## [{roigs_engine.__version__}]" in changelog
+
+
+def test_tests_share_modules_not_one_another() -> None:
+    """What several tests use is in a module of its own, whose name is no `test_*`."""
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        targets = {entry.target for entry in imports(path)}
+        found = {t for t in targets if re.match(r"tests\.(.*\.)?test_", t)}
+        assert not found, f"{path.relative_to(ROOT)} imports {', '.join(sorted(found))}"

@@ -94,6 +94,24 @@ def run(
 
 
 @pytest.fixture
+def two(blender: ModuleType, run):
+    """The last result, which is shown, and an earlier one."""
+    from roigs_engine.formats.splat_ply import read_ply
+    from tests.addon.results import PARTS, archive
+    from tests.addon.splat_cases import random_ply
+
+    scene, folder = run
+    older = archive(folder)
+    for part in PARTS:
+        copy = shutil.copytree if (older / part).is_dir() else shutil.copy
+        copy(older / part, folder / part)
+    for seed, path in enumerate(sorted(older.rglob("*.ply"))):  # as many, but other Gaussians
+        random_ply(path, len(read_ply(path)["means"]), seed=70 + seed)
+    blender.ops.roigs.load_results()
+    return scene, folder, older
+
+
+@pytest.fixture
 def reconstructing(addon: ModuleType, blender: ModuleType):
     """The scene, with small photos; skips where no engine can reconstruct."""
     from roigs_addon import settings

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from roigs_addon.engine.command import Engine
 from roigs_addon.engine.process import EngineProcess, JobResult
 from roigs_addon.engine.python import own_python
@@ -63,3 +65,11 @@ say(event="message", text="heard " + repr(line), level="info")
 say(event="done", outputs={}, stopped=True)
 sys.exit(3)
 """
+
+
+def use(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> None:
+    """Have operators run a fake engine."""
+    from roigs_addon import settings
+
+    engine = fake(folder, code)
+    monkeypatch.setattr(settings, "engine", lambda _: engine)

@@ -25,7 +25,7 @@ def photos_in(folder: Path, count: int) -> Path:
 
 def panel(bpy: ModuleType) -> str:
     from roigs_addon.ui.reconstruct import PhotosPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     return " ".join(said(bpy, PhotosPanel))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.splat_ply import is_antialiased, read_ply
-from tests.addon.jobs.test_refining import use
+from tests.addon.fake_engine import use
 from tests.addon.scenes import add_box
 from tests.addon.splat_cases import random_ply
 
@@ -305,7 +305,7 @@ def test_a_copy_that_stands_elsewhere_is_exported(
 
 def test_the_panel(blender: ModuleType, scene) -> None:
     from roigs_addon.ui.clean_up import CleanUpPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     assert CleanUpPanel.poll(blender.context)
     assert "Works on all that are visible" in " ".join(said(blender, CleanUpPanel))

@@ -14,7 +14,7 @@ from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats, packages
 from roigs_engine.exchange.axes import turn
 from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
-from tests.addon.jobs.test_refining import use
+from tests.addon.fake_engine import use
 from tests.addon.pictures import load_png, load_rgba
 from tests.addon.scenes import command_line, imported, with_cycles
 from tests.addon.splat_cases import random_arrays
@@ -114,7 +114,7 @@ def test_the_panel_warns_of_formats_that_cannot_say_it(
     blender: ModuleType, engine, tmp_path: Path
 ) -> None:
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     write_ply(tmp_path / "vase.ply", random_arrays(20, seed=3), antialiased=True)
     bring(blender, tmp_path / "vase.ply")
@@ -175,7 +175,7 @@ def test_saved_and_opened_again(blender: ModuleType, engine, ply: Path, tmp_path
     """The file is in the run folder beside the .blend, and the object's points are enough."""
     from roigs_addon.scene import edits
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     blend = tmp_path / "my scene.blend"
     blender.ops.wm.save_as_mainfile(filepath=str(blend))
@@ -226,7 +226,7 @@ def test_results_come_and_go_beside_it(blender: ModuleType, run, engine, ply: Pa
 
 def test_in_the_panel_by_name(blender: ModuleType, engine, ply: Path) -> None:
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     bring(blender, ply)
     assert any("My vase" in line for line in said(blender, ResultPanel))

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.jobs.test_refining import use
+from tests.addon.fake_engine import use
 from tests.addon.scenes import options
 
 pytestmark = pytest.mark.blender
@@ -201,7 +201,7 @@ def test_stepping_through_masks_and_removing_them(blender: ModuleType, run, box)
 
 def test_the_panel_says_what_to_do(blender: ModuleType, run, box) -> None:
     from roigs_addon.ui.masks import MasksPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, _ = run
     assert MasksPanel.poll(blender.context)

@@ -16,7 +16,7 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize.view import render_view
 from tests import chromium
-from tests.engine.rasterize.test_instances import cloud
+from tests.engine.clouds import cloud
 
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">{{viewer}}"
 BOX = page.Extras(title="Vase", places=[("vase", Ball(centre=np.array([0.2, 0, 0]), radius=0.5))])

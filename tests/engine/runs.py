@@ -67,3 +67,10 @@ def train(
     """A run from its inputs to its models."""
     run = define_run(folder, scene, rois, config, manual=manual, context=context)
     return train_run(run, compare, context, update=update, preview_seconds=preview_seconds)
+
+
+SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
+
+
+def production(strategy: str = "joint", **changes: object) -> RunConfig:
+    return tiny(strategy, test_every=0, kept_share=1.0, **changes)

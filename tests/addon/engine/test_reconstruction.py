@@ -12,7 +12,7 @@ import pytest
 from roigs_addon.engine import reconstruction
 from roigs_addon.engine.own_files import stage_in_words, step_in_words
 from roigs_addon.engine.reconstruction import ReconstructionStatus
-from tests.addon.engine.test_run_status import HOLD, write
+from tests.addon.engine.folders import HOLD, write
 from tests.addon.scenes import ROOT
 
 

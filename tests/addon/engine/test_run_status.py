@@ -11,21 +11,8 @@ from roigs_addon.engine import run_status
 from roigs_addon.engine.own_files import stage_in_words, warning_in_words
 from roigs_addon.engine.run_status import RunStatus
 from roigs_engine.formats.run_files import MANIFEST
+from tests.addon.engine.folders import HOLD, write
 from tests.addon.scenes import ROOT
-
-HOLD = """
-import sys
-from pathlib import Path
-from roigs_engine.formats.lock import locked
-with locked(Path(sys.argv[1])):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
-
-
-def write(path: Path, text: str = "{}") -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
 
 
 def test_a_run_is_read_from_its_folder(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def words(scene) -> str:
 
 def test_what_is_trained_says_so(blender: ModuleType, trained) -> None:
     from roigs_addon.ui.train import TrainPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, _ = trained
     assert words(scene) == ""
@@ -160,7 +160,7 @@ def test_a_renamed_box_is_trained(blender: ModuleType, trained) -> None:
     from roigs_addon.jobs import train_job
     from roigs_addon.ui.result import ResultPanel
     from roigs_addon.ui.train import TrainPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, folder = trained
     blender.ops.roigs.load_results()
@@ -173,7 +173,7 @@ def test_a_renamed_box_is_trained(blender: ModuleType, trained) -> None:
 
 
 def test_an_earlier_result_with_these_settings(trained) -> None:
-    from tests.addon.scene.test_earlier_results import archive
+    from tests.addon.results import archive
 
     scene, folder = trained
     archive(folder)
@@ -196,7 +196,7 @@ def test_undo_of_a_setting_is_seen(trained) -> None:
 
 def test_a_stopped_training_says_it_too(blender: ModuleType, trained) -> None:
     from roigs_addon.ui.train import TrainPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, folder = trained
     (folder / "result.ply").unlink()

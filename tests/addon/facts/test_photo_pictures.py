@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
+from tests.addon.panels import stand_in
 from tests.addon.scenes import imported
-from tests.addon.ui.test_panels import stand_in
 
 pytestmark = pytest.mark.blender
 

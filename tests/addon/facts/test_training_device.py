@@ -20,7 +20,7 @@ DONE = 'say(event="done", outputs={}, stopped=False)'
 def panel(bpy: ModuleType) -> list[str]:
     """The lines about the device in the panel, as one."""
     from roigs_addon.ui.train import TrainPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     texts = said(bpy, TrainPanel)
     starts = [k for k, text in enumerate(texts) if text.startswith("Trains on: ")]
@@ -98,7 +98,7 @@ def test_check_asks_the_engine(
     assert panel(blender)[0].startswith("Trains on: NVIDIA RTX 4070")
     drawn: list[str] = []
     monkeypatch.setattr(preferences, "_lines", lambda _layout, text, _icon: drawn.append(text))
-    from tests.addon.ui.test_panels import Layout
+    from tests.addon.panels import Layout
 
     page = SimpleNamespace(build="CPU", formats=True, wheels="")
     preferences._draw_engine(Layout([]), page)

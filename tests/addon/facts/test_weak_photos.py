@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.ui.test_panels import said
+from tests.addon.panels import said
 
 pytestmark = pytest.mark.blender
 

@@ -9,13 +9,9 @@ from roigs_addon.geometry import frames
 from roigs_addon.geometry.box import ShearedBoxError, box_from_matrix
 from roigs_addon.geometry.frames import Intrinsics, Lens
 from roigs_addon.geometry.photo import Photo
+from tests.poses import rotation
 
 SEEDS = range(60)
-
-
-def rotation(random: np.random.Generator) -> np.ndarray:
-    q, _ = np.linalg.qr(random.normal(size=(3, 3)))
-    return q * np.sign(np.linalg.det(q))
 
 
 def matrix(random: np.random.Generator, scale: object = 1.0) -> np.ndarray:

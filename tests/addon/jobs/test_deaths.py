@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 from types import ModuleType
@@ -13,8 +12,8 @@ from types import ModuleType
 import pytest
 
 from roigs_addon.engine.process import EngineProcess
-from roigs_addon.engine.python import VARIABLE
 from tests.addon.fake_engine import alive, until
+from tests.addon.other_blender import engine_pid, other_blender
 from tests.addon.scenes import ROOT
 
 pytestmark = pytest.mark.blender
@@ -100,31 +99,6 @@ def blender_process(folder: Path, project: Path, factor: float) -> subprocess.Po
     """Another Blender like this one that trains in folder/run."""
     values = {"root": str(ROOT), "project": str(project), "run": str(folder / "run")}
     return other_blender(folder, BLENDER_SCRIPT.format(**values, factor=factor))
-
-
-def other_blender(folder: Path, code: str) -> subprocess.Popen[str]:
-    """Another Blender like this one that runs a script."""
-    import bpy
-
-    script = folder / "script.py"
-    script.write_text(code, encoding="utf-8")
-    command = [sys.executable, str(script)]
-    program = bpy.app.binary_path and (os.environ.get("ROIGS_BLENDER") or bpy.app.binary_path)
-    if program:
-        command = [program, "-b", "--factory-startup", "--python", str(script)]
-    environment = {**os.environ, VARIABLE: os.environ.get(VARIABLE) or sys.executable}
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
-    )
-
-
-def engine_pid(process: subprocess.Popen[str], title: str) -> int:
-    """The engine that the other Blender started for a job of this title."""
-    assert process.stdout is not None
-    for line in process.stdout:
-        if line.startswith(f"PID {title}"):
-            return int(line.split()[-1])
-    raise AssertionError("the other Blender did not start the engine")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")

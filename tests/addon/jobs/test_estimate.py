@@ -7,8 +7,8 @@ from types import ModuleType
 
 import pytest
 
+from tests.addon.panels import said
 from tests.addon.scenes import ready, status
-from tests.addon.ui.test_panels import said
 
 pytestmark = pytest.mark.blender
 

@@ -44,7 +44,7 @@ def test_warnings_stay_in_the_panel(blender: ModuleType, spec, tmp_path: Path) -
     from roigs_addon.jobs import current
     from roigs_addon.jobs.spec import TRAINING
     from roigs_addon.ui.train import TrainPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     warning = "say(event='message', text='Only 3 photos see it', level='warning')"
     code = f"{warning}; {warning}; say(event='message', text='Something', level='info')"
@@ -59,7 +59,7 @@ def test_warnings_of_training_outlast_other_jobs(blender: ModuleType, spec, tmp_
     from roigs_addon.jobs import current
     from roigs_addon.jobs.spec import SELECTING, TRAINING
     from roigs_addon.ui.train import TrainPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     def shown(*warnings: str, title: str) -> list[str]:
         """The last words of the panel's texts, after a job with these warnings."""

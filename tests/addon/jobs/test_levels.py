@@ -10,7 +10,6 @@ import pytest
 
 from tests.addon.fake_engine import fake
 from tests.addon.levels_cases import FAR, make_levels
-from tests.addon.scene.test_compared import two  # noqa: F401 - a fixture
 from tests.addon.scenes import ready
 
 pytestmark = pytest.mark.blender
@@ -76,7 +75,7 @@ def test_what_is_shown_already_stays(blender: ModuleType, made) -> None:
     assert item.data == mesh and tuple(item.location) == (1, 2, 3)
 
 
-def test_an_earlier_result_gives_way(blender: ModuleType, two, made) -> None:  # noqa: F811
+def test_an_earlier_result_gives_way(blender: ModuleType, two, made) -> None:
     from roigs_addon.scene import compared
 
     scene, folder, older = two

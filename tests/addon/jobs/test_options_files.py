@@ -110,7 +110,7 @@ def test_deleted_cameras_exclude_their_photos(
     from roigs_addon.jobs import options_files
     from roigs_addon.scene import lookup
     from roigs_addon.ui.scene import ScenePanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene = ready(blender, project, tmp_path / "run")
     rois, cameras = lookup.rois(scene), lookup.cameras(scene)

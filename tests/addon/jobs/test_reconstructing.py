@@ -9,10 +9,9 @@ from types import ModuleType
 
 import pytest
 
-from tests.addon.engine.test_run_status import write
-from tests.addon.fake_engine import alive, fake, until
-from tests.addon.jobs.test_deaths import engine_pid, other_blender
-from tests.addon.jobs.test_refining import use
+from tests.addon.engine.folders import write
+from tests.addon.fake_engine import alive, fake, until, use
+from tests.addon.other_blender import engine_pid, other_blender
 from tests.addon.photo_cases import is_shown, panel, photos_in, refusal
 from tests.addon.scenes import ROOT
 

@@ -11,7 +11,7 @@ import pytest
 
 from roigs_addon.engine.python import FOR_REFINING
 from tests.addon.colmap_project import write_project
-from tests.addon.fake_engine import fake, until
+from tests.addon.fake_engine import fake, until, use
 from tests.addon.scenes import add_box, imported, record
 
 pytestmark = pytest.mark.blender
@@ -59,17 +59,9 @@ def refining(addon: ModuleType) -> None:
         pytest.skip(str(error))
 
 
-def use(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> None:
-    """Have operators run a fake engine."""
-    from roigs_addon import settings
-
-    engine = fake(folder, code)
-    monkeypatch.setattr(settings, "engine", lambda _: engine)
-
-
 def panel(bpy: ModuleType) -> str:
     from roigs_addon.ui.scene import ScenePanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     return " ".join(said(bpy, ScenePanel))
 

@@ -46,7 +46,7 @@ def test_a_panel_says_that_its_job_was_stopped(blender: ModuleType, run, tmp_pat
     from roigs_addon.jobs import current
     from roigs_addon.jobs.spec import MASKING, JobSpec
     from roigs_addon.ui.masks import MasksPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     code = "say(event='done', outputs={}, stopped=True)"
     spec = JobSpec(title=MASKING, arguments=["masks"], log=tmp_path / "log.txt")

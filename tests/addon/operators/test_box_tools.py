@@ -7,22 +7,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.scene.test_cameras import new_root
+from tests.addon.boxes import bounds, points_of
+from tests.addon.roots import new_root
 
 pytestmark = pytest.mark.blender
 
 TABLE = -0.5
-
-
-def points_of(bpy: ModuleType, root, points: np.ndarray):
-    """The sparse points of a model, which are below its root."""
-    from roigs_addon.scene import clouds
-
-    cloud = clouds.new_points("points", points.astype(np.float32))
-    cloud.roigs.kind, cloud.parent = "POINTS", root
-    bpy.context.scene.collection.objects.link(cloud)
-    bpy.context.view_layer.update()
-    return cloud
 
 
 @pytest.fixture(params=["plain", "turned"])
@@ -43,20 +33,6 @@ def table(request: pytest.FixtureRequest, blender: ModuleType, addon: ModuleType
     roi.scale = 0.8, 0.8, 0.55
     bpy.context.view_layer.update()
     return roi
-
-
-def bounds(bpy: ModuleType, roi) -> np.ndarray:
-    """(2, 3) of an upright box in the world."""
-    bpy.context.view_layer.update()
-    corners = np.array([roi.matrix_world @ v for v in _corners(roi.empty_display_size)])
-    return np.array([corners.min(axis=0), corners.max(axis=0)])
-
-
-def _corners(size: float):
-    from mathutils import Vector
-
-    steps = (-size, size)
-    return [Vector((x, y, z)) for x in steps for y in steps for z in steps]
 
 
 def test_fit(blender: ModuleType, table) -> None:

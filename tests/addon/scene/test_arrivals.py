@@ -87,7 +87,7 @@ def test_objects_of_another_scene_are_shown_too(blender: ModuleType, run) -> Non
 def test_a_node_that_was_taken_out_stays_out(blender: ModuleType, brought) -> None:
     from roigs_addon.scene import compositor
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, _ = brought("append")
     blender.data.node_groups.remove(compositor.find(scene))
@@ -104,7 +104,7 @@ def test_a_node_that_was_taken_out_stays_out(blender: ModuleType, brought) -> No
 def test_a_missing_file_is_named(blender: ModuleType, brought, engine, tmp_path: Path) -> None:
     from roigs_addon import rendering
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, folder = brought("append")
     file = folder / "rois" / "thing.ply"

@@ -7,7 +7,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.addon.scene.test_cameras import ROOTS, new_root
+from tests.addon.roots import ROOTS, new_root
 
 pytestmark = pytest.mark.blender
 
@@ -31,7 +31,7 @@ def half_sides(bpy: ModuleType, roi) -> np.ndarray:
 
 def clicked(bpy: ModuleType):
     """A box as the button adds it, around a mesh of sides 1, 2 and 4."""
-    from tests.addon.scene.test_rois import cube
+    from tests.addon.boxes import cube
 
     cube(bpy).select_set(True)
     bpy.ops.roigs.add_roi(for_script=False)
@@ -65,7 +65,7 @@ def test_a_moved_face(blender: ModuleType, addon: ModuleType, kind: str, parent:
     """Also of a box that a script, or an older version, has sized by `scale`."""
     from mathutils import Euler, Matrix
 
-    from tests.addon.operators.test_box_tools import bounds
+    from tests.addon.boxes import bounds
 
     new_root(blender, kind)
     blender.context.view_layer.update()
@@ -94,7 +94,7 @@ def test_a_moved_face(blender: ModuleType, addon: ModuleType, kind: str, parent:
 
 
 def test_fit(blender: ModuleType, addon: ModuleType) -> None:
-    from tests.addon.operators.test_box_tools import points_of
+    from tests.addon.boxes import points_of
 
     root, random = new_root(blender, "turned and scaled"), np.random.default_rng(0)
     roi = corners_box(blender)

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.geometry.test_frames import rotation
+from tests.addon.roots import ROOTS, new_root
 from tests.poses import Y_DOWN, look_at
 
 pytestmark = pytest.mark.blender
@@ -21,7 +21,6 @@ SHAPES = [
     (3000, 4000, 2800.0, 3500.0, 1222.5, 2345.75),
     (1920, 1080, 900.0, 1500.0, 10.0, 1070.0),
 ]
-ROOTS = ["plain", "turned", "scaled", "turned and scaled"]
 
 
 def photo(shape: tuple, pose: np.ndarray):
@@ -35,23 +34,6 @@ def photo(shape: tuple, pose: np.ndarray):
         intrinsics=Intrinsics(**dict(zip(keys, shape, strict=True))),
         world_to_camera=tuple(tuple(row) for row in pose.tolist()),
     )
-
-
-def new_root(bpy: ModuleType, kind: str):
-    from mathutils import Matrix
-
-    root = bpy.data.objects.new("root", None)
-    bpy.context.scene.collection.objects.link(root)
-    random = np.random.default_rng(4)
-    matrix = np.eye(4)
-    if "turned" in kind:
-        matrix[:3, :3] = rotation(random)
-        matrix[:3, 3] = 3, -2, 1
-    if "scaled" in kind:
-        matrix[:3, :3] *= 2.7
-    root.matrix_world = Matrix(matrix.tolist())
-    bpy.context.scene.roigs.root = root
-    return root
 
 
 def new_camera(bpy: ModuleType, shape: tuple, pose: np.ndarray, root):

@@ -10,27 +10,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roigs_engine.formats.splat_ply import read_ply, write_ply
-from tests.addon.scene.test_earlier_results import PARTS, archive, files
-from tests.addon.scene.test_edits import choose, cut
+from roigs_engine.formats.splat_ply import write_ply
+from tests.addon.panels import Layout, stand_in
+from tests.addon.results import choose, cut, files
 from tests.addon.splat_cases import random_arrays, random_ply
-from tests.addon.ui.test_panels import Layout, stand_in
 
 pytestmark = pytest.mark.blender
-
-
-@pytest.fixture
-def two(blender: ModuleType, run):
-    """The last result, which is shown, and an earlier one."""
-    scene, folder = run
-    older = archive(folder)
-    for part in PARTS:
-        copy = shutil.copytree if (older / part).is_dir() else shutil.copy
-        copy(older / part, folder / part)
-    for seed, path in enumerate(sorted(older.rglob("*.ply"))):  # as many, but other Gaussians
-        random_ply(path, len(read_ply(path)["means"]), seed=70 + seed)
-    blender.ops.roigs.load_results()
-    return scene, folder, older
 
 
 def test_a_and_b(blender: ModuleType, two) -> None:
@@ -287,7 +272,7 @@ def test_without_another_result_there_is_no_compare(blender: ModuleType, run) ->
 
 def test_clean_up(blender: ModuleType, two) -> None:
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     _, folder, older = two
     assert not blender.ops.roigs.clean_up.poll()

@@ -8,8 +8,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.scene.test_compared import two  # noqa: F401 - a fixture
-
 pytestmark = pytest.mark.blender
 
 
@@ -29,7 +27,7 @@ def look(bpy: ModuleType, scene) -> dict[str, tuple[bool, bool]]:
 
 
 @pytest.mark.parametrize("state", ["loaded", "coarse", "parked", "preview"])
-def test_alt_h_shows_nothing_that_the_addon_hides(blender: ModuleType, two, state: str) -> None:  # noqa: F811
+def test_alt_h_shows_nothing_that_the_addon_hides(blender: ModuleType, two, state: str) -> None:
     from roigs_addon.scene import lookup, splats
 
     scene, folder, older = two
@@ -47,7 +45,7 @@ def test_alt_h_shows_nothing_that_the_addon_hides(blender: ModuleType, two, stat
     assert look(blender, scene) == before
 
 
-def test_what_the_user_hides_is_shown_by_alt_h_only(blender: ModuleType, two) -> None:  # noqa: F811
+def test_what_the_user_hides_is_shown_by_alt_h_only(blender: ModuleType, two) -> None:
     scene, folder, _ = two
     item = scene.objects["thing Gaussians"]
     item.hide_set(True)
@@ -72,7 +70,7 @@ def as_before(scene, *hidden: str) -> None:
 
 
 @pytest.mark.parametrize("shown", ["Gaussians", "coarse"])
-def test_files_of_the_version_before(blender: ModuleType, two, shown: str) -> None:  # noqa: F811
+def test_files_of_the_version_before(blender: ModuleType, two, shown: str) -> None:
     from roigs_addon.scene import lookup
 
     scene, folder, _ = two
@@ -89,7 +87,7 @@ def test_files_of_the_version_before(blender: ModuleType, two, shown: str) -> No
     assert visible(scene) == {"Background", f"thing {other}"}
 
 
-def test_what_was_parked_by_the_version_before(blender: ModuleType, two) -> None:  # noqa: F811
+def test_what_was_parked_by_the_version_before(blender: ModuleType, two) -> None:
     scene, folder, older = two
     for part in ("rois", "coarse"):
         (older / part / "thing.ply").unlink()
@@ -108,9 +106,9 @@ def test_what_was_parked_by_the_version_before(blender: ModuleType, two) -> None
 
 
 @pytest.mark.parametrize("linked", [True, False])
-def test_copies(blender: ModuleType, two, linked: bool) -> None:  # noqa: F811
+def test_copies(blender: ModuleType, two, linked: bool) -> None:
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     bpy, (scene, _, _) = blender, two
     bpy.ops.roigs.select_gaussians(name="thing Gaussians")
@@ -148,7 +146,7 @@ def frame_of(item) -> np.ndarray:
     return edits.frame_of(item)
 
 
-def test_without_a_coarse_model_the_fine_one_stays(blender: ModuleType, two) -> None:  # noqa: F811
+def test_without_a_coarse_model_the_fine_one_stays(blender: ModuleType, two) -> None:
     scene, folder, _ = two
     (folder / "coarse" / "thing.ply").unlink()
     blender.ops.roigs.load_results()
@@ -157,7 +155,7 @@ def test_without_a_coarse_model_the_fine_one_stays(blender: ModuleType, two) -> 
     assert visible(scene) == {"Background", "thing Gaussians"}
 
 
-def test_a_hidden_object_without_parent_is_placed_too(blender: ModuleType, two) -> None:  # noqa: F811
+def test_a_hidden_object_without_parent_is_placed_too(blender: ModuleType, two) -> None:
     from roigs_addon.scene import placement
 
     item = two[0].objects["thing coarse"]
@@ -169,8 +167,8 @@ def test_a_hidden_object_without_parent_is_placed_too(blender: ModuleType, two) 
     np.testing.assert_allclose(item.location, np.add(before, (1, 2, 3)), atol=1e-5)
 
 
-def test_the_sparse_points_have_a_switch(blender: ModuleType, two) -> None:  # noqa: F811
+def test_the_sparse_points_have_a_switch(blender: ModuleType, two) -> None:
     from roigs_addon.ui.scene import ScenePanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     assert Path(two[1]).is_dir() and "Sparse points" in said(blender, ScenePanel)

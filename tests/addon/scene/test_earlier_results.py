@@ -9,23 +9,9 @@ from types import ModuleType
 
 import pytest
 
+from tests.addon.results import PARTS, archive, files
+
 pytestmark = pytest.mark.blender
-PARTS = ("result.ply", "background.ply", "rois", "coarse")
-MORE = ("report.json", "settings.json")
-
-
-def archive(folder: Path, name: str = "results-abcdef12") -> Path:
-    """Archive the results of a run folder, as a training with other settings does."""
-    place = folder / "archive" / name
-    place.mkdir(parents=True)
-    for part in (*PARTS, *MORE):
-        if (folder / part).exists():
-            (folder / part).rename(place / part)
-    return place
-
-
-def files(scene) -> set[Path]:
-    return {Path(o.roigs.ply) for o in scene.objects if o.roigs.kind == "SPLATS"}
 
 
 def test_what_is_shown_stays_when_a_new_training_starts(blender: ModuleType, run) -> None:
@@ -97,7 +83,7 @@ def test_an_earlier_result_is_deleted(blender: ModuleType, run) -> None:
 def test_the_panel_lists_them(blender: ModuleType, run) -> None:
     from roigs_addon.facts import run_facts
     from roigs_addon.ui.result import ResultPanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     scene, folder = run
     assert not any("Earlier results" in text for text in said(blender, ResultPanel))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.splat_ply import is_antialiased, read_ply
+from tests.addon.results import choose, cut
 from tests.addon.splat_cases import random_arrays, random_ply
 
 pytestmark = pytest.mark.blender
@@ -27,28 +28,12 @@ def background(blender: ModuleType, run):
     return item
 
 
-def choose(bpy: ModuleType, item, chosen) -> None:
-    """Select points of an object in edit mode, where it stays."""
-    bpy.ops.object.mode_set(mode="OBJECT")
-    item.data.vertices.foreach_set("select", np.isin(np.arange(len(item.data.vertices)), chosen))
-    bpy.ops.object.mode_set(mode="EDIT")
-    bpy.ops.mesh.select_mode(type="VERT")
-
-
 def drawn(item) -> dict[str, np.ndarray]:
     """The Gaussians that the viewport draws for an object."""
     from roigs_addon.viewport.objects import marked
 
     (found,) = marked([item])
     return read_ply(found.file.path)
-
-
-def cut(bpy: ModuleType, item, chosen) -> None:
-    """Delete points of an object."""
-    bpy.ops.roigs.select_gaussians(name=item.name)
-    choose(bpy, item, chosen)
-    bpy.ops.mesh.delete(type="VERT")
-    bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def assert_rows(got: dict[str, np.ndarray], rows: object) -> None:

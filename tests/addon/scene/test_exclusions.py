@@ -8,8 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from tests.addon.panels import said
 from tests.addon.scenes import imported, options, ready
-from tests.addon.ui.test_panels import said
 
 pytestmark = pytest.mark.blender
 

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.scene.test_rois import add_roi
+from tests.addon.boxes import add_roi
 from tests.addon.scenes import imported
 
 pytestmark = pytest.mark.blender

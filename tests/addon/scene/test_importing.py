@@ -192,7 +192,7 @@ def test_a_model_in_map_coordinates_is_warned_of(
     from roigs_addon.jobs import current
     from roigs_addon.jobs.spec import IMPORTING
     from roigs_addon.ui.scene import ScenePanel
-    from tests.addon.ui.test_panels import said
+    from tests.addon.panels import said
 
     imported(blender, write_project(tmp_path / "near"))
     assert not current.warnings(IMPORTING)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.addon.levels_cases import FAR, NEAR, age, make_levels
-from tests.addon.scene.test_compared import two  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.blender
 
@@ -182,7 +181,7 @@ def test_quality_and_scale_move_the_switch(levelled) -> None:
     assert drawn(scene) == {2: 1.0}
 
 
-def test_an_earlier_result_has_its_own(blender: ModuleType, two) -> None:  # noqa: F811
+def test_an_earlier_result_has_its_own(blender: ModuleType, two) -> None:
     scene, folder, older = two
     make_levels(older, rate=FAR)
     assert not files(scene, "Background")

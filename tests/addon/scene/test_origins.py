@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -9,9 +10,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.splat_ply import read_ply, write_ply
-from tests.addon.scene.test_compared import PARTS, shutil
-from tests.addon.scene.test_earlier_results import archive
-from tests.addon.scene.test_edits import cut
+from tests.addon.results import PARTS, archive, cut
 from tests.addon.splat_cases import random_arrays
 
 pytestmark = pytest.mark.blender

@@ -9,27 +9,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.addon.scene.test_cameras import new_root
+from tests.addon.boxes import add_roi, cube
+from tests.addon.roots import new_root
 
 pytestmark = pytest.mark.blender
-
-
-def add_roi(bpy: ModuleType):
-    bpy.ops.roigs.add_roi()
-    bpy.context.view_layer.update()
-    return bpy.context.active_object
-
-
-def cube(bpy: ModuleType, location=(1.0, 2.0, 3.0), sides=(1.0, 2.0, 4.0)):
-    mesh = bpy.data.meshes.new("cube")
-    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * sides
-    mesh.from_pydata(corners.tolist(), [], [])
-    item = bpy.data.objects.new("cube", mesh)
-    item.location = location
-    bpy.context.scene.collection.objects.link(item)
-    bpy.context.view_layer.objects.active = item
-    bpy.context.view_layer.update()
-    return item
 
 
 def written(scene, folder: Path) -> np.ndarray:

@@ -17,8 +17,8 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from tests.engine.batch.clusters import EACH, a_cluster, engines
+from tests.engine.batches import contents, table_of
 from tests.engine.commands.command_line import BOX, python, start
-from tests.engine.commands.test_batch import contents, table_of
 from tests.engine.synthetic_colmap import write_project
 
 KILLS, SEED, SCENES = 20, 4, 12

@@ -23,8 +23,8 @@ from roigs_engine.cli import main
 from roigs_engine.context import Context
 from roigs_engine.errors import ConfigError
 from tests.engine.batch.clusters import EACH, a_cluster, engines
+from tests.engine.batches import contents
 from tests.engine.commands.command_line import BOX, refused, start
-from tests.engine.commands.test_batch import contents
 from tests.engine.synthetic_colmap import write_project
 
 SCENES = ("hall", "attic")

@@ -15,9 +15,9 @@ from roigs_engine.batch.engine_process import FAILED, LOST, STOPPED, Outcome
 from roigs_engine.batch.staged import stored_run
 from roigs_engine.cli import main
 from roigs_engine.storage.room import keep, make_room
+from tests.engine.batches import contents, table_of
 from tests.engine.commands.command_line import refused
 from tests.engine.commands.forked_engines import forked_engines
-from tests.engine.commands.test_batch import contents, table_of
 from tests.engine.synthetic_colmap import write_project
 
 __all__ = ["forked_engines"]

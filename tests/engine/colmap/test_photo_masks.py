@@ -16,7 +16,7 @@ from roigs_engine.formats.events import Event, Message
 from roigs_engine.photos.decode import load_photo
 from roigs_engine.photos.mask_images import MaskError, load_mask
 from roigs_engine.photos.mask_paths import MaskOptions
-from tests.engine.colmap.test_undistort import distorted
+from tests.engine.colmap.distorted import distorted
 from tests.engine.synthetic_colmap import camera, write_project
 
 NAMES = ("sub/a.png", "b.png", "c.png")

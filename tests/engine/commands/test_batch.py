@@ -12,25 +12,13 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.formats import run_files
 from roigs_engine.formats.splat_ply import read_ply
+from tests.engine.batches import contents, table_of
 from tests.engine.commands.command_line import refused, start
 from tests.engine.commands.forked_engines import forked_engines
-from tests.engine.killing import timeless
 from tests.engine.synthetic_colmap import write_project
 
 NAMES = [f"{k}.png" for k in range(10)]
-HEAD = """\
-[defaults]
-steps-factor = 0.003
-test-every = 4
-device = "cpu"
-outputs = ["compressed.ply"]
-"""
 __all__ = ["forked_engines"]
-NO_BYTES = {"events.jsonl", "provenance.json", "report.md", "report.html", "settings.json"}
-
-
-def box(name: str, low: float, high: float) -> dict[str, object]:
-    return {"name": name, "min": [low] * 3, "max": [high] * 3}
 
 
 @pytest.fixture(scope="module")
@@ -39,35 +27,6 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("hall", "attic"):
         write_project(folder / name, names=NAMES, dots=True)
     return folder
-
-
-def table_of(folder: Path, scans: Path, *, high: float = 0.5, seed: int = 0) -> Path:
-    """The table: a scene that is split, and one that is a single part."""
-    boxes = {
-        "hall": [box("vase", -0.5, high), box("lamp", -0.9, 0.1)],
-        "attic": [box("jar", -1, 1)],
-    }
-    for name, rois in boxes.items():
-        (folder / f"{name}.json").write_text(json.dumps({"rois": rois}), encoding="utf-8")
-    rows = [
-        f"[scenes.{name}]\nscene = '{scans / name}'\nrois = '{name}.json'\nseed = {seed}\n{more}"
-        for name, more in (("hall", "strategy = 'independent'\n"), ("attic", ""))
-    ]
-    path = folder / "museum.toml"
-    path.write_text("\n".join([HEAD, *rows]), encoding="utf-8")
-    return path
-
-
-def contents(folder: Path) -> dict[str, object]:
-    """File -> what it holds, without times."""
-    files = [p for p in folder.rglob("*") if p.is_file() and p.name not in NO_BYTES]
-    return {
-        str(p.relative_to(folder)): timeless(json.loads(p.read_bytes()))
-        if p.suffix == ".json" and p.name != "photos.json"
-        else p.read_bytes()
-        for p in files
-        if p.name != "photos.json"
-    }
 
 
 @pytest.fixture(scope="module")

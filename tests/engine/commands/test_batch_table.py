@@ -13,8 +13,8 @@ from roigs_engine.cli import main
 from roigs_engine.commands.batch_plan import plan_row
 from roigs_engine.commands.batch_table import Table
 from roigs_engine.commands.console import Console
+from tests.engine.clouds import cloud
 from tests.engine.commands.command_line import BOX, refused
-from tests.engine.rasterize.test_instances import cloud
 from tests.engine.synthetic_colmap import write_project
 
 EIGHT = [f"{k}.png" for k in range(8)]

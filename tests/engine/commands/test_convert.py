@@ -14,8 +14,8 @@ from roigs_engine.cli import main
 from roigs_engine.exchange.formats import is_antialiased
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
+from tests.engine.clouds import TURN, affine, cloud
 from tests.engine.commands.command_line import refused, start
-from tests.engine.rasterize.test_instances import TURN, affine, cloud
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from roigs_engine.formats.splat_ply import write_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import PosedImage
+from tests.engine.clouds import cloud
 from tests.engine.commands.command_line import BOX
-from tests.engine.rasterize.test_instances import cloud
 from tests.engine.synthetic_colmap import Project
 
 

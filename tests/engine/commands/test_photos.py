@@ -13,23 +13,9 @@ from roigs_engine.cli import main
 from roigs_engine.evaluation import evaluate
 from roigs_engine.formats import run_files
 from tests.engine.commands.command_line import BOX, refused
+from tests.engine.commands.photo_scenes import arguments, scene
 from tests.engine.runs import plys
-from tests.engine.synthetic_colmap import Project, camera, write_project
-
-LENS = camera("SIMPLE_RADIAL", 96, 72, [100.0, 48.0, 36.0, 0.05])
-
-
-def scene(
-    folder: Path, *, distorted: bool = False, suffix: str = "jpg", binary: bool = True
-) -> Project:
-    names = [f"{k}.{suffix}" for k in range(10)]
-    cameras = [LENS] if distorted else []
-    return write_project(folder / "scene", names=names, dots=True, cameras=cameras, binary=binary)
-
-
-def arguments(project: Project, run: Path, *more: str) -> list[str]:
-    tiny = ["--steps-factor", "0.003", "--test-every", "4", "--device", "cpu", "--compare"]
-    return ["run", str(project.folder), "--roi", BOX, "--run-dir", str(run), *tiny, *more]
+from tests.engine.synthetic_colmap import Project
 
 
 def split_of(run: Path) -> list[str]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from roigs_engine.cli import main
-from tests.engine.commands.test_photos import BOX, arguments, scene
+from tests.engine.commands.command_line import BOX
+from tests.engine.commands.photo_scenes import arguments, scene
 
 
 def test_a_run_writes_its_report_as_a_page(

@@ -31,36 +31,19 @@ from roigs_engine.run.stage_folder import StageFolder
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training import photo_views, trainer
 from roigs_engine.training.checkpoint import save_checkpoint
-from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.densification.adaptive import AdaptiveDensity
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from roigs_engine.training.trainer import Trainer
 from tests.engine import synthetic_scene
+from tests.engine.cuda.short import CONFIG, trained
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene, stage_data
-
-CONFIG = TrainConfig(
-    steps=8,
-    densify_from=2,
-    densify_until=6,
-    densify_every=2,
-    grad_threshold=1e-5,
-    contribution_every=0,
-    average_steps=0,
-)
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"), views=6)
-
-
-def trained(scene: SfmScene, config: TrainConfig = CONFIG) -> Trainer:
-    start = Gaussians.from_points(scene.points[::6], scene.colors[::6])
-    trainer = Trainer(start, stage_data(scene), config)
-    assert trainer.run()
-    return trainer
 
 
 # --- training ---

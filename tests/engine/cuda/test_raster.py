@@ -12,7 +12,7 @@ from roigs_engine.errors import EngineError, KernelError
 from roigs_engine.rasterize import RenderOutput, cuda, rasterize
 from roigs_engine.rasterize.limits import NO_LIMITS, TRAINING_LIMITS, Limits
 from tests.engine.cuda.shim import ShimProgram
-from tests.engine.rasterize.test_light_left import behind_a_haze, with_gradient
+from tests.engine.rasterize.walls import behind_a_haze, with_gradient
 from tests.engine.rasterize_cases import (
     BACKGROUND,
     cameras,

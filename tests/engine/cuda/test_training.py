@@ -16,10 +16,10 @@ from roigs_engine.training import trainer
 from roigs_engine.training.losses import photo_loss
 from roigs_engine.training.optimizer import VisibleAdam
 from tests.engine.cuda.shim import ShimProgram
-from tests.engine.cuda.test_device import CONFIG, trained
+from tests.engine.cuda.short import CONFIG, trained
 from tests.engine.rasterize_cases import cameras, gaussians, relative_error
 from tests.engine.synthetic_scene import make_scene
-from tests.engine.training.test_fused_step import keeps_what_others_hide
+from tests.engine.training.hidden import keeps_what_others_hide
 
 
 def picture(height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -16,15 +16,14 @@ from roigs_engine.evaluation.box_lines import box_lines
 from roigs_engine.evaluation.crops import STRIP, choose_views, crop_window, write_crops
 from roigs_engine.evaluation.evaluate import Evaluation, evaluate
 from roigs_engine.evaluation.scores import ModelScore, ViewScore
-from roigs_engine.evaluation.views import EvaluatedModel
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, SfmScene
 from roigs_engine.rasterize import rasterize, view
 from tests.engine.evaluation.tables import score
-from tests.engine.synthetic_scene import BOX, make_scene, truth
+from tests.engine.evaluation.two_models import TEST, two_models
+from tests.engine.synthetic_scene import BOX, make_scene
 
 CAMERA = Camera(width=80, height=60, fx=70.0, fy=75.0, cx=41.0, cy=28.5)
-TEST = ("000.png", "001.png", "002.png", "004.png")
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +41,6 @@ def evaluation(scene: SfmScene) -> Evaluation:
 @pytest.fixture(autouse=True)
 def _reference(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "rasterize", partial(rasterize, backend="reference"))
-
-
-def two_models() -> list[EvaluatedModel]:
-    worse = truth()
-    worse.sh[:, 0, 0] += 0.3
-    return [
-        EvaluatedModel(name="Full Scene", gaussians=worse, seconds=1.0),
-        EvaluatedModel(name="Ours", gaussians=truth(), seconds=1.0),
-    ]
 
 
 def scored(model: str, psnr: dict[str, float]) -> ModelScore:

@@ -7,48 +7,8 @@ import dataclasses
 from roigs_engine.evaluation.report import format_markdown
 from roigs_engine.evaluation.scores import (
     Evaluation,
-    MeasuredView,
-    ModelScore,
-    RoiScores,
-    ViewScore,
 )
-from tests.engine.evaluation.tables import cells, score
-
-
-def by_hand() -> Evaluation:
-    """A baseline and a model on four photos, whose numbers are made by hand."""
-
-    def row(name: str, psnr: list[float], **numbers: float | str | None) -> ModelScore:
-        views = tuple(
-            ViewScore(view=f"{k}.png", roi_psnr=value, roi_ssim=0.5, distance=float(4 - k))
-            for k, value in enumerate(psnr)
-        )
-        return score(name, views, **numbers)
-
-    base = row("plain", [20, 20, 20, 20], near_psnr=20.0, far_psnr=20.0)
-    ours = row(
-        *("ours", [19.5, 21, 22, 23]),
-        near_psnr=23.0,
-        near_object_psnr=24.0,
-        far_psnr=19.5,
-        won_share=0.75,
-        peak_gain=3.0,
-        peak_view="3.png",
-        worst_gain=-0.5,
-        worst_view="0.png",
-    )
-    views = tuple(
-        MeasuredView(
-            view=f"{k}.png",
-            silhouette_pixels=2000,
-            object_pixels=0,
-            camera_inside=False,
-            small=False,
-        )
-        for k in range(4)
-    )
-    box = RoiScores(roi="box", views=views, left_out=(), object_mask_from="ours", rows=(base, ours))
-    return Evaluation(test_views=tuple(v.view for v in views), baseline="plain", rois=(box,))
+from tests.engine.evaluation.tables import by_hand, cells
 
 
 def test_markdown_table_of_single_photos() -> None:

@@ -18,8 +18,8 @@ from roigs_engine.evaluation.report_pictures import Comparison, Shown, compariso
 from roigs_engine.evaluation.scores import Evaluation
 from tests import chromium
 from tests.chromium import browser
-from tests.engine.evaluation.test_crops import TEST, two_models
-from tests.engine.evaluation.test_report import by_hand
+from tests.engine.evaluation.tables import by_hand
+from tests.engine.evaluation.two_models import TEST, two_models
 from tests.engine.synthetic_scene import BOX, make_scene
 
 NASTY = "</style><script>document.title='broken'</script>\"' onload=\"alert(1)"

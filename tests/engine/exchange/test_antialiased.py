@@ -14,7 +14,7 @@ import pytest
 from roigs_engine.errors import ConfigError, RunFolderError
 from roigs_engine.exchange import formats, spz, streamed_sog
 from roigs_engine.formats.splat_ply import ANTIALIASED
-from tests.engine.exchange.test_formats import READABLE, TOOL, arrays, needed
+from tests.engine.exchange.format_cases import READABLE, TOOL, arrays, needed
 
 KEPT = [form for form in READABLE if form.keeps_antialiased]
 LINE = f"{ANTIALIASED}\n".encode()

@@ -6,11 +6,7 @@ OpenUSD by its validators, and its text by eye.
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from roigs_engine.exchange import formats
-from tests.engine.exchange.test_formats import arrays
+from tests.engine.exchange.format_cases import arrays, read_by
 
 SH_C0 = 0.28209479177387814
 
@@ -62,18 +58,6 @@ GlbParser.parse('a.glb', '', whole, device, { loader: {} }, {}, [khrGaussianSpla
     process.stdout.write(JSON.stringify(Object.fromEntries(found)), () => process.exit(0));
   });
 """
-
-
-def read_by(package: str, needed: str, script: str, path: Path) -> dict[str, np.ndarray]:
-    """What npm's package finds in a file; skips without it."""
-    folders = [folder for folder in os.environ.get("NODE_PATH", "").split(os.pathsep) if folder]
-    there = [folder for folder in folders if Path(folder, package, needed).is_file()]
-    if shutil.which("node") is None or not there:
-        pytest.skip(f"NODE_PATH has no {package} that reads Gaussians from glTF")
-    command = ["node", "--input-type=module", "-e", script, there[0], str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return {name: np.array(values) for name, values in json.loads(done.stdout).items()}
 
 
 def covariances(quats: np.ndarray, scales: np.ndarray) -> np.ndarray:

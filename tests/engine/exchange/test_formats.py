@@ -20,45 +20,7 @@ from roigs_engine.errors import ConfigError, EngineError, RunFolderError, Stoppe
 from roigs_engine.exchange import axes, formats, gltf, packages
 from roigs_engine.exchange.moved import moved
 from roigs_engine.formats.splat_ply import read_ply, write_ply
-from roigs_engine.model.gaussians import Gaussians
-from roigs_engine.model.local_frame import LocalFrame
-from roigs_engine.rasterize.instances import Instance, render_instances
-from tests.engine.rasterize.test_instances import CAMERA, POSE, cloud, on_black
-
-NEEDS = {
-    "compressed_ply": ("gsply",),
-    "spz": ("gsply",),
-    "sog": ("gsply", "imagecodecs", "sklearn"),
-    "gltf": ("pygltflib",),
-    "usd": ("pxr",),
-    "page": ("gsply",),
-}
-READABLE = [form for form in formats.FORMATS if form.reads]
-LEAST = {".splat": 20.0, ".sog": 25.0, ".spz": 36.0, ".compressed.ply": 40.0}
-"""PSNR, dB, of small Gaussians with random colours, which no palette fits; others are exact."""
-
-
-def arrays(count: int = 400, seed: int = 0) -> dict[str, np.ndarray]:
-    """Gaussians in front of the camera."""
-    return cloud(count, seed).arrays()
-
-
-def needed(form: formats.FileFormat) -> None:
-    """Skip without the packages of a format."""
-    for name in NEEDS.get(form.module, ()):
-        pytest.importorskip(name)
-
-
-def picture(values: dict[str, np.ndarray]) -> np.ndarray:
-    """Of the model from the front."""
-    model = Instance(
-        gaussians=Gaussians.from_arrays(values), frame=LocalFrame.world(), matrix=np.eye(4)
-    )
-    return on_black(render_instances([model], CAMERA, POSE)).numpy()
-
-
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.square(a - b).mean() + 1e-12))
+from tests.engine.exchange.format_cases import LEAST, READABLE, TOOL, arrays, needed, picture, psnr
 
 
 @pytest.mark.parametrize("form", READABLE, ids=lambda form: form.suffix)
@@ -353,9 +315,6 @@ def test_damaged_files_are_one_line(form: formats.FileFormat, tmp_path: Path) ->
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(RunFolderError):
         formats.read(tmp_path / f"gone{form.suffix}")
-
-
-TOOL = shutil.which("splat-transform")
 
 
 def axis_up(suffix: str) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 
 from roigs_engine.errors import RunFolderError
 from roigs_engine.exchange import formats
-from tests.engine.exchange.test_formats import arrays
+from tests.engine.exchange.format_cases import arrays
 from tests.fuzz.exchange import glb_of, glb_parts
 
 NAME = "KHR_gaussian_splatting"

@@ -15,7 +15,7 @@ from roigs_engine.errors import ConfigError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.arrays import Arrays
 from roigs_engine.formats.splat_ply import read_ply, write_ply
-from tests.engine.exchange.test_formats import LEAST, READABLE, arrays, needed, picture, psnr
+from tests.engine.exchange.format_cases import LEAST, READABLE, arrays, needed, picture, psnr
 
 
 def converted(values: Arrays, form: formats.FileFormat, folder: Path, *, up: str) -> Path:

@@ -14,15 +14,7 @@ from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera
 from roigs_engine.rasterize.instances import Instance, render_instances
 from roigs_engine.rasterize.reference import sh_basis
-from tests.engine.rasterize.test_instances import (
-    CAMERA,
-    POSE,
-    TURN,
-    affine,
-    cloud,
-    on_black,
-    placed,
-)
+from tests.engine.clouds import CAMERA, POSE, TURN, affine, cloud, on_black, placed
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 

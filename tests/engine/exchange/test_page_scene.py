@@ -20,11 +20,11 @@ from roigs_engine.exchange.page_views import Ball, viewpoint
 from roigs_engine.formats.gravity import gravity_alignment
 from roigs_engine.formats.splat_ply import write_ply
 from tests.engine import synthetic_colmap
+from tests.engine.clouds import cloud
 from tests.engine.page_cases import (
     arrays,
     description,
 )
-from tests.engine.rasterize.test_instances import cloud
 from tests.engine.synthetic_colmap import ring, write_project
 
 pytest.importorskip("gsply")

@@ -17,7 +17,7 @@ from scipy.special import sph_harm_y
 from roigs_engine.cli import main
 from roigs_engine.exchange import formats
 from roigs_engine.formats.splat_ply import read_ply, write_ply
-from tests.engine.exchange.test_formats import READABLE, arrays, needed
+from tests.engine.exchange.format_cases import READABLE, arrays, needed
 
 Arrays = dict[str, np.ndarray]
 POINTS_UP = {"-y": [0, -1, 0], "y": [0, 1, 0], "z": [0, 0, 1]}

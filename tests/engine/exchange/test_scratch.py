@@ -12,7 +12,7 @@ import pytest
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats
 from roigs_engine.exchange.scratch import scratch
-from tests.engine.exchange.test_formats import arrays, needed
+from tests.engine.exchange.format_cases import arrays, needed
 from tests.engine.other_process import in_the_middle
 
 SMALL = """\

@@ -18,9 +18,8 @@ from roigs_engine.formats.levels import Ladder, Level, write_ladders
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.splat_ply import write_ply
 from tests.engine.commands.command_line import refused
+from tests.engine.exchange.format_cases import arrays, read_by
 from tests.engine.exchange.small_sogs import small, written
-from tests.engine.exchange.test_foreign import read_by
-from tests.engine.exchange.test_formats import arrays
 from tests.engine.killing import killed_everywhere, tree
 
 OCTREE = """\

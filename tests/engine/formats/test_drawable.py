@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.formats.drawable import CERTAIN, FLAT, drawable, usable
-from tests.engine.formats.test_splat_ply import arrays
+from tests.engine.formats.gaussian_arrays import arrays
 
 
 @pytest.mark.parametrize(

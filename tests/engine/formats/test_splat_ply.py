@@ -12,18 +12,7 @@ from hypothesis import strategies as st
 from roigs_engine.errors import RunFolderError
 from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
 from roigs_engine.model.gaussians import NAMES, Gaussians
-
-
-def arrays(count: int = 7, bands: int = 16, seed: int = 0) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    shapes = {
-        "means": (count, 3),
-        "quats": (count, 4),
-        "log_scales": (count, 3),
-        "logit_opacities": (count,),
-        "sh": (count, bands, 3),
-    }
-    return {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+from tests.engine.formats.gaussian_arrays import arrays
 
 
 def write_foreign(

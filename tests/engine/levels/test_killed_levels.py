@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.engine.killing import Moment, engine
-from tests.engine.levels.test_levels import cloud
+from tests.engine.levels.balls import cloud
 from tests.engine.synthetic_colmap import camera, write_project
 
 MOMENTS = (

@@ -23,21 +23,9 @@ from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize.view import render_view
 from roigs_engine.training.trainer import Trainer
+from tests.engine.levels.balls import cloud
 
 LENS = Camera(width=144, height=108, fx=150.0, fy=150.0, cx=72.0, cy=54.0)
-
-
-def cloud(count: int, seed: int, *, size: float = 0.5, shift: float = 0.0) -> Gaussians:
-    """Small opaque Gaussians on a ball with soft stripes."""
-    rng = np.random.default_rng(seed)
-    places = rng.normal(size=(count, 3))
-    places *= size / np.linalg.norm(places, axis=1, keepdims=True)
-    places[:, 0] += shift
-    stripes = 128 + 100 * np.sin(6 * places / size + rng.uniform(0, 6, 3))
-    model = Gaussians.from_points(places, stripes.astype(np.uint8))
-    model.log_scales.fill_(float(np.log(size * 1.5 / np.sqrt(count))))
-    model.logit_opacities.fill_(2.0)
-    return model
 
 
 def around(count: int, distance: float = 2.5) -> list[PosedImage]:

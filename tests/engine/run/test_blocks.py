@@ -24,7 +24,7 @@ from roigs_engine.run.folder import train_run
 from roigs_engine.run.memory import cell_memory, stage_memory
 from roigs_engine.run.side_by_side import train_stage
 from roigs_engine.run.strategies import plan_run
-from tests.engine.run.test_object_masks import masked
+from tests.engine.run.masked import masked
 from tests.engine.runs import opened, plys, tiny, train
 from tests.engine.two_rooms import APART, BOXES, two_rooms
 

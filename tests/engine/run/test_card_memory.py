@@ -25,7 +25,7 @@ from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.cuda.pretend_card import FAR, PretendCard, use
 from tests.engine.cuda.shim import ShimProgram, compiled
-from tests.engine.run.test_memory import CAMERA, GB, ONE, posed
+from tests.engine.run.large_photos import CAMERA, GB, ONE, posed
 from tests.engine.runs import tiny
 from tests.engine.synthetic_scene import BOX, make_scene
 

@@ -15,31 +15,15 @@ import pytest
 from PIL import Image
 
 from roigs_engine.errors import SceneError
-from roigs_engine.model.scene import Camera, PosedImage
+from roigs_engine.model.scene import PosedImage
 from roigs_engine.photos import cache as photo_cache
 from roigs_engine.photos.cache import PhotoCache
 from roigs_engine.run import memory
 from roigs_engine.run.memory import plan_memory
 from roigs_engine.run.presets import preset
 from roigs_engine.training.photo_order import shuffled
+from tests.engine.run.large_photos import CAMERA, GB, ONE, posed
 from tests.engine.synthetic_colmap import camera, write_project
-
-CAMERA = Camera(width=6000, height=4000, fx=5000.0, fy=5000.0, cx=3000.0, cy=2000.0)
-ONE = 3 * 6000 * 4000
-GB = 10**9
-
-
-def posed(count: int, lens: Camera = CAMERA) -> list[PosedImage]:
-    return [
-        PosedImage(
-            name=f"{k}.jpg",
-            path=Path(f"{k}.jpg"),
-            camera=lens,
-            world_to_camera=np.eye(4),
-            point_indices=np.zeros(0, np.int64),
-        )
-        for k in range(count)
-    ]
 
 
 def test_2000_photos_of_24_megapixels_stay_in_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:

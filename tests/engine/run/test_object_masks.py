@@ -15,7 +15,6 @@ from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.ownership import owners
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import Camera, PhotoMask, PosedImage, SfmScene
-from roigs_engine.photos.mask_images import write_mask
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.plan import MERGE, POINTS, Source, Stage, result_of
@@ -23,28 +22,13 @@ from roigs_engine.run.renaming import with_names
 from roigs_engine.run.strategies import plan_run
 from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.photo_order import PhotoOrder
+from tests.engine.run.masked import masked
 from tests.engine.runs import plys, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
 # Before there were masks of objects.
 SCENE = "14fcf29c764948dfb8e094091fa1ad1631eee4ea1eac60a832cde0fdb19813e2"
 JOINT = "18755b5f6b9701678d164bdbbd4e522ceca427029b895773eae55bac937a0433"
-
-
-def masked(scene: SfmScene, folder: Path, box: str = "thing") -> SfmScene:
-    """Every second photo has a mask: the left half of the picture is the object."""
-    height, width = scene.images[0].camera.height, scene.images[0].camera.width
-    mask = np.zeros((height, width), bool)
-    mask[:, : width // 2] = True
-    path = folder / "object.png"
-    write_mask(path, mask)
-    small = np.where(mask, np.uint8(255), np.uint8(0))
-    made = PhotoMask(digest="half", path=path, remake=lambda: write_mask(path, mask), small=small)
-    images = tuple(
-        replace(image, objects={box: made}) if k % 2 else image
-        for k, image in enumerate(scene.images)
-    )
-    return replace(scene, images=images)
 
 
 @pytest.fixture(scope="module")

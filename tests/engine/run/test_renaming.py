@@ -14,8 +14,7 @@ from roigs_engine.formats.files import read_json, write_json
 from roigs_engine.formats.levels import Ladder, Level, read_ladders, write_ladders
 from roigs_engine.model.scene import SfmScene
 from roigs_engine.run.renaming import renamed_boxes, with_names
-from tests.engine.run.test_update import SECOND, production
-from tests.engine.runs import plys, train
+from tests.engine.runs import SECOND, plys, production, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
 NAMED = replace(BOX, name="pot")

@@ -15,27 +15,21 @@ from roigs_engine.formats.clean_up import removable
 from roigs_engine.formats.events import Event, Message, Preview
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
-from roigs_engine.run.config import RunConfig
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.manifest import manifest_difference
 from roigs_engine.run.photo_sets import PhotoSets
 from roigs_engine.selection import METHODS, SelectionConfig, select_cameras
 from roigs_engine.selection.manual import load_manual
 from roigs_engine.training.checkpoint import checkpoint_fingerprint, load_checkpoint
-from tests.engine.runs import opened, plys, tiny, train
+from tests.engine.runs import SECOND, opened, plys, production, tiny, train
 from tests.engine.synthetic_scene import BOX, make_scene
 
 MOVED = OrientedBox.axis_aligned("thing", [-0.4, -0.6, -0.6], [0.7, 0.6, 0.6])
-SECOND = OrientedBox.axis_aligned("second", [-0.2, -0.2, -0.2], [0.5, 0.5, 0.5])
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> SfmScene:
     return make_scene(tmp_path_factory.mktemp("photos"))
-
-
-def production(strategy: str = "joint", **changes: object) -> RunConfig:
-    return tiny(strategy, test_every=0, kept_share=1.0, **changes)
 
 
 def stage(folder: Path, name: str) -> str:

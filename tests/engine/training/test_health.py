@@ -20,7 +20,7 @@ from roigs_engine.training.config import TrainConfig
 from roigs_engine.training.health import Health
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import make_scene, stage_data
-from tests.engine.training.test_trainer import SHORT, first_model, same_bits
+from tests.engine.training.short import SHORT, first_model, same_bits
 
 STEP = 33  # where something goes wrong; Gaussians are added every ten steps
 

@@ -25,17 +25,8 @@ from roigs_engine.training.masks import RoiMasks
 from roigs_engine.training.stage_data import StageData
 from roigs_engine.training.trainer import Trainer
 from tests.engine.synthetic_scene import BOX, make_scene, small_photos, stage_data
+from tests.engine.training.short import SHORT, first_model, same_bits
 
-SHORT = TrainConfig(
-    steps=60,
-    sh_every=20,
-    densify_from=10,
-    densify_until=50,
-    densify_every=10,
-    grad_threshold=1e-5,
-    reset_every=30,
-    contribution_every=20,
-)
 RESTING = TrainConfig(steps=20, densify_until=0)
 SMALL_FIRST = replace(SHORT, contribution_every=0, full_every=3, outside_rate=2.0, small_until=25)
 AVERAGED = replace(SHORT, densify_until=30, contribution_every=0, average_steps=25)
@@ -52,10 +43,6 @@ def two_sizes(scene: SfmScene) -> StageData:
     """Photos with masks, and the same at half their size."""
     masks = RoiMasks(scene.images, [BOX], range(len(scene.images)))
     return stage_data(scene, small=small_photos(scene), masks=masks)
-
-
-def first_model(scene: SfmScene) -> Gaussians:
-    return Gaussians.from_points(scene.points[::3], scene.colors[::3])
 
 
 def floater(scene: SfmScene) -> np.ndarray:
@@ -76,13 +63,6 @@ def one_side(scene: SfmScene) -> StageData:
     images = scene.images[:4]
     order = photo_order.shuffled(range(4), 3)
     return stage_data(scene, images=images, photos=PhotoCache(images), photo_at=order, rois=[BOX])
-
-
-def same_bits(a: Gaussians, b: Gaussians) -> bool:
-    return all(
-        torch.equal(*(getattr(model, n).detach().view(torch.int32) for model in (a, b)))
-        for n in NAMES
-    )
 
 
 def mean_loss(trainer: Trainer, steps: int) -> float:

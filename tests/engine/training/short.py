@@ -1,0 +1,31 @@
+"""A training of a second."""
+
+from __future__ import annotations
+
+import torch
+
+from roigs_engine.model.gaussians import NAMES, Gaussians
+from roigs_engine.model.scene import SfmScene
+from roigs_engine.training.config import TrainConfig
+
+SHORT = TrainConfig(
+    steps=60,
+    sh_every=20,
+    densify_from=10,
+    densify_until=50,
+    densify_every=10,
+    grad_threshold=1e-5,
+    reset_every=30,
+    contribution_every=20,
+)
+
+
+def first_model(scene: SfmScene) -> Gaussians:
+    return Gaussians.from_points(scene.points[::3], scene.colors[::3])
+
+
+def same_bits(a: Gaussians, b: Gaussians) -> bool:
+    return all(
+        torch.equal(*(getattr(model, n).detach().view(torch.int32) for model in (a, b)))
+        for n in NAMES
+    )
