@@ -44,15 +44,15 @@ RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else
 """For a path that may begin with `//`; earlier Blenders need no such option."""
 
 PAIRS = (
-    ("auto", "Auto", "All pairs of few photos, else the photos that look alike"),
+    ("auto", "Auto", "All pairs if there are few photos, otherwise the most similar ones"),
     ("all", "All", "Every pair: slow with many photos"),
-    ("similar", "Similar", "Each photo with those that look most alike"),
+    ("similar", "Similar", "Each photo with the most similar ones"),
     ("ordered", "Ordered", "Photos in the order of their names: each with its neighbours"),
 )
 SHARED_CAMERAS = (
     ("auto", "Auto", "Photos of one device, lens, focal length and size share a camera"),
     ("one", "One", "All photos of one size share a camera"),
-    ("each", "Each", "Each photo has a camera of its own"),
+    ("each", "Each", "Each photo has its own camera"),
 )
 LEVELS = (
     ("RESULT", "Result", "Scene and boxes"),
@@ -187,7 +187,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="Project Folder",
         subtype="DIR_PATH",
         options=RELATIVE,
-        description="Where the COLMAP project of the photos goes; what is there is resumed"
+        description="Folder for the COLMAP project of the photos; an unfinished one is resumed"
         " (empty: beside the photos)",
     )
     masks: StringProperty(
@@ -257,7 +257,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     antialiased: BoolProperty(
         name="Anti-aliased",
         default=True,
-        description="Sharp from near and from afar. Turn it off for viewers that do not know"
+        description="Sharp from near and far. Turn it off for viewers without support for"
         " anti-aliased Gaussians",
     )
     max_side: IntProperty(
@@ -274,8 +274,7 @@ class RoigsScene(bpy.types.PropertyGroup):
         name="Test Photos",
         default=0,
         min=0,
-        description="Keep one photo in so many out of training, to measure with: 8 is one in eight;"
-        " 0: none",
+        description="Hold out one photo in so many to measure quality: 8 is one in eight; 0: none",
     )
     excluded: CollectionProperty(
         type=RoigsExcludedPhoto, description="Photos that are neither selected nor trained on"
@@ -307,7 +306,7 @@ class RoigsScene(bpy.types.PropertyGroup):
     use_levels: BoolProperty(
         name="Levels of Detail",
         default=True,
-        description="Draw fewer Gaussians of what is far away, in the 3D view and in renders",
+        description="Draw fewer Gaussians for distant parts, in the 3D view and in renders",
     )
     level_quality: FloatProperty(
         name="Quality",
@@ -315,8 +314,8 @@ class RoigsScene(bpy.types.PropertyGroup):
         min=0.25,
         max=4.0,
         precision=2,
-        description="A higher value keeps finer levels longer; 1 shows a coarser one where the"
-        " difference is hardly visible",
+        description="A higher value keeps finer levels longer; 1 switches to a coarser one where"
+        " the difference is hardly visible",
     )
 
 

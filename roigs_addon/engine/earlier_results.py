@@ -71,7 +71,7 @@ def delete(run: Path, name: str) -> None:
     """
     known = {result.folder.name: result.folder for result in earlier_results(run)}
     if name not in known:
-        raise AddonError("This result is gone already.")
+        raise AddonError("This result was deleted already.")
     try:
         shutil.rmtree(known[name])
     except OSError as error:

@@ -18,7 +18,9 @@ ENDED = "The engine ended while rendering."
 SILENT_SECONDS = 600.0
 """A frame without a sign of life for so long is given up. The longest silence of an engine that
 works is the reading of one model, or the drawing of one frame."""
-HUNG = "The render lacks the Gaussians: the engine was silent for {:.0f} minutes, and was ended."
+HUNG = (
+    "The render lacks the Gaussians: the engine did not respond for {:.0f} minutes and was ended."
+)
 
 
 class FrameEngine:

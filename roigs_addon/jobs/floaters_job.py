@@ -79,7 +79,7 @@ def _written(
     mesh = mesh_of(item)
     found = cloud_of(mesh)
     if found is None:
-        raise AddonError(f"'{item.name}' is no object of Gaussians any more. Import it again.")
+        raise AddonError(f"'{item.name}' is no longer an object of Gaussians. Import it again.")
     cloud, applied = found
     path = folder / f"{NAME}-{mesh.session_uid}.ply"
     write_splats(path, cloud)

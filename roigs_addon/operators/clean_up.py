@@ -64,9 +64,7 @@ class CleanUpTool(bpy.types.Operator):
     """Base of the operators that choose Gaussians by a rule."""
 
     action: EnumProperty(name="Action", items=ACTIONS, options=FRESH)
-    extend: BoolProperty(
-        name="Extend", description="Keep what is selected already, too", options=FRESH
-    )
+    extend: BoolProperty(name="Extend", description="Keep the earlier selection", options=FRESH)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -91,8 +89,8 @@ class CleanUpTool(bpy.types.Operator):
 
 
 class ChooseByBox(CleanUpTool):
-    """Select or delete Gaussians by where the boxes are. Works on the selected Gaussian objects; \
-if none is selected, on all that are visible"""
+    """Select or delete Gaussians inside or outside the boxes. Works on the selected Gaussian \
+objects, or else on all visible ones"""
 
     bl_idname = "roigs.choose_by_box"
     bl_label = "Gaussians by Box"
@@ -101,8 +99,8 @@ if none is selected, on all that are visible"""
     where: EnumProperty(
         name="Where",
         items=[
-            ("OUTSIDE", "Outside All Boxes", "Those whose centre is in no box"),
-            ("INSIDE", "Inside the Active Box", "Those whose centre is in the active box"),
+            ("OUTSIDE", "Outside All Boxes", "Gaussians whose centre is in no box"),
+            ("INSIDE", "Inside the Active Box", "Gaussians whose centre is in the active box"),
         ],
         options=FRESH,
     )
@@ -119,8 +117,8 @@ if none is selected, on all that are visible"""
 
 
 class ChooseByLook(CleanUpTool):
-    """Select or delete Gaussians that are faint or large. Works on the selected Gaussian objects; \
-if none is selected, on all that are visible"""
+    """Select or delete faint or large Gaussians. Works on the selected Gaussian objects, or else \
+on all visible ones"""
 
     bl_idname = "roigs.choose_by_look"
     bl_label = "Faint or Large Gaussians"
@@ -128,7 +126,7 @@ if none is selected, on all that are visible"""
 
     opacity: FloatProperty(
         name="Opacity Below",
-        description="Those that are less opaque; 0: none",
+        description="Select Gaussians below this opacity; 0: none",
         default=0.05,
         min=0.0,
         max=1.0,
@@ -136,7 +134,7 @@ if none is selected, on all that are visible"""
     )
     size: FloatProperty(
         name="Size Above",
-        description="Those whose longest standard deviation is larger, in the world; 0: none",
+        description="Select Gaussians with a longer standard deviation, in world units; 0: none",
         default=0.0,
         min=0.0,
         subtype="DISTANCE",
@@ -172,7 +170,7 @@ class DeleteChosen(bpy.types.Operator):
 
 
 class ForgetChosen(bpy.types.Operator):
-    """Select none of the Gaussians"""
+    """Deselect all Gaussians"""
 
     bl_idname = "roigs.forget_chosen"
     bl_label = "Select None"

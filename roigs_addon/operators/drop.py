@@ -27,7 +27,7 @@ TAB = "ROI-GS"
 
 
 class DropPhotos(bpy.types.Operator):
-    """Take the folder of the dropped photos, or the video, for a reconstruction; nothing starts \
+    """Use the folder of the dropped photos, or the video, for a reconstruction; nothing starts \
 yet"""
 
     bl_idname = "roigs.drop_photos"

@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = 0.3
 BUILDS = (
-    ("AUTO", "Automatic", "For the NVIDIA card and its driver, if they can be used; else the CPU"),
+    (
+        "AUTO",
+        "Automatic",
+        "For the NVIDIA card, if it and its driver can be used; otherwise for the CPU",
+    ),
     ("CPU", "CPU", "Always for the CPU: the smallest download"),
     ("CUDA", "NVIDIA GPU", "For an NVIDIA card, also if none is found"),
 )
@@ -56,13 +60,13 @@ class SetUpEngine(bpy.types.Operator):
     build: EnumProperty(
         name="Build",
         items=BUILDS,
-        description="Which torch to install; that for NVIDIA cards is a download of gigabytes",
+        description="Which torch to install; for NVIDIA cards, the download is several gigabytes",
         options=FRESH,
     )
     formats: BoolProperty(
         name="File Formats",
         default=True,
-        description="Also install what Export and Import need for other formats than PLY",
+        description="Also install the packages for formats other than PLY",
         options=FRESH,
     )
     wheels: StringProperty(
@@ -150,7 +154,7 @@ def look_again() -> tuple[check.Finding, ...]:
 
 
 class StopSetUp(bpy.types.Operator):
-    """Stop setting up the engine; an earlier one is kept"""
+    """Stop setting up the engine; an existing one is kept"""
 
     bl_idname = "roigs.stop_setup"
     bl_label = "Stop"

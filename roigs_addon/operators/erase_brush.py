@@ -31,10 +31,7 @@ if TYPE_CHECKING:
 LARGER, SMALLER = {"WHEELUPMOUSE", "RIGHT_BRACKET"}, {"WHEELDOWNMOUSE", "LEFT_BRACKET"}
 STEP = 1.15  # factor of one turn of the wheel
 END = {"ESC", "RIGHTMOUSE", "RET", "NUMPAD_ENTER"}
-STATUS = (
-    "Drag to {verb}. Wheel or [ ]: radius. F: only what is in front ({front}). "
-    "Ctrl Z: undo. Esc: end"
-)
+STATUS = "Drag to {verb}. Wheel or [ ]: radius. F: only in front ({front}). Ctrl Z: undo. Esc: end"
 
 _last: dict[str, float] = {}
 """Radius and front of the last brush of this session."""
@@ -86,8 +83,8 @@ def _fronts(
 
 
 class EraseBrush(bpy.types.Operator):
-    """Erase Gaussians with a brush. Works on the selected Gaussian objects; if none is selected, \
-on all that are visible. Each stroke is one undo step"""
+    """Erase Gaussians with a brush. Works on the selected Gaussian objects, or else on all \
+visible ones. Each stroke is one undo step"""
 
     bl_idname = "roigs.erase_brush"
     bl_label = "Erase Brush"
@@ -96,7 +93,7 @@ on all that are visible. Each stroke is one undo step"""
     radius: IntProperty(name="Radius", default=40, min=2, max=1000, subtype="PIXEL", options=FRESH)
     front: BoolProperty(
         name="Only in Front",
-        description="Spare what nearer Gaussians hide",
+        description="Keep the Gaussians that nearer ones hide",
         default=True,
         options=FRESH,
     )

@@ -30,8 +30,8 @@ GLOB = ";".join(f"*{ending}" for ending in ENDINGS)
 
 
 class ExportGaussians(BrowsingOperator, ExportHelper):  # type: ignore[misc] # the stub's mixin
-    """Write the Gaussians to one file for other programs, edited, moved and turned as they are \
-now. What renders hide is left out"""
+    """Write the Gaussians of a render to one file for other programs, with all edits and \
+transforms"""
 
     bl_idname = "roigs.export_gaussians"
     bl_label = "Export Gaussians"
@@ -41,9 +41,9 @@ now. What renders hide is left out"""
         items=[
             (".ply", "PLY", "Exact; every program with Gaussians reads it"),
             (".spz", "SPZ", "A tenth of the size"),
-            (".html", "Web Page", "To send: a page with a viewer inside"),
+            (".html", "Web Page", "One file to share: a page with a viewer"),
             (".compressed.ply", "Compressed PLY", "A quarter of the size"),
-            (".sog", "SOG", "The smallest, for the web; colours suffer"),
+            (".sog", "SOG", "The smallest, for the web; less exact colours"),
             (".glb", "glTF", "With KHR_gaussian_splatting"),
             (".usdc", "OpenUSD", "As ParticleField3DGaussianSplat"),
             (".splat", ".splat", "For old viewers; colours are the same from all sides"),
@@ -68,10 +68,10 @@ now. What renders hide is left out"""
         name="Up",
         description="Axis that points up in the file",
         items=[
-            ("AUTO", "As Its Readers Have It", "-Y in PLY and SOG, Y in SPZ, glTF and OpenUSD"),
-            ("-Y", "-Y", "Stands upright in SuperSplat and most viewers of PLY"),
+            ("AUTO", "The Format's Default", "-Y in PLY and SOG, Y in SPZ, glTF and OpenUSD"),
+            ("-Y", "-Y", "Upright in SuperSplat and most PLY viewers"),
             ("Y", "Y", "As in glTF and many game engines"),
-            ("Z", "Z, as in Blender", "Comes back into Blender where it was"),
+            ("Z", "Z, as in Blender", "Imports into Blender in the same place"),
         ],
         options=FRESH,
     )

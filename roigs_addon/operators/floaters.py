@@ -14,8 +14,8 @@ from .clean_up import ACTIONS, act
 
 
 class FindFloaters(EngineOperator):
-    """Find what hangs in the air before the boxes or among the cameras, by the rule with which a \
-training ends"""
+    """Find Gaussians in the air in front of the boxes or among the cameras, by the rule used at \
+the end of training"""
 
     bl_idname = "roigs.find_floaters"
     bl_label = "Floaters"

@@ -36,10 +36,10 @@ class ImportGaussians(BrowsingOperator, ImportHelper):  # type: ignore[misc] # t
         name="Up",
         description="Axis that points up in the file",
         items=[
-            ("AUTO", "As the Format Has It", "-Y in PLY, SOG and .splat, Y in SPZ, glTF, OpenUSD"),
+            ("AUTO", "The Format's Default", "-Y in PLY, SOG and .splat, Y in SPZ, glTF, OpenUSD"),
             ("-Y", "-Y", "As most trainers of Gaussians write it"),
             ("Y", "Y", "As in glTF and many game engines"),
-            ("Z", "Z, as in Blender", "The numbers stay as they are"),
+            ("Z", "Z, as in Blender", "Coordinates are not changed"),
             ("COLMAP", "As the COLMAP Model", "It was trained on this scene's COLMAP model"),
         ],
         options=FRESH,

@@ -22,25 +22,24 @@ if TYPE_CHECKING:
 
 
 CHANGED = (
-    "Make masks of the box's object on its photos from the strokes: those whose strokes have"
-    " changed. Masks that you made yourself stay"
+    "Make masks of the box's object from the strokes, where strokes have changed. Your own masks"
+    " are kept"
 )
 ALL_ANEW = (
-    "Make all masks anew. Strokes that correct one photo then help the others, too. Masks that you"
-    " made yourself stay"
+    "Recreate all masks. Corrections on one photo then help the others, too. Your own masks are"
+    " kept"
 )
 
 
 class MakeMasks(EngineOperator):
-    """Make masks of the box's object on its photos from the strokes. Masks that you made yourself \
-stay"""
+    """Make masks of the box's object from the strokes. Your own masks are kept"""
 
     bl_idname = "roigs.make_masks"
     bl_label = "Make Masks"
 
     anew: BoolProperty(
         name="All Anew",
-        description="Make all masks anew: strokes that correct one photo then help the others",
+        description="Recreate all masks: corrections on one photo then help the others",
         options=FRESH,
     )
 
@@ -102,8 +101,8 @@ class StepMask(bpy.types.Operator):
 
 
 class RemoveMasks(bpy.types.Operator):
-    """Delete the masks of the active box that were made from strokes. Masks that you made \
-yourself or changed stay, and so do the strokes"""
+    """Delete the active box's masks that were made from strokes. The strokes are kept, and so \
+are masks that you made or changed"""
 
     bl_idname = "roigs.remove_masks"
     bl_label = "Remove Masks"

@@ -20,13 +20,13 @@ from .base import available, failed
 if TYPE_CHECKING:
     from ..blender import OperatorResult
 
-TOO_OLD = "Blender has splats of its own from version 5.3 on"
+TOO_OLD = "Blender has its own splats from version 5.3 on"
 NONE_NATIVE = "Select an object of Blender's own splats"
 
 
 class ToNative(bpy.types.Operator):
-    """Make Blender's own splats of the selected Gaussians, or of all that are visible, as they \
-look now; the add-on's are hidden"""
+    """Convert the selected Gaussians, or all visible ones, to Blender's own splats with their \
+current look; the Gaussians are hidden"""
 
     bl_idname = "roigs.to_native_splats"
     bl_label = "To Blender's Splats"
@@ -57,8 +57,8 @@ look now; the add-on's are hidden"""
 
 
 class FromNative(bpy.types.Operator):
-    """Make Gaussians of the selected object of Blender's own splats, which can be cleaned up, \
-recoloured and exported; Blender's are hidden"""
+    """Convert the selected object of Blender's own splats to Gaussians, which can be cleaned up, \
+recoloured and exported; the splats are hidden"""
 
     bl_idname = "roigs.from_native_splats"
     bl_label = "From Blender's Splats"

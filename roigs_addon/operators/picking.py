@@ -107,7 +107,7 @@ class PickTool(bpy.types.Operator):
     def _show(self, context: bpy.types.Context, point: Vector | None) -> None:
         picks.show(list(self._points), point)
         said = f"{self.prompt} ({len(self._points) + 1} of {self.wanted})"
-        keys = "Backspace: take the last one back. Esc: cancel"
+        keys = "Backspace: remove the last one. Esc: cancel"
         if context.workspace is not None:
             context.workspace.status_text_set(f"{said}. {keys}")
         redraw()

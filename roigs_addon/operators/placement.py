@@ -42,9 +42,9 @@ def _place(
     try:
         path = placement.keep(scene)
     except AddonError as error:
-        tell(operator, "WARNING", f"Kept in this .blend only: {error}")
+        tell(operator, "WARNING", f"Saved in this .blend only: {error}")
     else:
-        tell(operator, "INFO", f"{done}Kept in {path}")
+        tell(operator, "INFO", f"{done}Saved in {path}")
 
 
 class PlaceTool(PickTool):
@@ -134,10 +134,10 @@ class SetFloor(PlaceTool):
         else:
             points = selected(context)
         if len(points) < 3:
-            raise AddonError("Select three points on the floor, or more, in edit mode.")
+            raise AddonError("Select at least three points on the floor in edit mode.")
         plane = placing.plane_through(points)
         if plane is None:
-            raise AddonError("These points are on one line. Take some that span the floor.")
+            raise AddonError("These points are on one line. Pick points that span the floor.")
         cameras = lookup.cameras(scene_of(context)).values()
         eyes = np.array([lookup.matrix_world(item)[:3, 3] for item in cameras])
         return placing.levelling(plane, eyes.reshape(-1, 3), flip=self.flip)
@@ -155,7 +155,7 @@ class SetScale(PlaceTool):
     bl_options = {"REGISTER", "UNDO"}
 
     wanted = 2
-    prompt = "Click two points whose distance you know"
+    prompt = "Click two points with a known distance"
 
     length: FloatProperty(
         name="Length",
@@ -185,7 +185,7 @@ class SetScale(PlaceTool):
             raise AddonError(f"Select two points in edit mode, not {len(points)}.")
         found = placing.scaling(points[0], points[1], self.length)
         if found is None:
-            raise AddonError("The two points are in one place. Take points that are far apart.")
+            raise AddonError("The two points coincide. Pick points that are far apart.")
         return found
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -194,7 +194,7 @@ class SetScale(PlaceTool):
 
 
 class SetOrigin(bpy.types.Operator):
-    """Move the world's origin under the object in the active box; a floor that was set stays"""
+    """Move the world's origin under the object in the active box; a floor that you set is kept"""
 
     bl_idname = "roigs.set_origin"
     bl_label = "Origin under the Object"
@@ -229,7 +229,7 @@ class SetOrigin(bpy.types.Operator):
 
 
 class KeepPlacement(bpy.types.Operator):
-    """Write where the scene stands beside the model, for other .blend files and the engine"""
+    """Save the scene's transform beside the model, for other .blend files and the engine"""
 
     bl_idname = "roigs.keep_placement"
     bl_label = "Keep Placement"
@@ -243,7 +243,7 @@ class KeepPlacement(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Write it."""
         try:
-            tell(self, "INFO", f"Kept in {placement.keep(scene_of(context))}")
+            tell(self, "INFO", f"Saved in {placement.keep(scene_of(context))}")
         except AddonError as error:
             return failed(self, error)
         return {"FINISHED"}

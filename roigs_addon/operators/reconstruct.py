@@ -26,7 +26,7 @@ NO_REPORT = "There is no report yet"
 
 
 class ChoosePhotos(bpy.types.Operator):
-    """Choose the folder of photos, or the video, from which a scene is made; no COLMAP is needed.
+    """Choose a folder of photos, or a video, to make a scene from; COLMAP is not needed.
     JPEG, PNG, TIFF, BMP, WebP, JPEG 2000, PPM and HEIC are read; export RAW files as JPEG first"""
 
     bl_idname = "roigs.choose_photos"
@@ -75,8 +75,8 @@ def take_photos(scene: bpy.types.Scene, chosen: str) -> None:
 
 
 class Reconstruct(EngineOperator):
-    """Find the cameras of the photos and points of the scene, and import them. What was stopped \
-resumes"""
+    """Find the cameras of the photos and points of the scene, and import them. A stopped \
+reconstruction resumes"""
 
     bl_idname = "roigs.reconstruct"
     bl_label = "Reconstruct"

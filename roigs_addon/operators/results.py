@@ -33,7 +33,7 @@ class LoadResults(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     earlier: StringProperty(
-        description="Name of an earlier result's folder; empty: the last one that is finished",
+        description="Name of an earlier result's folder; empty: the last finished one",
         options=FRESH,
     )
 
@@ -94,7 +94,7 @@ class DeleteResult(bpy.types.Operator):
 
 
 class SetDetail(bpy.types.Operator):
-    """Show this box with levels of detail, refined, or as the whole-scene model has it"""
+    """Show this box with levels of detail, refined, or as in the whole-scene model"""
 
     bl_idname = "roigs.set_detail"
     bl_label = "Auto, Fine or Coarse"
@@ -113,7 +113,7 @@ class SetDetail(bpy.types.Operator):
     ) -> str:
         """What the button does."""
         if not properties.fine:
-            return "Show this box as the whole-scene model has it"
+            return "Show this box as in the whole-scene model"
         if properties.auto:
             return "Draw fewer Gaussians from far away: levels of detail"
         return "Always draw all Gaussians"
@@ -151,7 +151,7 @@ def _select_shown(context: bpy.types.Context) -> None:
 
 
 class ShowPoints(bpy.types.Operator):
-    """Show the Gaussians as points, or as they are"""
+    """Show the Gaussians as points or in full"""
 
     bl_idname = "roigs.show_points"
     bl_label = "Points or Gaussians"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class CompareResults(bpy.types.Operator):
-    """Switch between the last result and an earlier one; view and objects stay as they are"""
+    """Switch between the last result and an earlier one; the view and the objects do not change"""
 
     bl_idname = "roigs.compare_results"
     bl_label = "Compare A/B"
@@ -65,8 +65,8 @@ def _other(scene: bpy.types.Scene) -> Path | None:
 
 
 class CleanUp(bpy.types.Operator):
-    """Remove what training makes again when it needs it: undistorted photos, stages of earlier \
-settings, an old preview. Results stay"""
+    """Remove files that training can recreate: undistorted photos, stages of earlier settings, \
+an old preview. Results stay"""
 
     bl_idname = "roigs.clean_up"
     bl_label = "Clean Up"
@@ -78,7 +78,7 @@ settings, an old preview. Results stay"""
         if current.busy() or run_facts.run(scene).holder:
             reason = BUSY
         elif not run_facts.disk(scene).removable:
-            reason = "The run folder has nothing that can be removed"
+            reason = "The run folder has nothing to remove"
         return available(cls, reason)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:

@@ -70,7 +70,7 @@ class ImportColmap(BrowsingOperator, ImportHelper):  # type: ignore[misc] # the 
 
 
 class RefineCameras(EngineOperator):
-    """Fit the cameras to the points again, with a fuller lens model: results become sharper"""
+    """Fit the cameras again, with a better lens model: results become sharper"""
 
     bl_idname = "roigs.refine_cameras"
     bl_label = "Refine Cameras"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     (scribbles.OBJECT, "Object", "Strokes are on the object"),
-    (scribbles.BACKGROUND, "Background", "Strokes are on what is not the object"),
+    (scribbles.BACKGROUND, "Background", "Strokes are on the background"),
 )
 END = {"ESC", "RET", "NUMPAD_ENTER"}
 MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
@@ -181,7 +181,7 @@ class ClearStrokes(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     photo: StringProperty(
-        description="Name of the photo; empty: the one that is looked through", options=FRESH
+        description="Name of the photo; empty: the one in the view", options=FRESH
     )
     every: BoolProperty(name="All", description="On all photos", options=FRESH)
 

@@ -25,7 +25,7 @@ NO_LOG = "There is no log yet"
 
 
 class TrainRoi(EngineOperator):
-    """Train the scene and refine the boxes; a training that was stopped resumes"""
+    """Train the scene and refine the boxes; a stopped training resumes"""
 
     bl_idname = "roigs.train_roi"
     bl_label = "Train"
@@ -60,7 +60,7 @@ class TrainRoi(EngineOperator):
 
 
 class EstimateTime(EngineOperator):
-    """Let the engine train a few steps, and say how long a training of all boxes would take"""
+    """Train a few steps to estimate the time for all boxes"""
 
     bl_idname = "roigs.estimate_time"
     bl_label = "Estimate"
@@ -82,7 +82,7 @@ def _training_problem(context: bpy.types.Context) -> str:
 
 
 class StopJob(bpy.types.Operator):
-    """Stop the engine. Training, reconstructing and making levels can resume from there"""
+    """Stop the engine. Training, reconstruction and levels can be resumed"""
 
     bl_idname = "roigs.stop"
     bl_label = "Stop"

@@ -23,7 +23,7 @@ IMAGE = "Viewport Render with Gaussians"
 
 
 class RenderViewport(bpy.types.Operator):
-    """Make a picture of this 3D view as it is shown, with its Gaussians, in the size of a render"""
+    """Render an image of this 3D view with its Gaussians, in the size of a render"""
 
     bl_idname = "roigs.render_viewport"
     bl_label = "Viewport Render Image with Gaussians"

@@ -50,7 +50,7 @@ def find(scene: bpy.types.Scene) -> Any | None:
 def lacking(scene: bpy.types.Scene) -> str:
     """Why renders lack the Gaussians, in one line; empty if they do not."""
     if find(scene) is None:
-        return "Renders lack the Gaussians: their node is gone from the compositor"
+        return "Renders lack the Gaussians: their compositor node was removed"
     if not scene.render.use_compositing:
         return "Renders lack the Gaussians. Switch on Output ▸ Post Processing ▸ Compositing"
     return ""

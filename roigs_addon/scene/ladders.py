@@ -22,7 +22,7 @@ ABOVE = {"RESULT": 1, "ROI": 2}
 """Level of an object -> how many folders its file is below the run folder."""
 
 STALE = "The levels of detail are older than the result: they are not used. Make them again"
-MISSING = "A level of detail is missing ({}): its object is drawn whole. Make the levels again"
+MISSING = "A level of detail is missing ({}): its object is drawn in full. Make the levels again"
 
 MOST_FOLDERS = 16
 """Whose lists are remembered."""

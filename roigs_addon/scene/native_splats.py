@@ -63,7 +63,7 @@ def of(item: bpy.types.Object) -> bpy.types.Object:
     """
     found = cloud_of(mesh_of(item))
     if found is None:
-        raise AddonError(f"'{item.name}' is no object of Gaussians any more. Import it again.")
+        raise AddonError(f"'{item.name}' is no longer an object of Gaussians. Import it again.")
     cloud, applied = found
     if not len(cloud):
         raise AddonError(f"'{item.name}' has no Gaussians left.")

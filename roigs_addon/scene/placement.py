@@ -69,7 +69,7 @@ def move(scene: bpy.types.Scene, matrix: Matrix) -> None:
     """
     root, path = root_of(scene), _file(scene)
     if flaw := _flaw(matrix @ lookup.matrix_world(root)):
-        raise AddonError(f"The scene cannot be put there: {flaw}. Take other points.")
+        raise AddonError(f"The scene cannot be moved there: {flaw}. Pick other points.")
     factor = transforms.scale_of(matrix)
     if path is not None:
         _scales.setdefault(path, lookup.root_scale(scene))

@@ -73,7 +73,7 @@ def scales(item: bpy.types.Object) -> NDArray[np.float64]:
     """(N, 3) standard deviations, as large as in the world."""
     found = values(mesh_of(item), "scale")
     if found is None:
-        raise AddonError(f"'{item.name}' is no object of Gaussians any more. Import it again.")
+        raise AddonError(f"'{item.name}' is no longer an object of Gaussians. Import it again.")
     return np.asarray(found * np.cbrt(abs(np.linalg.det(lookup.matrix_world(item)[:3, :3]))))
 
 
@@ -81,7 +81,7 @@ def opacities(item: bpy.types.Object) -> NDArray[np.float32]:
     """(N,) 0 to 1."""
     found = values(mesh_of(item), "radiance:base")
     if found is None:
-        raise AddonError(f"'{item.name}' is no object of Gaussians any more. Import it again.")
+        raise AddonError(f"'{item.name}' is no longer an object of Gaussians. Import it again.")
     return found[:, 3]
 
 

@@ -39,7 +39,7 @@ class CleanUpPanel(SidebarPanel):
         """The tools, then what is selected."""
         layout, items = layout_of(self), point_edits.targets(context)
         chosen = [item for item in items if item.select_get()]
-        names = ", ".join(item.name for item in chosen) or "all that are visible"
+        names = ", ".join(item.name for item in chosen) or "all visible ones"
         show.say(layout, f"Works on {names}", "INFO")
         column = layout.column(align=True)
         for label, where in (("Outside boxes", "OUTSIDE"), ("Inside active box", "INSIDE")):

@@ -37,7 +37,7 @@ class PlacementPanel(SidebarPanel):
         row.prop(props, "known_length", text="")
         layout.operator(SetOrigin.bl_idname, icon="OBJECT_ORIGIN")
         if placement.is_kept(scene):
-            show.done(layout, f"Kept in {stored.FILE}")
+            show.done(layout, f"Saved in {stored.FILE}")
         else:
             layout.operator(KeepPlacement.bl_idname, icon="FILE_TICK")
 

@@ -60,7 +60,7 @@ class RoigsPreferences(bpy.types.AddonPreferences):
         name="Train On",
         items=(
             (settings.HERE, "This Computer", "The engine trains on this computer"),
-            (settings.CLUSTER, "Cluster", "The engine gives the work to a Ray cluster"),
+            (settings.CLUSTER, "Cluster", "The engine sends the work to a Ray cluster"),
         ),
         description="Where to train",
     )
@@ -85,14 +85,13 @@ class RoigsPreferences(bpy.types.AddonPreferences):
     build: EnumProperty(
         name="Build",
         items=BUILDS,
-        description="Which torch to install. Training on a GPU needs nothing else but NVIDIA's"
-        " driver",
+        description="Which torch to install. Training on a GPU needs only NVIDIA's driver besides",
     )
     formats: BoolProperty(
         name="File Formats",
         default=True,
-        description="Also install what Export and Import need for SPZ, SOG, glTF, OpenUSD and web"
-        " pages. PLY needs none of it",
+        description="Also install the packages for SPZ, SOG, glTF, OpenUSD and web pages. PLY"
+        " needs none",
     )
     wheels: StringProperty(
         name="Folder of Wheels",
@@ -156,12 +155,12 @@ def _needed_space(page: RoigsPreferences, choice: Choice | None) -> str:
     suits = choice is not None and choice.build is not None
     if page.build == "CUDA" or (page.build == "AUTO" and suits):
         size = f"{CUDA_DOWNLOAD_BYTES / 1e9:.1f}"
-        return f"Downloads about {size} GB (on Linux), and takes more of the disk."
+        return f"Downloads about {size} GB (on Linux), and takes more disk space."
     download, disk = DOWNLOAD_BYTES / 1e6, DISK_BYTES / 1e6
     if page.formats:
         download += FORMATS_DOWNLOAD_BYTES / 1e6
         disk += FORMATS_DISK_BYTES / 1e6
-    return f"Downloads about {download:.0f} MB and takes {disk:.0f} MB of the disk (on Linux)."
+    return f"Downloads about {download:.0f} MB and takes {disk:.0f} MB of disk space (on Linux)."
 
 
 def _lines(layout: bpy.types.UILayout, text: str, icon: IconItems) -> None:

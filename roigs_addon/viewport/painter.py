@@ -224,7 +224,7 @@ class Painter:
             self._lean, self._asked = True, ()
             return False
         if too_many:
-            text = f"{len(packed)} Gaussians are more than fit into this GPU's textures."
+            text = f"{len(packed)} Gaussians do not fit into this GPU's textures."
             problems = {**problems, **dict.fromkeys(files, text)}
             files, packed, clouds = (), pack([]), {}
         self._set = GpuSet.upload(files, packed)

@@ -102,7 +102,7 @@ def test_a_folder_that_cannot_be_written(blender: ModuleType, garden, capfd) -> 
     shutil.rmtree(folder)
     blender.ops.roigs.set_scale(first=(0, 0, 0), second=(0, 0, 1), length=3)
     assert not np.allclose(matrix(scene), before) and not folder.exists()
-    assert "Kept in this .blend only" in capfd.readouterr().out
+    assert "Saved in this .blend only" in capfd.readouterr().out
     assert not placement.is_kept(scene)
     folder.mkdir()
     (folder / FILE).write_text("{}")

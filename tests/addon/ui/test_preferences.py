@@ -77,7 +77,7 @@ def test_the_page_says_what_a_set_up_takes(blender: ModuleType, addon: ModuleTyp
 
     for formats, size in ((False, "411 MB and takes 1260"), (True, "536 MB and takes 1780")):
         said = preferences._needed_space(SimpleNamespace(build="CPU", formats=formats), None)
-        assert said == f"Downloads about {size} MB of the disk (on Linux)."
+        assert said == f"Downloads about {size} MB of disk space (on Linux)."
     for build, found, size in (
         ("CUDA", None, "2.6 GB"),
         ("AUTO", CARD, "2.6 GB"),
