@@ -81,7 +81,7 @@ def test_a_floor_that_is_a_slope_is_warned_of(
     slope = {"first": (0, 0, -3), "second": (1, 0, -3)}
     bpy.ops.roigs.set_floor(**slope, third=(0, 1, -2.9))
     told = capfd.readouterr().out
-    assert "Turned the model by 6°. Kept in" in told and "Ctrl+Z" not in told
+    assert "Turned the model by 6°. Saved in" in told and "Ctrl+Z" not in told
     bpy.ops.roigs.set_floor(**slope, third=(0, 1, -2))
     told = capfd.readouterr().out
     assert "Turned the model by 45°" in told
