@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.markdown import table
+from roigs_engine.app.batch_plan import options_path, plan_row
+from roigs_engine.app.batch_table import Table
 from roigs_engine.batch.engine_process import DONE, run_engine
 from roigs_engine.batch.local import with_threads
 from roigs_engine.batch.record import BatchRecord
-from roigs_engine.commands.batch_plan import options_path, plan_row
-from roigs_engine.commands.batch_table import Table
-from roigs_engine.commands.console import Console
+from roigs_engine.context import QUIET
 from roigs_engine.formats.files import write_json
 
 DEMO = Path(__file__).resolve().parents[1] / "demo" / "scene"
@@ -38,7 +38,7 @@ def by_hand(path: Path, folder: Path) -> None:
     """Do the parts of a table one after the other, each on one core."""
     for row in Table(path).rows:
         write_json(options_path(row, folder), row.options)
-        scene = plan_row(row, folder, BatchRecord(folder), Console(json_lines=False)).scene
+        scene = plan_row(row, folder, BatchRecord(folder), QUIET).scene
         for part in scene.parts:
             ended = run_engine(with_threads(part, 1), lambda event: None, lambda: False)
             if ended.state != DONE:

@@ -21,9 +21,9 @@ import torch
 from benchmarks.markdown import table
 from benchmarks.study.rows import changed, parse_variant
 from benchmarks.study.scenes import StudyScene, parse_scenes
+from roigs_engine.app.inputs import on_device
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.commands.console import Console
-from roigs_engine.commands.options import add_device_option, context_on_device
 from roigs_engine.commands.process import run_process
 from roigs_engine.commands.stopping import StopRequest
 from roigs_engine.context import Context
@@ -36,6 +36,7 @@ from roigs_engine.formats.files import read_json
 from roigs_engine.kernels import library
 from roigs_engine.model.roi import OrientedBox
 from roigs_engine.model.scene import SfmScene
+from roigs_engine.requests.choices import DEVICES
 from roigs_engine.run.definition import define_run
 from roigs_engine.run.folder import train_run
 from roigs_engine.run.presets import preset
@@ -150,7 +151,7 @@ def main(arguments: Sequence[str] | None = None, stop: StopRequest | None = None
     torch.set_num_threads(1)
     console = Console(json_lines=False, stop=stop)
     console.watch()
-    context, rows = context_on_device(options, console), []
+    context, rows = on_device(console.context, options.device), []
     with one_torch_thread():
         for source in parse_scenes(options.scenes):
             for seed in options.seeds:
@@ -175,8 +176,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--steps", type=float, default=1.0, metavar="F")
     parser.add_argument("--max-side", type=int, default=640)
     parser.add_argument("--threads", type=int)
-    add_device_option(parser)
-    parser.set_defaults(device="cpu")
+    parser.add_argument("--device", choices=DEVICES, default="cpu")
     parser.add_argument("--change", metavar="FIELD=VALUE,...", help="other settings of the preset")
     return parser.parse_args(arguments)
 

@@ -19,8 +19,8 @@ import numpy as np
 from torch import Tensor
 
 from benchmarks.markdown import table
+from roigs_engine.app.convert import turned
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.commands.turning import turned
 from roigs_engine.exchange import axes, formats
 from roigs_engine.exchange.arrays import Arrays
 from roigs_engine.formats.splat_ply import read_ply

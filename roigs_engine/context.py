@@ -30,12 +30,14 @@ class Context:
         should_stop: whether a stop was requested; called often, so it must be fast.
         device: where Gaussians are rendered and trained, in torch's notation: `cpu`, `cuda:0`.
         photo_memory: bytes of decoded photos to keep; None: `run.memory` decides.
+        for_person: whether a person reads the events, who wants results of a batch's parts alone.
     """
 
     emit: Emit = _no_events
     should_stop: Callable[[], bool] = _never
     device: str = "cpu"
     photo_memory: int | None = None
+    for_person: bool = False
 
     def check_cancelled(self) -> None:
         """Raise `Stopped` if a stop was requested. Long work calls this regularly."""

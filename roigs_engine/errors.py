@@ -52,4 +52,10 @@ class TrainingError(EngineError):
 
 
 class Stopped(Exception):  # noqa: N818 - a request, not an error
-    """The work was stopped on request; what is done so far is on disk and can be resumed."""
+    """The work was stopped on request; what is done so far is on disk.
+
+    Attributes:
+        resumes: whether the same request continues from there.
+    """
+
+    resumes = False

@@ -21,6 +21,7 @@ ENGINE = 330 << 20  # bytes of Python, torch, the libraries and the kernels, see
 GIB = 1 << 30
 MEMORY_FULL = ("allocate memory", "bad_alloc", "can't start new thread")
 MEMORY_MAY_BE_FULL = "failed to map segment"  # or the disk is mounted noexec
+NO_MEMORY = "There is not enough memory for this."
 FALLBACK_MEMORY = 8 << 30  # bytes, if the machine's memory is unknown
 
 
@@ -72,6 +73,14 @@ def is_memory_full(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
+
+
+def more_memory() -> str:
+    """What to do about `NO_MEMORY`."""
+    limit = address_space()
+    if limit is not None:
+        return f"Raise this shell's limit of {limit >> 20} MB (ulimit -v), or use smaller photos."
+    return "Use smaller photos (--max-side), or a computer with more memory."
 
 
 def _windows_memory() -> int:

@@ -12,8 +12,8 @@ from benchmarks import cuda_step, flops, gpu, large_capture, step, tables
 from benchmarks.measure import COUNTS, StepBenchmark, kernel_calls, optional_outputs, peak_memory
 from benchmarks.results import STAGES, Measurement, Row, growth
 from benchmarks.synthetic import CAMERAS
-from roigs_engine.cli import build_parser
 from roigs_engine.colmap.project import load_colmap
+from roigs_engine.commands.parser import build_parser
 from roigs_engine.errors import KernelError
 from roigs_engine.kernels import build, library
 from roigs_engine.rasterize import rasterize

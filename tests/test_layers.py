@@ -22,6 +22,7 @@ ENGINE, ADDON = "roigs_engine", "roigs_addon"
 ROOMS = (
     "errors",
     "formats",
+    "requests",
     "machine",
     "context",
     "model",
@@ -40,15 +41,26 @@ ROOMS = (
     "run",
     "storage",
     "batch",
+    "app",
     "commands",
     "cli",
     "__main__",
 )
 # What the add-on may import of the engine: nothing else.
-SHARED = ("errors", "formats")
+SHARED = ("errors", "formats", "requests")
 # Entries that must work, up to their first use of anything else, without torch.
 TORCH_FREE = (
-    *("", "cli", "colmap", "context", "formats", "kernels.build", "kernels.library", "photos"),
+    *(
+        "",
+        "cli",
+        "colmap",
+        "context",
+        "formats",
+        "requests",
+        "kernels.build",
+        "kernels.library",
+        "photos",
+    ),
     *("reconstruction", "run.config", "run.presets", "selection"),
 )
 # Where pycolmap may be imported.

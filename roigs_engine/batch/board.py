@@ -1,4 +1,4 @@
-"""A batch as it goes on: objects done, what runs, with step and PSNR, and the time left."""
+"""Progress of a batch: objects done, what runs, with step and PSNR, and the time left."""
 
 from __future__ import annotations
 
@@ -7,15 +7,26 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ..formats.events import MAX_NUMBER, Progress
+from ..context import Context
+from ..errors import Stopped
+from ..formats.events import (
+    MAX_NUMBER,
+    Message,
+    Preview,
+    Progress,
+    Record,
+    StageStarted,
+)
+from ..formats.events import Board as BoardEvent
 from ..formats.text import counted
-from .engine_process import DONE, FAILED
+from .engine_process import DONE, FAILED, Outcome
 from .moves import RUNNING, PartState, share
 from .schedule import SceneState
 
 ENOUGH = 0.01  # of the work must be done before the time left is told
 MOST_LINES = 12  # of running parts
 BATCH_STAGE = "batch"
+EVERY = 1.0  # seconds between two pictures of the board
 
 
 @dataclass
@@ -107,3 +118,80 @@ def duration(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.0f} minutes"
     return f"{seconds / 3600:.1f} hours" if seconds < 48 * 3600 else f"{seconds / 86400:.1f} days"
+
+
+class Reporter:
+    """Turns what parts tell into events, while a batch goes on; use it in a `with` block.
+
+    A program gets the parts' events, their stages named after their scenes. A person gets the
+    board, each scene that ends, and warnings.
+
+    Args:
+        scenes: their states, by name.
+        context: receives the events.
+        alone: whether there is one scene, whose name need not be said.
+    """
+
+    def __init__(
+        self, scenes: Mapping[str, SceneState], context: Context, *, alone: bool = False
+    ) -> None:
+        self._context, self._alone = context, alone
+        self._board = Board(scenes, time.monotonic())
+        self._last = 0.0
+        self._warned: set[tuple[str, str]] = set()  # the parts of a scene say the same
+
+    def __enter__(self) -> Reporter:
+        """Say how far the batch is."""
+        if not self._alone:
+            self._context.info(f"{self._board.head()}.")
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        """Show the board a last time; a batch that was stopped resumes."""
+        self._draw(now=True)
+        if isinstance(error, Stopped):
+            error.resumes = True
+
+    def take(self, scene: SceneState, state: PartState, report: Record | Outcome) -> None:
+        """Tell what a part has told."""
+        name = "" if self._alone else f"{scene.plan.name}: "
+        if isinstance(report, Outcome):
+            self._ended(scene, report)
+        elif report["event"] == "message" and report.get("level") == "warning":
+            text = str(report.get("text", ""))
+            if (name, text) not in self._warned:
+                self._warned.add((name, text))
+                self._context.warn(f"{name}{text}")
+        elif not self._context.for_person:
+            self._pass_on(name, report)
+        self._draw()
+
+    def _draw(self, *, now: bool = False) -> None:
+        """Show the board to a person, at most once a second."""
+        if self._context.for_person and (now or time.monotonic() - self._last >= EVERY):
+            self._context.emit(BoardEvent(lines=tuple(self._board.lines())))
+            self._last = time.monotonic()
+
+    def _ended(self, scene: SceneState, outcome: Outcome) -> None:
+        if self._alone:
+            return
+        if not self._context.for_person:
+            self._context.emit(self._board.event())
+        elif outcome.state == DONE and scene.state == DONE:
+            took = duration(sum(part.seconds for part in scene.parts.values()))
+            self._context.info(f"{scene.plan.name}: done in {took}. {self._board.head()}.")
+
+    def _pass_on(self, scene: str, report: Record) -> None:
+        """An engine's event, its stage named after its scene."""
+        stage, emit = f"{scene}{report.get('stage', '')}", self._context.emit
+        match report["event"]:
+            case "progress":
+                values = {k: report.get(k, math.nan) for k in ("loss", "psnr", "seconds_left")}
+                counts = {k: int(report.get(k, 0)) for k in ("step", "total", "gaussians")}
+                emit(Progress(stage=stage, **counts, **values))
+            case "stagestarted":
+                emit(StageStarted(stage=stage, total=int(report.get("total", 0))))
+            case "message":
+                emit(Message(text=f"{scene}{report.get('text', '')}"))
+            case "preview":
+                emit(Preview(path=str(report.get("path", ""))))

@@ -17,11 +17,12 @@ from ..errors import EngineError, Stopped
 from ..formats.events import Record
 from ..formats.files import write_json
 from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, CHECKPOINT
+from ..requests.values import is_url
 from ..storage.commits import StoredRun
 from ..storage.lease import Lease, LeaseTakenError
 from ..storage.mirror import SCENES, mirror
 from ..storage.room import claim, keep, limit, make_room
-from ..storage.urls import file_system, folder_of, is_url
+from ..storage.urls import file_system, folder_of
 from .engine_process import DONE, FAILED, LOST, STOPPED, Outcome, run_engine
 
 RUNS = "runs"

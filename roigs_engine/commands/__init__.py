@@ -1,4 +1,1 @@
-"""The commands of `python -m roigs_engine`, one file each.
-
-Every command module has `HELP`, `EXAMPLES`, `add_arguments(parser)` and `run(args, console)`.
-"""
+"""The command line: requests from command lines, and text from results."""

@@ -1,19 +1,19 @@
-"""A command's output and stop requests: a progress bar for users, JSON lines for programs."""
+"""Console: a command's output, as a progress bar or as JSON lines, and requests to stop it."""
 
 from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ..context import Context
-from ..errors import RunFolderError
 from ..formats.events import (
+    Board,
     Device,
     Done,
     Event,
@@ -25,9 +25,6 @@ from ..formats.events import (
     device_in_words,
     to_json,
 )
-from ..formats.files import cannot_write, open_log
-from ..formats.lock import check_held
-from ..formats.run_files import EVENTS
 from ..formats.text import printable
 from .stopping import StopRequest
 from .streams import Stream
@@ -51,9 +48,7 @@ class Console:
         if json_lines and isinstance(sys.stdout, Stream):
             sys.stdout.encoding = "utf-8"  # escapes for what a locale lacks would not be JSON
         self._bar: tqdm[None] | None = None
-        self._log: TextIO | None = None
-        self._log_path: Path | None = None
-        self._early: list[str] | None = None  # for the log, until it is open
+        self._drawn = 0  # lines of a board that are on the terminal
         self.resumes = False  # whether the same command goes on where it was stopped
 
     def watch(self) -> None:
@@ -69,61 +64,17 @@ class Console:
     @property
     def context(self) -> Context:
         """The context of a command's work, with this console's events and stop requests."""
-        return Context(emit=self.emit, should_stop=self.should_stop)
-
-    def log_later(self) -> None:
-        """Keep the events from now on for `log_to`."""
-        self._early = []
-
-    def log_to(self, folder: Path) -> None:
-        """Also append every event as a JSON line to `folder`/events.jsonl, those kept first.
-
-        Does nothing if there is a log already.
-
-        Raises:
-            RunFolderError: the file cannot be written.
-        """
-        if self._log is not None:
-            return
-        path = folder / EVENTS
-        try:
-            self._log = open_log(path)
-        except OSError as error:
-            raise cannot_write(path, error) from error
-        self._log_path, self.resumes = path, True
-        early, self._early = self._early or [], None
-        if early:
-            self._append("\n".join(early), self._log)
-
-    def _may_write(self) -> bool:
-        """Whether the folder of the log is still this process's own."""
-        if self._log_path is not None:
-            with suppress(RunFolderError):
-                check_held(self._log_path)
-                return True
-        return False
+        person = not self._json_lines
+        return Context(emit=self.emit, should_stop=self.should_stop, for_person=person)
 
     def emit(self, event: Event) -> None:
         """Show one event."""
-        if self._log is not None and self._may_write():
-            self._append(to_json(event), self._log)
-        elif self._early is not None:
-            self._early.append(to_json(event))
-        if self._json_lines:
+        if isinstance(event, Board):
+            self._show_board(event.lines)
+        elif self._json_lines:
             _write(to_json(event), sys.stdout)
         else:
             self._show(event)
-
-    def _append(self, line: str, log: TextIO) -> None:
-        """Append a line to the log. A full disk ends the log, but not the work."""
-        try:
-            print(line, file=log, flush=True)
-        except OSError as error:
-            self._log = None
-            with suppress(OSError):  # closing tries to write the rest again
-                log.close()
-            text = f"Events are no longer written to events.jsonl ({error.strerror or error})."
-            self.emit(Message(text=text, level="warning"))
 
     def print(self, text: str) -> None:
         """Print the command's answer: to standard output, but to standard error beside JSON.
@@ -133,11 +84,6 @@ class Console:
         self.close_bar()
         text = "\n".join(map(printable, text.split("\n")))
         _write(text, sys.stderr if self._json_lines else sys.stdout)
-
-    def print_places(self, outputs: dict[str, str]) -> None:
-        """Print where a command has written what."""
-        for what, path in outputs.items():
-            self.print(f"{what + ':':10}{path}")
 
     def close_bar(self) -> None:
         """End the progress bar, if there is one."""
@@ -190,8 +136,23 @@ class Console:
         self._bar.set_postfix_str(", ".join(filter(None, parts)), refresh=False)
         self._bar.update(event.step - self._bar.n)
 
+    def _show_board(self, lines: Sequence[str]) -> None:
+        """Draw how far a batch is, in the place of the last picture, where a terminal is."""
+        if self._json_lines or not sys.stderr.isatty():
+            return
+        self._clear_board()
+        width = shutil.get_terminal_size().columns - 1
+        sys.stderr.write("".join(f"{printable(line)[:width]}\n" for line in lines))
+        self._drawn = len(lines)
+
+    def _clear_board(self) -> None:
+        if self._drawn:
+            sys.stderr.write(f"\x1b[{self._drawn}A\x1b[J")
+            self._drawn = 0
+
     def _line(self, text: str) -> None:
         text = printable(text)
+        self._clear_board()
         if self._bar is not None:
             self._bar.write(text, file=sys.stderr)
         else:

@@ -9,24 +9,15 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from ..errors import EngineError
-from ..machine import address_space, is_memory_full, usable_cores
+from ..machine import NO_MEMORY, address_space, is_memory_full, more_memory, usable_cores
 from .stopping import INTERRUPTED, StopRequest
 from .streams import Stream, protect
 
 UNREAD = 141
 """Exit status if the reader of standard output went away (a shell's status after SIGPIPE)."""
 
-NO_MEMORY = "There is not enough memory for this."
 # Bytes of addresses below which numpy does not start, or only hangs: all, and for each core.
 MIN_NUMPY, MIN_NUMPY_CORE = 256 << 20, 40 << 20
-
-
-def more_memory() -> str:
-    """What to do about `NO_MEMORY`."""
-    limit = address_space()
-    if limit is not None:
-        return f"Raise this shell's limit of {limit >> 20} MB (ulimit -v), or use smaller photos."
-    return "Use smaller photos (--max-side), or a computer with more memory."
 
 
 def check_address_space(name: str, least: int, each: int) -> None:

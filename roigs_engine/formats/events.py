@@ -85,7 +85,14 @@ class Failed:
     hint: str = ""
 
 
-Event = StageStarted | Progress | Message | Device | Preview | Done | Failed
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """How far a batch is, as lines for a terminal; it is not written as JSON."""
+
+    lines: tuple[str, ...]
+
+
+Event = StageStarted | Progress | Message | Device | Preview | Done | Failed | Board
 Record = dict[str, Any]
 """An event as it was read: `event`, its name, and those of its fields that are present."""
 

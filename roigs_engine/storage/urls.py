@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import sys
 from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
+from ..requests.values import SCHEME
 
-SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
 LOST = ("memory",)
 """Kinds of addresses that are in the memory of this process."""
 HOME = "ROIGS_CACHE"
 """Environment variable: the folder of this machine's copies."""
-
-
-def is_url(text: object) -> bool:
-    """Whether a path is an address of a store, `s3://bucket/scans`, and no folder."""
-    return isinstance(text, str) and SCHEME.match(text) is not None
 
 
 def refuse_lost(url: str) -> None:

@@ -67,8 +67,8 @@ def good_line(command: str, folder: Path) -> Command:
 def options(dice: random.Random, folder: Path) -> Case:
     """Every option of every command with numbers, texts and paths that do not fit, and with some
     that do; on the command line or in an options file."""
-    from roigs_engine.cli import build_parser
-    from roigs_engine.commands.values import Name, Number
+    from roigs_engine.commands.parser import build_parser
+    from roigs_engine.requests.values import Name, Number
 
     command = dice.choice(
         ("inspect", "export", "select", "compose", "evaluate", "render", "claim", "claim", "run")

@@ -17,14 +17,19 @@ import resource
 import sys
 import tempfile
 import traceback
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.memory import resident
 from roigs_addon.geometry.splat_cloud import read_splats
 from roigs_engine import cli
-from roigs_engine.commands import train
+from roigs_engine.app.outputs import Result
+from roigs_engine.commands.table import COMMANDS, Command
 from roigs_engine.errors import EngineError
+from roigs_engine.requests.declare import Request, option
+from roigs_engine.requests.runs import Train
+from roigs_engine.requests.values import PATH
 from tests.fuzz import cases, exchange, run_folders
 
 MEMORY = 2 << 30  # bytes above what the imported packages take
@@ -39,66 +44,76 @@ HEAVY = ("torch", "scipy.spatial", "sklearn.gaussian_process", "pycolmap", "PIL.
 FORMATS = ("gsply.spz", "imagecodecs", "pygltflib", "zstandard")
 
 
-class Claim:
+@dataclass(frozen=True, kw_only=True)
+class Decode(Request):
+    """A scene."""
+
+    scene: Path = option(PATH, "folder", required=True, flags=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splats(Request):
+    """A file of Gaussians."""
+
+    ply: Path = option(PATH, "file", required=True, flags=())
+
+
+def claim(request: Any, context: Any) -> Result:
     """The command `train` without its training: everything that looks at the input."""
+    from roigs_engine.app.asked import Asked
+    from roigs_engine.app.event_log import logged
+    from roigs_engine.app.train import opened
+    from roigs_engine.run.photo_sets import PhotoSets
 
-    HELP, EXAMPLES = "for tests", ""
-    add_arguments = staticmethod(train.add_arguments)
-
-    @staticmethod
-    def run(args: Any, console: Any) -> dict[str, str]:
-        from roigs_engine.run.photo_sets import PhotoSets
-
-        with train.opened_run(args, console) as (run, context):
-            PhotoSets(run, context).selections()
-        return {}
+    asked = Asked.of(request)
+    with logged(context) as (context, log), opened(asked, context, log) as (run, context):
+        PhotoSets(run, context).selections()
+    return Result()
 
 
-class Decode:
+def decode(request: Any, context: Any) -> Result:
     """Loads a scene with all its pixels, as training does."""
+    from roigs_engine.colmap.project import load_colmap
+    from roigs_engine.photos.cache import PhotoCache
 
-    HELP, EXAMPLES = "for tests", ""
-
-    @staticmethod
-    def add_arguments(parser: Any) -> None:
-        parser.add_argument("scene", type=Path)
-
-    @staticmethod
-    def run(args: Any, console: Any) -> dict[str, str]:
-        from roigs_engine.colmap.project import load_colmap
-        from roigs_engine.photos.cache import PhotoCache
-
-        scene = load_colmap(
-            args.scene, max_side=64, cache=args.scene / "../out", context=console.context
-        )
-        with PhotoCache(scene.images) as cache:
-            for index in range(len(cache)):
-                with contextlib.suppress(EngineError):
-                    camera, pixels = scene.images[index].camera, cache[index]
-                    assert pixels.shape[:2] == (camera.height, camera.width)
-                    assert pixels.shape[2] in (3, 4)  # with a mask
-        return {}
+    scene = load_colmap(request.scene, max_side=64, cache=request.scene / "../out", context=context)
+    with PhotoCache(scene.images) as cache:
+        for index in range(len(cache)):
+            with contextlib.suppress(EngineError):
+                camera, pixels = scene.images[index].camera, cache[index]
+                assert pixels.shape[:2] == (camera.height, camera.width)
+                assert pixels.shape[2] in (3, 4)  # with a mask
+    return Result()
 
 
-class Splats:
+def splats(request: Any, context: Any) -> Result:
     """The add-on's reader of PLYs, which refuses with a ValueError."""
-
-    HELP, EXAMPLES = "for tests", ""
-
-    @staticmethod
-    def add_arguments(parser: Any) -> None:
-        parser.add_argument("ply", type=Path)
-
-    @staticmethod
-    def run(args: Any, console: Any) -> dict[str, str]:
-        try:
-            read_splats(args.ply)
-        except ValueError as error:
-            raise EngineError(str(error)) from error
-        return {}
+    try:
+        read_splats(request.ply)
+    except ValueError as error:
+        raise EngineError(str(error)) from error
+    return Result()
 
 
-cli.COMMANDS |= {"claim": Claim, "decode": Decode, "splats": Splats}  # type: ignore[dict-item]
+def _command(request: type[Request], does: Any, *, takes_file: bool = False) -> Command:
+    """A command for tests, which is done by a function of this module."""
+    made = Command(
+        request=request,
+        does="",
+        help="for tests",
+        examples=(),
+        prints=lambda *_: "",
+        takes_file=takes_file,
+    )
+    object.__setattr__(made, "run", lambda request, context, _: does(request, context))
+    return made
+
+
+COMMANDS |= {
+    "claim": _command(Train, claim, takes_file=True),
+    "decode": _command(Decode, decode),
+    "splats": _command(Splats, splats),
+}
 
 
 def complaint(family: str, number: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+from pathlib import Path
 
 import pytest
 
@@ -19,20 +19,18 @@ def test_all_presets_are_known() -> None:
 @pytest.mark.parametrize("preset", ["draft", "standard", "paper"])
 def test_steps_are_the_engines(preset: str, strategy: str, factor: float) -> None:
     pytest.importorskip("torch")
-    from roigs_engine.commands.options import (
-        add_evaluation_option,
-        add_selection_options,
-        add_training_options,
-        run_config,
-    )
+    from roigs_engine.app.asked import run_config
+    from roigs_engine.requests.runs import Train
     from roigs_engine.run.stage_configs import cutout_stage, object_stage
 
-    parser = argparse.ArgumentParser()
-    add_selection_options(parser)
-    add_training_options(parser)
-    add_evaluation_option(parser)
-    options = ["--preset", preset, "--strategy", strategy, "--steps-factor", f"{factor:.5g}"]
-    config = run_config(parser.parse_args(options))
+    asked = Train(
+        scene=Path("garden"),
+        run_dir=Path("run"),
+        preset=preset,
+        strategy=strategy,
+        steps_factor=float(f"{factor:.5g}"),
+    )
+    config = run_config(asked)
     boxes, cutout = 3, 0
     if strategy == "joint":
         steps, cutout = config.scene.steps + config.roi.steps, cutout_stage(config).steps

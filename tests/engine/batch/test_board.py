@@ -11,12 +11,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from roigs_engine.batch.board import Board, duration
+from roigs_engine.batch.board import Board, Reporter, duration
 from roigs_engine.batch.engine_process import DONE, Outcome
 from roigs_engine.batch.page import write_batch_page
 from roigs_engine.batch.record import BatchRecord
 from roigs_engine.batch.schedule import RUNNING, Scheduler
-from roigs_engine.commands.batch_show import Shown
 from roigs_engine.commands.console import Console
 from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError
@@ -56,6 +55,13 @@ def board_of(scheduler: Scheduler) -> Board:
     return board
 
 
+def reporter(scheduler: Scheduler, *, json_lines: bool) -> Reporter:
+    """What tells a console of such a batch."""
+    found = Reporter(scheduler.scenes, Console(json_lines=json_lines).context)
+    found._board = board_of(scheduler)
+    return found
+
+
 def test_objects_step_psnr_and_time_left(scheduler: Scheduler) -> None:
     lines = board_of(scheduler).lines()
     assert lines[0] == "1 of 2 objects done, 1 running, about 5 seconds left"
@@ -72,12 +78,12 @@ def test_a_terminal_has_one_board_that_changes(
 ) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    shown = Shown(Console(json_lines=False), board_of(scheduler), json_lines=False)
+    shown = reporter(scheduler, json_lines=False)
     hall = scheduler.scenes["hall"]
-    shown.draw(now=True)
+    shown._draw(now=True)
     for _ in range(2):  # said once
         shown.take(hall, hall.parts["all"], WARNING or {})
-    shown.draw(now=True)
+    shown._draw(now=True)
     text = terminal.getvalue()
     assert text.count("\x1b[2A\x1b[J") == 1  # two lines were drawn, and then again
     assert text.count("warning: hall: Dark photos.") == 1
@@ -87,7 +93,7 @@ def test_a_terminal_has_one_board_that_changes(
 def test_lines_where_no_terminal_is(
     scheduler: Scheduler, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shown = Shown(Console(json_lines=False), board_of(scheduler), json_lines=False)
+    shown = reporter(scheduler, json_lines=False)
     attic, hall = scheduler.scenes["attic"], scheduler.scenes["hall"]
     shown.take(hall, hall.parts["all"], STEP or {})
     shown.take(attic, attic.parts["all"], Outcome(state=DONE))
@@ -95,7 +101,7 @@ def test_lines_where_no_terminal_is(
 
 
 def test_events_for_programs(scheduler: Scheduler, capsys: pytest.CaptureFixture[str]) -> None:
-    shown = Shown(Console(json_lines=True), board_of(scheduler), json_lines=True)
+    shown = reporter(scheduler, json_lines=True)
     attic, hall = scheduler.scenes["attic"], scheduler.scenes["hall"]
     shown.take(hall, hall.parts["all"], STEP or {})
     shown.take(attic, attic.parts["all"], Outcome(state=DONE))

@@ -11,9 +11,9 @@ import pytest
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.refine import refine_cameras
-from roigs_engine.commands.refine_cameras import refined_folder
 from roigs_engine.context import Context
 from roigs_engine.errors import SceneError, Stopped
+from roigs_engine.formats.projects import refined_folder
 from tests.engine.synthetic_colmap import Project, camera, write_project
 
 LENS = [200.0, 190.0, 120.0, 90.0, 0.2, -0.6, 0.0, 0.0]  # OPENCV: no SIMPLE_RADIAL is like it

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.app.batch_plan import plan_row
+from roigs_engine.app.batch_table import Table
 from roigs_engine.batch.record import BatchRecord
 from roigs_engine.cli import main
-from roigs_engine.commands.batch_plan import plan_row
-from roigs_engine.commands.batch_table import Table
-from roigs_engine.commands.console import Console
+from roigs_engine.context import QUIET
 from tests.engine.clouds import cloud
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.synthetic_colmap import write_project
@@ -141,8 +141,9 @@ def test_defaults_give_way_to_a_scenes_own_values(scans: Path, tmp_path: Path) -
     ]
     table.write_text("\n".join(lines), encoding="utf-8")
     a, b = Table(table).rows
-    assert a.args.preset == "paper" and a.args.roi == [BOX] and a.outputs == (".spz",)
-    assert b.args.preset == "draft" and b.args.roi == [] and b.args.compare == []
+    first, second = (row.request(tmp_path) for row in (a, b))
+    assert first.preset == "paper" and first.roi == (BOX,) and a.outputs == (".spz",)
+    assert second.preset == "draft" and second.roi == () and b.options["compare"] == []
     assert a.digest != b.digest
 
 
@@ -156,7 +157,7 @@ def test_outputs_are_turned_as_convert_turns_them(scans: Path, tmp_path: Path) -
     table.write_text("\n".join(lines), encoding="utf-8")
     found, record = {}, BatchRecord(tmp_path)
     for row in Table(table).rows:
-        plan = plan_row(row, tmp_path, record, Console(json_lines=False)).scene
+        plan = plan_row(row, tmp_path, record, QUIET).scene
         found[row.name] = next(part.argv for part in plan.parts if part.argv[0] == "convert")
         assert not {"from_up", "sh_degree"} & row.options.keys()  # no options of `run`
     source, out = (str(tmp_path / name) for name in ("a/result.ply", "outputs/a.glb"))

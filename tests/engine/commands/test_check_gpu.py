@@ -11,7 +11,7 @@ import torch
 
 from roigs_engine.cli import main
 from roigs_engine.commands.console import Console
-from roigs_engine.cuda import card, device, driver
+from roigs_engine.cuda import card, compiler, device, driver
 from roigs_engine.training import gpu_check, gpu_times
 from tests.engine.cuda.shim import ShimProgram, compiled
 
@@ -20,7 +20,7 @@ from tests.engine.cuda.shim import ShimProgram, compiled
 def _card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "check_cuda", lambda context: device.CPU)
     monkeypatch.setattr(driver, "build", lambda: "580.95.05")
-    monkeypatch.setattr(card, "nvrtc_of_torch", lambda: SimpleNamespace(version=(13, 0)))
+    monkeypatch.setattr(compiler, "nvrtc_of_torch", lambda: SimpleNamespace(version=(13, 0)))
     for name, value in (
         ("get_device_capability", (8, 9)),
         ("get_device_name", "Some Card"),
@@ -39,7 +39,7 @@ def test_it_prints_everything_for_a_bug_report(
 ) -> None:
     program = ShimProgram(compiled())
     monkeypatch.setattr(card, "program", lambda device: program)
-    monkeypatch.setattr("roigs_engine.commands.check_gpu.GPU_STEPS", 1)
+    monkeypatch.setattr("roigs_engine.app.upkeep.GPU_STEPS", 1)
     assert main(["check-gpu"]) == 0
     said = capsys.readouterr().out
     for part in ("580.95.05", "Some Card", "8.9", "8.0 GiB", "NVRTC 13.0", "ok     image"):

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roigs_engine.app import objects
+from roigs_engine.app.instances import InstanceRecord
 from roigs_engine.cli import main
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.commands import floaters
-from roigs_engine.commands.placed_models import Placed
 from roigs_engine.formats.splat_ply import write_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
@@ -91,8 +91,8 @@ def test_files_in_their_places(project: Project, tmp_path: Path) -> None:
 def test_a_model_stays_antialiased(tmp_path: Path) -> None:
     for antialiased in (False, True):
         replace(cloud(), antialiased=antialiased).save_ply(tmp_path / "a.ply")
-        wanted = [Placed(str(tmp_path / "a.ply"), np.eye(4), (1.0, 1.0, 1.0))]
-        model, _ = floaters._model(wanted, LocalFrame.world())
+        wanted = [InstanceRecord(str(tmp_path / "a.ply"), np.eye(4))]
+        model, _ = objects._as_one(wanted, LocalFrame.world())
         assert model.antialiased is antialiased
 
 
@@ -118,6 +118,6 @@ def test_both_kinds_are_judged_as_most_are(tmp_path: Path, most: bool) -> None:
         models = [cloud()] * (3 if antialiased == most else 1)
         path = tmp_path / f"{antialiased}.ply"
         replace(Gaussians.concatenate(models), antialiased=antialiased).save_ply(path)
-        wanted.append(Placed(str(path), np.eye(4), (1.0, 1.0, 1.0)))
-    model, rows = floaters._model(wanted, LocalFrame.world())
+        wanted.append(InstanceRecord(str(path), np.eye(4)))
+    model, rows = objects._as_one(wanted, LocalFrame.world())
     assert model.antialiased is most and len(rows) == 4 * len(cloud())

@@ -8,7 +8,9 @@ import shlex
 import pytest
 
 import roigs_engine
-from roigs_engine.cli import COMMANDS, build_parser, main
+from roigs_engine.cli import main
+from roigs_engine.commands.parser import build_parser, parsed
+from roigs_engine.commands.table import COMMANDS
 from tests.engine.commands.command_line import ROOT, python
 
 
@@ -27,13 +29,11 @@ def test_every_command_has_help_with_examples(
 
 @pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_examples_in_the_help_are_accepted(command: str) -> None:
-    text = COMMANDS[command].EXAMPLES.replace("\\\n", " ")
-    examples = [line for line in text.splitlines() if line.strip()]
+    examples = COMMANDS[command].examples
     assert examples
-    for line in examples:
-        words = shlex.split(line)
-        assert words[:3] == ["python", "-m", "roigs_engine"]
-        assert build_parser()[0].parse_args(words[3:]).command == command
+    for example in examples:
+        words = [command, *shlex.split(example)]
+        assert parsed(words)[0] is COMMANDS[command]
 
 
 def test_help_lists_the_commands_and_version_is_the_packages() -> None:

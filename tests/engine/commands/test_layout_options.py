@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.app.batch_plan import plan_row
+from roigs_engine.app.batch_table import Table
 from roigs_engine.batch.record import BatchRecord
 from roigs_engine.cli import main
-from roigs_engine.commands.batch_plan import plan_row
-from roigs_engine.commands.batch_table import Table
-from roigs_engine.commands.console import Console
+from roigs_engine.context import QUIET
 from roigs_engine.formats import run_files
 from roigs_engine.run import blocks
 from tests.engine.commands.command_line import BOX, refused
@@ -112,8 +112,7 @@ def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> N
     assert not found.wrong
     record = BatchRecord(tmp_path)
     parts = {
-        part.name: part
-        for part in plan_row(found.rows[0], tmp_path, record, Console(json_lines=False)).scene.parts
+        part.name: part for part in plan_row(found.rows[0], tmp_path, record, QUIET).scene.parts
     }
     coarse = ("block-1-scene", "block-2-scene")
     assert all(parts[name].needs == ("prepare",) for name in coarse)
@@ -125,6 +124,6 @@ def test_a_batch_does_blocks_side_by_side(project: Project, tmp_path: Path) -> N
 def test_each_part_of_a_batch_asks_for_its_own_memory(project: Project, tmp_path: Path) -> None:
     table = table_of(project, tmp_path, "strategy = 'independent'", "count = 3")
     (row,), record = table.rows, BatchRecord(tmp_path)
-    parts = plan_row(row, tmp_path, record, Console(json_lines=False)).scene.parts
+    parts = plan_row(row, tmp_path, record, QUIET).scene.parts
     memory = {part.name: part.memory for part in parts}
     assert 0 < memory["object-thing"] < memory["scene"] <= memory["all"]

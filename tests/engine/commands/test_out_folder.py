@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.app.outputs import refuse_run_files
 from roigs_engine.cli import main
-from roigs_engine.commands.out_folder import refuse_run_files
 from roigs_engine.errors import ConfigError
 from roigs_engine.formats.lock import locked
 from tests.addon.colmap_project import write_project

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from roigs_engine.app.run_scene import cameras_of_result
 from roigs_engine.cli import main
-from roigs_engine.commands.run_scene import cameras_of_result
 from roigs_engine.formats.splat_ply import is_antialiased
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.rasterize.view import render_view

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from roigs_engine.app.render import Models
 from roigs_engine.cli import main
-from roigs_engine.commands.render_frames import Models
 from roigs_engine.context import Context
 from roigs_engine.formats.events import Event, Progress
 from roigs_engine.formats.frame_requests import colour_file, depth_file, write_nothing

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.cli import build_parser, main
-from roigs_engine.commands.options_file import NOT_KEYS
-from roigs_engine.commands.values import Name, Number
+from roigs_engine.cli import main
+from roigs_engine.commands.parser import build_parser
+from roigs_engine.requests.values import Name, Number
 from tests.engine.commands.command_line import BOX, refused
 from tests.engine.synthetic_colmap import Project
 
@@ -37,7 +37,7 @@ def words(command: str, action: argparse.Action | None, value: str) -> list[str]
     line = [command]
     action = action or next(a for a in parser._actions if a.dest == "scene")
     for other in parser._actions:
-        needed = other.required and other.dest != action.dest
+        needed = other in parser.needed and other.dest != action.dest
         if needed and other.option_strings:
             line += [other.option_strings[0], "x=y"]
         elif not other.option_strings and other.dest == action.dest:
@@ -99,7 +99,7 @@ def test_an_options_file_has_the_same_ranges(
 ) -> None:
     parser, path = build_parser()[1][command], tmp_path / "options.json"
     for action in parser._actions:
-        if action.dest in NOT_KEYS or not isinstance(action.type, Number) or action.required:
+        if not isinstance(action.type, Number) or action in parser.needed:
             continue
         limits = action.type
         for value in (*ODD, limits.low - 1, 2 * limits.high + 1, 0.5 if limits.integer else []):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roigs_engine.cli import COMMANDS, main
+from roigs_engine.cli import main
 from roigs_engine.model.gaussians import Gaussians
 from tests.engine.commands.command_line import BOX, EMPTY, python, refused
 from tests.engine.synthetic_colmap import Project, write_project
@@ -100,7 +100,7 @@ def test_values_out_of_range(
 
 @pytest.mark.parametrize(
     "options",
-    [["--steps-factor", "0"], ["--kept-share", "2"], ["--test-every", "1"], ["--count", "-3"]],
+    [["--steps-factor", "0"], ["--image-cache", "-2"], ["--test-every", "1"], ["--count", "-3"]],
 )
 def test_training_values_out_of_range(
     project: Project, tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
@@ -179,7 +179,7 @@ def test_what_does_not_fit_into_memory_is_one_line(
         def fail(*_: object, error: Exception = error) -> None:
             raise error
 
-        monkeypatch.setattr(COMMANDS["inspect"], "run", fail)
+        monkeypatch.setattr("roigs_engine.app.scenes.inspect", fail)
         assert "memory" in refused(capsys, "inspect", project.folder)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from roigs_engine.app.event_log import EventLog
 from roigs_engine.commands.console import Console
 from roigs_engine.formats.events import Message
 from roigs_engine.formats.lock import locked
@@ -91,12 +92,12 @@ def test_a_second_engine_in_a_folder(request_: Request, tmp_path: Path) -> None:
 def test_a_log_that_cannot_be_written_ends_and_nothing_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    console = Console(json_lines=False)
-    console.log_to(tmp_path)
-    assert console._log is not None
+    log = EventLog(Console(json_lines=False).context)
+    log.open(tmp_path)
+    assert log._file is not None
     with open("/dev/full", "w", encoding="utf-8") as full:
-        os.dup2(full.fileno(), console._log.fileno())
+        os.dup2(full.fileno(), log._file.fileno())
     for text in ("one", "two"):
-        console.emit(Message(text=text))
+        log.emit(Message(text=text))
     lines = capsys.readouterr().err.splitlines()
     assert lines[1:] == ["one", "two"] and FULL in lines[0]

@@ -1,0 +1,195 @@
+"""A training as its request tells it: settings, boxes and photos, resolved once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..context import Context
+from ..errors import ConfigError, RunFolderError
+from ..formats import run_files
+from ..formats.files import read_json
+from ..formats.projects import model_folders, model_suffix
+from ..requests.choices import COMPARISONS
+from ..requests.runs import Run as RunRequest
+from ..requests.runs import Train
+from ..requests.values import AUTO
+from ..run.config import AUTO_BLOCKS, MOST_BLOCKS, RunConfig
+from ..run.presets import in_strategy, preset
+from ..selection.cells import parsed_groups
+from ..selection.manual import load_manual
+from .inputs import BoxSource, is_photos, load_scene, mask_options, on_device
+from .outputs import refuse_inputs, refuse_run_files
+
+if TYPE_CHECKING:
+    from ..model.roi import OrientedBox
+    from ..model.scene import SfmScene
+    from ..run.definition import Run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A training as its request tells it, before the scene is looked at.
+
+    Attributes:
+        request: with the COLMAP project that photos become as its scene.
+        photos: the photos that it is made of; None: the scene has a model.
+        config: the preset with the options; blocks and groups are not yet in it.
+        boxes: where they come from.
+        manual: folder of photo lists; None: none.
+        compare: models to compare with.
+        evaluated: whether test photos are rendered and compared.
+        parts: of the run, if it is not to be done in one go.
+    """
+
+    request: Train
+    photos: Path | None
+    config: RunConfig
+    boxes: BoxSource
+    compare: tuple[str, ...] = ()
+    evaluated: bool = False
+    parts: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(request: Train) -> Asked:
+        """The training of a request.
+
+        Raises:
+            ConfigError: options do not fit one another, or the run folder is no place for a run.
+            RoiError: as `BoxSource.of`.
+        """
+        config = run_config(request)
+        evaluated = isinstance(request, RunRequest)
+        if evaluated and config.test_every == 0:
+            raise ConfigError(
+                "--test-every 0 leaves no test photo to evaluate.",
+                "Use 2 or more, or `train`, which does not evaluate.",
+            )
+        photos = request.scene if _is_photos(request) else None
+        if photos is not None:
+            request = replace(request, scene=request.run_dir / run_files.PROJECT)
+        refuse_run_files(request.run_dir, option="--run-dir")
+        compare: tuple[str, ...] = request.compare if isinstance(request, RunRequest) else ()
+        return Asked(
+            request=request,
+            photos=photos,
+            config=config,
+            boxes=BoxSource.of(request, request.run_dir),
+            compare=COMPARISONS if "all" in compare else compare,
+            evaluated=evaluated,
+            parts=request.part if isinstance(request, RunRequest) else (),
+        )
+
+    @property
+    def has_model(self) -> bool:
+        """Whether the scene has a COLMAP model already."""
+        return self.photos is None or bool(model_folders(self.request.scene))
+
+    def inputs(self, rois: Sequence[OrientedBox]) -> dict[str, Any]:
+        """Boxes, settings and manual photos for `define_run`; ConfigError if they do not fit."""
+        folder, lists = self.request.run_dir, self.request.selection
+        names = [roi.name for roi in rois]
+        blocks = self.request.blocks or 1
+        if blocks == AUTO:  # what was chosen before stays, on whatever machine the run resumes
+            blocks = _blocks_before(folder) or AUTO_BLOCKS
+        groups = parsed_groups(self.request.group, names) if self.request.group else ()
+        config = replace(self.config, blocks=int(blocks), groups=groups)
+        if lists is None:
+            return {"rois": rois, "config": config}
+        own = (folder / run_files.SELECTION / f"{name}.json" for name in names)
+        given = [lists / f"{name}.json" for name in names]
+        refuse_inputs(own, given, "Give a copy of that folder to --selection.")
+        return {"rois": rois, "config": config, "manual": load_manual(lists, rois)}
+
+    def context(self, context: Context) -> Context:
+        """The context with its device and memory for photos."""
+        cache = self.request.image_cache
+        memory = None if cache is None else int(1e6 * cache)
+        return replace(on_device(context, self.request.device), photo_memory=memory)
+
+    def scene(
+        self,
+        context: Context,
+        *,
+        pixels: bool = True,
+        check: Callable[[SfmScene], None] | None = None,
+    ) -> SfmScene:
+        """The scene, with the masks of photos and of the boxes' objects; see `load_scene`."""
+        from ..photos.contents import FILE as CONTENTS
+
+        cache: Path | None = self.request.run_dir / run_files.CACHE
+        # Of a plan, what is in the photos matters only if there are results to compare them with.
+        if not pixels and cache and not (cache / CONTENTS).exists():
+            cache = None
+        masks = mask_options(self.request, self.boxes.names, self.request.run_dir)
+        return load_scene(self.request, context, cache, pixels=pixels, check=check, masks=masks)
+
+    def defined(self, context: Context, *, pixels: bool = True) -> Run:
+        """The run, without opening its folder.
+
+        Args:
+            context: with the device.
+            pixels: False: by the cameras alone; nothing is written.
+        """
+        from ..run.definition import define_run
+
+        inputs = {} if self.boxes.given is None else self.inputs(self.boxes.given)
+        scene = self.scene(context, pixels=pixels)
+        inputs = inputs or self.inputs(self.boxes.boxes(scene))
+        return define_run(self.request.run_dir, scene, context=context, **inputs)
+
+
+def run_config(request: Train) -> RunConfig:
+    """The preset with the options of a request; without blocks and groups."""
+    config = preset(request.preset)
+    if request.strategy and request.strategy != config.strategy:
+        config = replace(in_strategy(config, request.strategy), preset=config.preset)
+    if request.steps_factor is not None:
+        config = config.scaled(request.steps_factor)
+    config = replace(
+        config,
+        **_given(request, "kept_share", "roi_init", "roi_order", "test_every", "seed"),
+        **_given(request, "evaluate_on"),
+        selection=replace(config.selection, **_given(request, "method", "count", "seed")),
+    )
+    stages = _given(request, "sh_degree", "antialiased")
+    return replace(config, scene=replace(config.scene, **stages), roi=replace(config.roi, **stages))
+
+
+def _given(request: Train, *names: str) -> dict[str, Any]:
+    """The named options that were given, by name."""
+    values = {name: getattr(request, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _blocks_before(folder: Path) -> int:
+    """The blocks of the run in a folder; 0: there is none, or it is not cut."""
+    with suppress(RunFolderError, AttributeError):
+        found = read_json(folder / run_files.MANIFEST).get("config", {}).get("blocks", 0)
+        return found if isinstance(found, int) and 1 < found <= MOST_BLOCKS else 0
+    return 0
+
+
+def _is_photos(request: Train) -> bool:
+    """Whether the scene is photos.
+
+    Raises:
+        ConfigError: the run folder is among them, or boxes are given before there is a model.
+    """
+    if not is_photos(request.scene):
+        return False
+    if request.run_dir.resolve().is_relative_to(request.scene.resolve()):
+        raise ConfigError(
+            f"{request.run_dir} is in the folder of the photos.", "Choose another --run-dir."
+        )
+    project = request.run_dir / run_files.PROJECT
+    if AUTO not in request.roi and not model_suffix(project / "sparse/0"):
+        raise ConfigError(
+            f"{request.scene} has no COLMAP model, so boxes have no coordinates yet.",
+            f'Use --roi {AUTO} instead of boxes (roi = ["{AUTO}"] in a table), or make the model'
+            " first (`reconstruct`).",
+        )
+    return True

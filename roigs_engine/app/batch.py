@@ -1,0 +1,328 @@
+"""A batch: the runs of a table of scenes, side by side, here or on a cluster."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..batch.parts import WHOLE
+from ..context import QUIET, Context
+from ..errors import ConfigError, EngineError, RunFolderError
+from ..formats.clean_up import is_run_folder
+from ..formats.files import write_json
+from ..formats.lock import locked
+from ..formats.run_files import BATCH, BATCH_LOCK, BATCH_OUTPUTS, REPORT_PAGE
+from ..formats.text import counted, in_gb
+from ..requests.runs import Batch
+from ..requests.values import is_url
+from .batch_plan import checked_plans, files_of_run, options_path, outputs_of, plan_row
+from .batch_store import Store, StoredRecord, localized
+from .batch_table import Row, Table, write_table
+from .outputs import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..batch.engine_process import Outcome
+    from ..batch.moves import PartState
+    from ..batch.parts import ScenePlan
+    from ..batch.record import BatchRecord
+    from ..batch.schedule import Executor, SceneState
+    from ..formats.events import Record
+
+PAGE_SECONDS = 10.0  # between two pages while the batch goes on
+TABLE = "batch.toml"
+MACHINES = (1, 2, 5, 10)
+HEAD = ("scene", "objects", "stages", "steps", "memory", "minutes", "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batched(Result):
+    """Where a batch is: a folder or an address, its page, and why scenes failed.
+
+    Attributes:
+        scenes: number of all scenes.
+    """
+
+    runs: str
+    report: str
+    scenes: int
+    failed: tuple[str, ...] = ()
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """Page and folder."""
+        return {"report": self.report, "runs": self.runs}
+
+    @property
+    def error(self) -> EngineError | None:
+        """That scenes failed."""
+        if not self.failed:
+            return None
+        return RunFolderError(
+            f"{counted(len(self.failed), 'scene')} of {self.scenes} failed; {self.report} says"
+            " why.",
+            "The same command tries these again, and keeps what is done.",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewTable(Result):
+    """A table that was written."""
+
+    table: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedBatch(Result):
+    """The plan of a batch that is not done, as text."""
+
+    text: str
+
+
+def run_batch(request: Batch, context: Context = QUIET) -> Batched | NewTable | PlannedBatch:
+    """Write a table, print its plan, or do it.
+
+    Raises:
+        EngineError: the table or the folder cannot be used.
+        Stopped: on request; the same request resumes.
+    """
+    if request.init:
+        table_path = request.table or request.init / TABLE
+        count = write_table(table_path, request.init)
+        context.info(f"{table_path} has {counted(count, 'scene')}. Look at it, then start it.")
+        return NewTable(table=table_path)
+    folder, store = _place(request)
+    assert request.table is not None
+    table = Table(request.table)
+    chosen = _chosen(table, request.scenes)
+    rows, wrong = localized(chosen, store, request.cluster, context)
+    table.wrong += wrong
+    if request.dry_run:
+        return _planned(table, rows, _record(folder, store, rows), context)
+    with ExitStack() as stack:
+        stack.enter_context(locked(folder, context.warn, name=BATCH_LOCK))
+        if store:
+            stack.enter_context(store.held(context))
+        record = _record(folder, store, rows)
+        device, scenes = checked_plans(table, rows, folder, record, context)
+        for row in rows:
+            write_json(options_path(row, folder), row.options)
+        executor = _executor(request, folder, store, device, context)
+        try:
+            work = _Work(folder=folder, store=store, rows=rows, record=record)
+            states = work.execute(executor, scenes, request.retries, context)
+        finally:
+            executor.close()
+    return _batched(store.url if store else str(folder), states)
+
+
+def _place(request: Batch) -> tuple[Path, Store | None]:
+    """The folder of the batch, here, and the store that it is on.
+
+    Raises:
+        ConfigError: options are missing, or do not fit one another.
+    """
+    if request.only:
+        raise ConfigError(
+            "--only chooses boxes, and a batch is of scenes.",
+            "Use --scene NAME for one of them; for boxes, write `only` in the table.",
+        )
+    if request.table is None or request.run_dir is None:
+        raise ConfigError(
+            "A batch needs TABLE and --run-dir.", "To make a table, use --init FOLDER."
+        )
+    if request.jobs and request.cluster:
+        raise ConfigError("--jobs is for this machine.", "Leave it out with --cluster.")
+    if isinstance(request.run_dir, str):
+        store = Store(request.run_dir)
+        return store.folder, store
+    if is_run_folder(request.run_dir):
+        raise ConfigError(
+            f"{request.run_dir} is the folder of one run, whose report a batch would replace.",
+            "Choose another --run-dir.",
+        )
+    return request.run_dir.absolute(), None
+
+
+def _chosen(table: Table, scenes: Sequence[str]) -> list[Row]:
+    """The table's rows, or those that `--scene` names; ConfigError if it names another."""
+    names = [row.name for row in table.rows]
+    unknown = [name for name in scenes if name not in names]
+    if unknown and not table.wrong:
+        hint = f"The scenes are: {', '.join(names)}."
+        raise ConfigError(f"There is no scene '{unknown[0]}'.", hint)
+    return [row for row in table.rows if not scenes or row.name in scenes]
+
+
+def _record(folder: Path, store: Store | None, rows: Sequence[Row]) -> BatchRecord:
+    """What earlier batches have done."""
+    from ..batch.record import BatchRecord
+
+    if store is None:
+        return BatchRecord(folder)
+    store.open(row.name for row in rows)
+    return StoredRecord(store)
+
+
+def _executor(
+    request: Batch, folder: Path, store: Store | None, device: str, context: Context
+) -> Executor:
+    """Where the parts are done."""
+    from ..batch.local import LocalExecutor, default_jobs
+
+    if request.cluster:
+        from ..batch.ray_executor import RayExecutor
+
+        return RayExecutor(request.cluster, None if store else folder / BATCH_LOCK, context)
+    return LocalExecutor(request.jobs or default_jobs(device), context)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """A batch that is done: its folder here, its store, rows, and what is done already."""
+
+    folder: Path
+    store: Store | None
+    rows: Sequence[Row]
+    record: BatchRecord
+
+    def execute(
+        self, executor: Executor, scenes: Sequence[ScenePlan], retries: int, context: Context
+    ) -> list[SceneState]:
+        """Do all parts; the page and the record are written as scenes end."""
+        from ..batch.board import Reporter
+        from ..batch.engine_process import DONE, Outcome
+        from ..batch.schedule import Scheduler
+
+        by_name = {row.name: row for row in self.rows}
+        written_at = 0.0
+
+        def told(scene: SceneState, part: PartState, report: Record | Outcome) -> None:
+            nonlocal written_at
+            if isinstance(report, Outcome) and part.state == DONE:
+                row = by_name[scene.plan.name]
+                try:
+                    self._note(row, scene, part, context)
+                except EngineError as error:
+                    text = f"{row.name}: {error} The next batch looks at this scene again."
+                    context.warn(text)
+            reporter.take(scene, part, report)
+            if isinstance(report, Outcome) and time.monotonic() - written_at > PAGE_SECONDS:
+                self._write_page(scheduler.scenes)
+                written_at = time.monotonic()
+
+        scheduler = Scheduler(scenes, executor, context, retries=retries, told=told)
+        with Reporter(scheduler.scenes, context) as reporter:
+            try:
+                scheduler.run()
+            finally:
+                self._write_page(scheduler.scenes)
+        return list(scheduler.scenes.values())
+
+    def _write_page(self, scenes: Mapping[str, SceneState]) -> None:
+        from ..batch.page import write_batch_page
+
+        is_there = self.store.is_there if self.store else None
+        write_batch_page(self.folder, scenes.values(), is_there)
+        if self.store:
+            self.store.put(BATCH, REPORT_PAGE)
+
+    def _note(self, row: Row, scene: SceneState, part: PartState, context: Context) -> None:
+        """Write down what a part has finished; raises as `BatchRecord.add`."""
+        folder, objects, record = self.folder, scene.plan.objects, self.record
+        outputs = {output.name: output for output in outputs_of(row, folder, objects)}
+        if part.part.name in outputs:
+            record.add_output(row.name, outputs[part.part.name])
+        elif part.part.name == WHOLE:
+            for name in record.left_over(row.name, outputs.values()):
+                context.warn(f"{row.name}: {BATCH_OUTPUTS}/{name} is of an earlier result.")
+            if self.store:
+                self.store.fetch(row.name)
+            files = files_of_run(row, folder, objects)
+            record.add(row.name, row.digest, folder / row.name, files)
+
+
+def _batched(where: str, states: Sequence[SceneState]) -> Batched:
+    """How it ended."""
+    return Batched(
+        runs=where,
+        report=f"{where}/{REPORT_PAGE}" if is_url(where) else str(Path(where, REPORT_PAGE)),
+        scenes=len(states),
+        failed=tuple(state.reason for state in states if state.reason),
+    )
+
+
+# --- plan ---
+
+
+def _planned(
+    table: Table, rows: Sequence[Row], record: BatchRecord, context: Context
+) -> PlannedBatch:
+    """The plan as text; the time of a step is measured, nothing is written."""
+    from ..batch.times import Times
+
+    folder, times = record.folder, Times()
+    _, scenes = checked_plans(table, rows, folder, record, context)
+    seconds: dict[tuple[str, str], float] = {}
+    for row in rows:
+        context.check_cancelled()
+        found = plan_row(row, folder, record, context)
+        seconds |= times.of_scene(found.scene, found.run, found.plan, found.context)
+    return PlannedBatch(text=plan_text(scenes, seconds, times.measured))
+
+
+def plan_text(
+    scenes: Sequence[ScenePlan], seconds: Mapping[tuple[str, str], float], measured: int
+) -> str:
+    """The plan of a batch: a row for each scene, and the time on so many machines.
+
+    Args:
+        scenes: their plans.
+        seconds: of each part.
+        measured: the number of stages that were timed.
+    """
+    from ..batch.board import duration
+    from ..batch.makespan import makespan
+
+    rows = [HEAD, *(_plan_row(scene, seconds) for scene in scenes)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if column in (0, 6) else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+    objects = sum(len(scene.objects) for scene in scenes)
+    parts = [scene.parts for scene in scenes]
+    times = ", ".join(f"{count}: {duration(makespan(parts, seconds, count))}" for count in MACHINES)
+    unknown = [scene.name for scene in scenes if not scene.stages]
+    notes = [
+        f"{counted(objects, 'object')} in {counted(len(scenes), 'scene')},"
+        f" {counted(sum(map(len, parts)), 'part')}.",
+        f"Time on so many machines like this one, an estimate from {counted(measured, 'stage')}"
+        f" of which a few steps were trained: {times}.",
+    ]
+    if unknown:
+        notes.append(
+            f"Not in it: {counted(len(unknown), 'scene')} of photos without a COLMAP model."
+        )
+    return "\n".join([*lines, "", *notes])
+
+
+def _plan_row(scene: ScenePlan, seconds: Mapping[tuple[str, str], float]) -> tuple[str, ...]:
+    memory = max((part.memory for part in scene.parts), default=0)
+    return (
+        scene.name,
+        str(len(scene.objects)),
+        str(len(scene.stages)) if scene.stages else "?",
+        f"{sum(stage.steps for stage in scene.stages):,}" if scene.stages else "?",
+        in_gb(memory) if scene.stages else "?",
+        f"{sum(seconds[part.key] for part in scene.parts) / 60:.1f}" if scene.stages else "?",
+        "done" if scene.done else "" if WHOLE in {p.name for p in scene.parts} else "outputs",
+    )

@@ -1,0 +1,222 @@
+"""Plans of a batch's scenes: the parts of each run, and the files made of its result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..batch.parts import PREPARE, WHOLE, Cut, Part, ScenePlan, StagePlan, cuts, stage_work, works
+from ..batch.record import BatchRecord, Output
+from ..context import QUIET, Context
+from ..errors import ConfigError, EngineError
+from ..formats import run_files
+from ..formats.text import counted
+from ..machine import ENGINE
+from ..requests.runs import Run as RunRequest
+from .asked import Asked
+from .batch_store import staging
+from .batch_table import Row, Table, Wrong
+
+if TYPE_CHECKING:
+    from ..run.definition import Run
+    from ..run.plan import Plan
+
+OUTPUT_MEMORY = 4 * ENGINE
+TEST_WORK = 10.0  # steps that rendering and comparing a test photo is worth
+PHOTOS_WORK = 1000.0  # of photos without a model: not known, and long
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Planned:
+    """A row's plan, and what it was made from while that is needed; None without a model."""
+
+    scene: ScenePlan
+    run: Run | None
+    plan: Plan | None
+    context: Context
+
+
+def plan_row(row: Row, folder: Path, record: BatchRecord, context: Context) -> Planned:
+    """The plan of a row; nothing is written, and nothing said: its engines say it again.
+
+    Args:
+        row: of the table.
+        folder: of the batch.
+        record: what is done there.
+        context: asked whether to stop.
+
+    Raises:
+        EngineError: the row cannot be done.
+    """
+    from ..run.memory import stage_memory
+    from ..run.strategies import plan_run
+
+    context = replace(context, emit=QUIET.emit)
+    asked = Asked.of(row.request(folder))
+    names = tuple(asked.boxes.names)
+    outputs = outputs_of(row, folder, names)
+    if not asked.has_model:
+        parts = _parts(row, folder, [], (("", PHOTOS_WORK),), {WHOLE: 0})
+        parts += _output_parts(row, folder, outputs)
+        return Planned(scene=_scene(row, names, parts), run=None, plan=None, context=context)
+    context = asked.context(context)
+    run = asked.defined(context, pixels=False)
+    whole = run.memory(context)
+    plan = plan_run(run, asked.compare, context)
+    cut = cuts(plan) if row.kind is RunRequest else []
+    largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
+    rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
+    own = rest if cut else (*works(plan.stages), *rest)
+    row = replace(row, blocks=run.config.blocks)  # `auto` is of this machine, for all of them
+    memory = {PREPARE: whole.total, WHOLE: whole.joining if cut else whole.total}
+    for stage in plan.stages:
+        given = (run.train_scene, run.config, whole, context.photo_memory)
+        memory[stage.name] = stage_memory(stage, *given)
+    parts = _parts(row, folder, cut, own, memory) + _output_parts(row, folder, outputs)
+    done = record.is_done(row.name, row.digest, run, files_of_run(row, folder, names))
+    missing = [output for output in outputs if done and not record.has_output(row.name, output)]
+    if missing:
+        parts = _output_parts(row, folder, missing, needs=())
+    scene = replace(_scene(row, names, parts, plan), done=done and not missing)
+    return Planned(scene=scene, run=run, plan=plan, context=context)
+
+
+def checked_plans(
+    table: Table, rows: Sequence[Row], folder: Path, record: BatchRecord, context: Context
+) -> tuple[str, list[ScenePlan]]:
+    """The device of the first row, and the plans of all rows.
+
+    Args:
+        table: of the rows.
+        rows: the scenes to do.
+        folder, record, context: as `plan_row`.
+
+    Raises:
+        ConfigError: a line of the table is wrong, or a scene cannot be done; a warning names each.
+    """
+    device, scenes, wrong = "cpu", [], list(table.wrong)
+    for row in rows:
+        context.check_cancelled()
+        try:
+            found = plan_row(row, folder, record, context)
+        except EngineError as error:
+            wrong.append(Wrong(line=row.line, text=f"Scene '{row.name}': {error}"))
+            continue
+        scenes.append(found.scene)
+        device = found.context.device
+    for line in sorted(wrong, key=lambda found: found.line):
+        context.warn(f"{table.path}, line {line.line}: {line.text}")
+    if wrong:
+        raise ConfigError(
+            f"{table.path} has {counted(len(wrong), 'mistake')}; nothing was started.",
+            "Correct what is listed above.",
+        )
+    return device, scenes
+
+
+def options_path(row: Row, folder: Path) -> Path:
+    """The options file of a row, which its engines read."""
+    if row.home is not None:
+        return row.home / run_files.CLUSTER_OPTIONS
+    return folder / run_files.BATCH_ROWS / f"{row.name}.json"
+
+
+def _scene(
+    row: Row, names: tuple[str, ...], parts: tuple[Part, ...], plan: Plan | None = None
+) -> ScenePlan:
+    stages = [
+        StagePlan(
+            name=stage.name,
+            photos=len(stage.images),
+            side=max(max(i.camera.width, i.camera.height) for i in stage.images),
+            steps=stage.config.steps,
+            work=stage_work(stage),
+        )
+        for stage in (plan.stages if plan else ())
+    ]
+    return ScenePlan(name=row.name, objects=names, stages=tuple(stages), parts=parts)
+
+
+def _parts(
+    row: Row,
+    folder: Path,
+    cut: Sequence[Cut],
+    own: tuple[tuple[str, float], ...],
+    memory: Mapping[str, int],
+) -> tuple[Part, ...]:
+    """The parts of a row's run."""
+    command = "run" if row.kind is RunRequest else "train"
+    run_dir = row.run_folder(folder)
+    options = [command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
+    options += ["--update"] if row.update else []
+    options += ["--blocks", str(row.blocks)] if row.blocks > 1 else []
+
+    gpu = row.options.get("device") != "cpu"
+    kind = Part(scene=row.name, name="", argv=(), gpu=gpu)
+
+    def part(
+        name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
+    ) -> Part:
+        words = (*before, name) if row.kind is RunRequest else ()
+        argv = (*options, *(word for each in words for word in ("--part", each)))
+        work = sum(share for _, share in stages)
+        needed = max(memory[stage] for stage in {name, *(n for n, _ in stages if n)})
+        made = replace(kind, name=name, argv=argv, needs=needs, work=work, stages=stages)
+        return replace(made, memory=needed, staging=staging(row, folder, name))
+
+    firsts = [each.name for each in cut if not each.needs]
+    found = [part(PREPARE, (), ())] if len(firsts) > 1 else []
+    opened = tuple(other.name for other in found)
+    for each in cut:  # a stage that all others wait for prepares the folder, too
+        before = (PREPARE,) if firsts == [each.name] else ()
+        found.append(part(each.name, each.needs or opened, each.stages, *before))
+    found.append(part(WHOLE, tuple(other.name for other in found), own))
+    return tuple(found)
+
+
+# --- files beside the run folders ---
+
+
+def files_of_run(row: Row, folder: Path, objects: Sequence[str]) -> list[Path]:
+    """The files of a row's run that others read, beside its result and report."""
+    run = row.run_folder(folder)
+    levels = [run / run_files.LEVELS_FILE] if row.options.get("levels") else []
+    return [*(_of_object(run, name) for name in objects), *levels]
+
+
+def outputs_of(row: Row, folder: Path, objects: Sequence[str]) -> list[Output]:
+    """The files that a row writes beside its run folder, of the result and of each object."""
+    run, out = row.run_folder(folder), folder / run_files.BATCH_OUTPUTS
+    found = [(f"{row.name}{suffix}", run / run_files.RESULT) for suffix in row.outputs]
+    found += [
+        (f"{row.name}/{name}{suffix}", _of_object(run, name))
+        for suffix in row.object_outputs
+        for name in objects
+    ]
+    given = sorted(row.output_options.items())
+    options = tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
+    return [Output(name=n, source=s, path=out / n, options=options) for n, s in found]
+
+
+def _output_parts(
+    row: Row, folder: Path, outputs: Iterable[Output], needs: tuple[str, ...] = (WHOLE,)
+) -> tuple[Part, ...]:
+    """A part for each output; `needs` is empty if the run is done."""
+    return tuple(
+        Part(
+            scene=row.name,
+            name=output.name,
+            argv=("convert", *output.options, str(output.source), str(output.path)),
+            needs=needs,
+            memory=OUTPUT_MEMORY,
+            staging=staging(row, folder, output.name),
+        )
+        for output in outputs
+    )
+
+
+def _of_object(run: Path, name: str) -> Path:
+    """The PLY of an object."""
+    return run / run_files.FINE / f"{name}.ply"

@@ -1,0 +1,160 @@
+"""A batch whose run folders or scenes are on a store (docs/many.md, section Storage)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..batch.parts import WHOLE
+from ..batch.record import BatchRecord
+from ..batch.staged import Staging, local_options, stored_run
+from ..context import Context
+from ..errors import ConfigError, EngineError, RunFolderError
+from ..formats.run_files import BATCH, CACHE, CROPS, MANIFEST, REPORT_DATA, REPORT_PAGE
+from ..photos.contents import FILE as CONTENTS
+from ..requests.values import is_url
+from ..storage.lease import Lease, LeaseTakenError
+from ..storage.mirror import sign
+from ..storage.urls import file_system, folder_of, refuse_lost
+from .batch_table import Row, Wrong
+
+BATCHES = "batches"
+SHOWN = (MANIFEST, REPORT_DATA, REPORT_PAGE, f"{CACHE}/{CONTENTS}")
+"""Files of a run that the page and the record of a batch need, beside its pictures."""
+
+
+class Store:
+    """The folder of a batch on a store, and a copy here of what its page needs.
+
+    Args:
+        url: of the folder.
+    """
+
+    def __init__(self, url: str) -> None:
+        """Raises ConfigError if the address cannot be used."""
+        refuse_lost(url)
+        self.url = url
+        self.folder = folder_of(url, BATCHES)
+        self._found, self._place = file_system(url)
+        self._there: set[str] = set()
+
+    @contextmanager
+    def held(self, context: Context) -> Iterator[None]:
+        """Be the one batch that works there; RunFolderError if there is another."""
+        lease = Lease(self._found, f"{self._place}/.leases/batch", context.should_stop)
+        try:
+            with lease:
+                yield
+        except LeaseTakenError as error:
+            context.check_cancelled()
+            raise RunFolderError(
+                f"Another batch is at work in {self.url}.", "Wait for it, or stop it."
+            ) from error
+
+    def open(self, names: Iterable[str]) -> None:
+        """Copy here the record of earlier batches, and of each run what that needs."""
+        here = self.folder / BATCH
+        here.unlink(missing_ok=True)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if self._found.exists(f"{self._place}/{BATCH}"):
+                self._found.get_file(f"{self._place}/{BATCH}", str(here))
+        except OSError as error:
+            raise _unusable(self.url, error) from error
+        for name in names:
+            self.fetch(name)
+
+    def fetch(self, name: str) -> None:
+        """Copy here what the page and the record need of a run."""
+
+        def wanted(file: str) -> bool:
+            self._there.add(f"{name}/{file}")
+            return file in SHOWN or file.startswith(f"{CROPS}/")
+
+        stored_run(self.url, name).fetch(self.folder / name, wanted)
+
+    def is_there(self, name: str) -> bool:
+        """Whether a run that was fetched has a file, by its name in the batch's folder."""
+        return name in self._there
+
+    def stamp(self, name: str) -> list[Any]:
+        """What changes with a file of the batch's folder; OSError if it is gone."""
+        return sign(self._found.info(f"{self._place}/{name}"))
+
+    def put(self, *names: str) -> None:
+        """Publish files of the batch's folder, by their names."""
+        try:
+            for name in names:
+                if (self.folder / name).is_file():
+                    self._found.put_file(str(self.folder / name), f"{self._place}/{name}")
+        except OSError as error:
+            raise _unusable(self.url, error) from error
+
+
+class StoredRecord(BatchRecord):
+    """What is done on a store: files by their hashes, as no copy of them needs to be here."""
+
+    def __init__(self, store: Store) -> None:
+        self._url, self._store = store.url, store
+        super().__init__(store.folder)
+
+    def _stamps(self, run: Path, files: Iterable[Path]) -> dict[str, list[Any]]:
+        entries = stored_run(self._url, run.name).entries()
+        if not entries:
+            raise FileNotFoundError(2, "nothing is published", str(run))
+        return {name: [entries[name]["size"], entries[name]["sha"]] for name in sorted(entries)}
+
+    def _stamp(self, path: Path) -> list[Any]:
+        return self._store.stamp(path.relative_to(self.folder).as_posix())
+
+
+def localized(
+    rows: Sequence[Row], store: Store | None, cluster: str | None, context: Context
+) -> tuple[list[Row], list[Wrong]]:
+    """The rows with folders of this machine for addresses; those that cannot be had are wrong.
+
+    Args:
+        rows: of the table.
+        store: of the batch; None: a folder.
+        cluster: where the parts are done; None: here.
+        context: told of the work.
+    """
+    found, wrong = [], []
+    for row in rows:
+        if any(is_url(value) for value in row.options.values()):
+            try:
+                if cluster and store is None:
+                    raise ConfigError(
+                        "With --cluster, a scene on a store needs a run folder on a store.",
+                        "Give --run-dir an address, too.",
+                    )
+                options = local_options(row.options, context)
+            except EngineError as error:
+                wrong.append(Wrong(line=row.line, text=f"Scene '{row.name}': {error}"))
+                continue
+            row = replace(row, options=options, asked=row.options)
+        url = store.url if store else ""
+        found.append(replace(row, store=url, elsewhere=bool(cluster)))
+    return found, wrong
+
+
+def staging(row: Row, folder: Path, part: str) -> Staging | None:
+    """Where a part's files are; None: the batch is not on a store. `folder` is of the batch."""
+    if not row.store:
+        return None
+    return Staging(
+        url=row.store,
+        base=str(folder),
+        run=row.name,
+        part=part,
+        last=part == WHOLE,
+        options=row.asked or row.options,
+    )
+
+
+def _unusable(url: str, error: OSError) -> RunFolderError:
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return RunFolderError(f"Cannot use {url} ({reason:.100}).", "Is the store there, with space?")

@@ -1,0 +1,374 @@
+"""Tables of a batch: scenes and their settings as TOML, each wrong line named."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError, EngineError
+from ..exchange.formats import format_of
+from ..formats.files import UNREADABLE, read_bytes, write_text
+from ..formats.names import first_taken, is_file_name, safe_name
+from ..formats.projects import model_folders
+from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
+from ..formats.text import decode_text, json_digest
+from ..requests.declare import Option, Request, options_of, plain
+from ..requests.models import Convert
+from ..requests.runs import Run, Train
+from ..requests.values import AUTO, PATH, is_url, shown
+from .inputs import is_photos
+
+DEFAULTS, SCENES = "defaults", "scenes"
+OUTPUTS, OBJECT_OUTPUTS = "outputs", "object_outputs"
+NO_KEYS = {"run_dir", "update", "dry_run", "part", "threads", "cluster"}
+OF_OUTPUTS = {"up", "from_up", "sh_degree"}  # options of `convert`
+NO_RESULT = {"device", "image_cache", "preview_seconds"}  # these options change no result
+HEADER, KEY = re.compile(r"\s*\[+\s*(.*?)\s*\]+"), re.compile(r"\s*(\"[^\"]*\"|'[^']*'|[\w-]+)\s*=")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong:
+    """A wrong line of the table: its number, and what is wrong with it."""
+
+    line: int
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A scene of the table.
+
+    Attributes:
+        name: of its run folder.
+        line: where it begins in the file.
+        options: of `run`, as in an options file; paths are absolute.
+        outputs: suffixes of files to write of the result.
+        object_outputs: the same of each object.
+        output_options: of `convert`, for these files.
+        kind: of request that it is.
+        home: its run folder, if that is not in the folder of a batch.
+        store: address of the batch's folder, if that is on a store.
+        elsewhere: whether it is done on other machines, whose devices are not this one's.
+        asked: the options as the table has them, if addresses in `options` became folders.
+        blocks: number of blocks, once that is known.
+        update: whether its run folder may have another run.
+    """
+
+    name: str
+    line: int
+    options: dict[str, Any]
+    outputs: tuple[str, ...] = ()
+    object_outputs: tuple[str, ...] = ()
+    output_options: dict[str, Any] = field(default_factory=dict)
+    kind: type[Train] = Run
+    home: Path | None = None
+    store: str = ""
+    elsewhere: bool = False
+    asked: dict[str, Any] | None = None
+    blocks: int = 1
+    update: bool = True
+
+    def request(self, folder: Path) -> Train:
+        """The request that plans the row here, whoever does it; `folder` is of the batch."""
+        more: dict[str, Any] = {"run_dir": self.run_folder(folder), "update": self.update}
+        more |= {"device": "cpu"} if self.elsewhere else {}
+        return self.kind.of(self.options, **more)
+
+    def run_folder(self, folder: Path) -> Path:
+        """Its run folder; `folder` is that of the batch."""
+        return self.home or folder / self.name
+
+    @property
+    def digest(self) -> str:
+        """Of everything that decides what its run makes."""
+        decides = {k: v for k, v in (self.asked or self.options).items() if k not in NO_RESULT}
+        return json_digest(decides)
+
+
+class Table:
+    """A table file.
+
+    Attributes:
+        path: the file.
+        rows: its scenes, those without a wrong line.
+        wrong: what is wrong.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the file.
+
+        Raises:
+            ConfigError: it cannot be read, is not TOML, or has no scene.
+        """
+        self.path = path
+        self.rows: list[Row] = []
+        self.wrong: list[Wrong] = []
+        self._folder = Path(os.path.abspath(path)).parent
+        self._options = _options(Run, lambda name: name not in NO_KEYS)
+        self._of_outputs = _options(Convert, lambda name: name in OF_OUTPUTS)
+        text, record = _read(path)
+        self._lines = dict(_lines(text))
+        self._check_head(record)
+        defaults = self._values(record.get(DEFAULTS, {}), (DEFAULTS,))
+        for name, values in record[SCENES].items():
+            self._add(name, values, defaults)
+        taken = first_taken(record[SCENES])
+        if taken is not None:
+            self._say((SCENES, taken), f"Another scene is called '{taken}', but for its case.")
+        self._check_outputs()
+
+    def _add(self, name: str, values: Any, defaults: Mapping[str, Any]) -> None:
+        """Add a scene, unless something is wrong with it."""
+        place, before = (SCENES, name), len(self.wrong)
+        if not is_file_name(name) or is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
+            text = f"A scene cannot be called {shown(name)}, as its run folder is. Rename it."
+            self._say(place, text)
+        if not isinstance(values, dict):
+            self._say(place, f"'{name}' is {shown(values)}; write [{SCENES}.{name}].")
+            return
+        given = self._values(values, place)
+        if "rois" in given or "roi" in given:  # its own boxes replace those of [defaults]
+            defaults = {key: v for key, v in defaults.items() if key not in ("rois", "roi")}
+        found = {"compare": [], **defaults, **given}
+        if "scene" not in found and len(self.wrong) == before:
+            self._say(place, f"Scene '{name}' has no folder. Add scene = \"FOLDER\".")
+        if not (found.get("rois") or found.get("roi")) and len(self.wrong) == before:
+            self._say(
+                place,
+                f'Scene \'{name}\' has no box. Add rois = "FILE", or roi = ["{AUTO}"]: a box'
+                " around what most photos show.",
+            )
+        if len(self.wrong) > before:
+            return
+        outputs, objects = (tuple(found.pop(key, ())) for key in (OUTPUTS, OBJECT_OUTPUTS))
+        turned = {key: found.pop(key) for key in OF_OUTPUTS & found.keys()}
+        options = {key: plain(value) for key, value in found.items()}
+        row = Row(name=name, line=self._line(place), options=options, outputs=outputs)
+        self.rows.append(replace(row, object_outputs=objects, output_options=turned))
+
+    def _check_outputs(self) -> None:
+        """Two scenes must not write one file, nor a file where the other has its objects'."""
+        taken: dict[str, str] = {}
+        for row in self.rows:
+            places = [f"{row.name}{suffix}" for suffix in row.outputs]
+            for place in [*places, *([row.name] if row.object_outputs else [])]:
+                other = taken.setdefault(place.casefold(), row.name)
+                if other != row.name:
+                    text = f"Scenes '{other}' and '{row.name}' both write {BATCH_OUTPUTS}/{place}."
+                    self._say((SCENES, row.name), f"{text} Rename one.")
+
+    def _check_head(self, record: dict[str, Any]) -> None:
+        for key in record.keys() - {DEFAULTS, SCENES}:
+            self._say((key,), f"'{key:.60}' is unknown; write [{DEFAULTS}] or [{SCENES}.NAME].")
+        if not isinstance(record.get(DEFAULTS, {}), dict):
+            record[DEFAULTS] = {}
+            self._say((DEFAULTS,), f"Write [{DEFAULTS}] as a table.")
+        if not isinstance(record.get(SCENES), dict) or not record[SCENES]:
+            found = " ".join(["The table has no scene.", *(wrong.text for wrong in self.wrong)])
+            raise ConfigError(found, f"Add [{SCENES}.NAME] with its scene.")
+
+    def _values(self, record: Mapping[str, Any], place: tuple[str, ...]) -> dict[str, Any]:
+        """The values of a part of the table by the options' names."""
+        found: dict[str, Any] = {}
+        for key, value in record.items():
+            name, where = key.replace("-", "_"), (*place, key)
+            if name in found:
+                self._say(where, f"'{key}' is there twice, with - and with _.")
+            elif name in (OUTPUTS, OBJECT_OUTPUTS):
+                found[name] = self._suffixes(value, where)
+            elif name not in self._options and name not in self._of_outputs:
+                options = {*self._options, *self._of_outputs}
+                known = ", ".join(sorted({*options, OUTPUTS, OBJECT_OUTPUTS}))
+                self._say(where, f"'{key:.60}' is no key of a scene. The keys are: {known}.")
+            else:
+                option = self._options.get(name) or self._of_outputs[name]
+                if is_url(value) and option.kind is PATH:
+                    found[name] = value
+                    continue
+                try:
+                    found[name] = self._absolute(option.checked(value, f"'{key}'"))
+                except EngineError as error:
+                    self._say(where, str(error))
+        if found.get("masks") and found.get("no_masks"):
+            self._say(place, "'masks' and 'no_masks' exclude one another. Remove one.")
+        return found
+
+    def _suffixes(self, value: Any, where: tuple[str, ...]) -> list[str]:
+        """The suffixes of files to write."""
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self._say(where, f"'{where[-1]}' is {shown(value)}; write a list such as [\"glb\"].")
+            return []
+        found = list(dict.fromkeys(f".{item.lstrip('.').lower()}" for item in value))
+        for suffix in found:
+            try:
+                format_of(Path(f"result{suffix}"))
+            except EngineError as error:
+                text = f"'{where[-1]}' has {shown(suffix.lstrip('.'))}, which is no format."
+                self._say(where, f"{text} {error.hint}")
+        return found
+
+    def _absolute(self, value: Any) -> Any:
+        """Paths start at the folder of the table."""
+        return Path(os.path.normpath(self._folder / value)) if isinstance(value, Path) else value
+
+    def _say(self, place: tuple[str, ...], text: str) -> None:
+        self.wrong.append(Wrong(line=self._line(place), text=text))
+
+    def _line(self, place: tuple[str, ...]) -> int:
+        """The line of a key, or of what it is in; 1 if it is written in another way."""
+        while place:
+            lines = [n for key, n in self._lines.items() if key[: len(place)] == place]
+            if lines:
+                return min(lines)
+            place = place[:-1]
+        return 1
+
+
+def _options(request: type[Request], fits: Callable[[str], bool]) -> dict[str, Option]:
+    """The options of a request that a table may have, by name."""
+    return {name: found for name, found in options_of(request).items() if fits(name)}
+
+
+def _read(path: Path) -> tuple[str, dict[str, Any]]:
+    try:
+        text = decode_text(read_bytes(path))
+        return text, tomllib.loads(text)
+    except OSError as error:
+        raise ConfigError(f"Cannot read {path} ({error.strerror}).", UNREADABLE) from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{path} is not TOML ({error}).", "docs/many.md shows what a table looks like."
+        ) from error
+
+
+def _lines(text: str) -> Iterator[tuple[tuple[str, ...], int]]:
+    """The keys of a table's headers and lines, and the numbers of these lines."""
+    place: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := HEADER.match(line):
+            place = tuple(_keys(header[1]))
+            yield place, number
+        elif key := KEY.match(line):
+            yield (*place, key[1].strip("\"'")), number
+
+
+def _keys(text: str) -> list[str]:
+    """The keys of a dotted name, `scenes."hall 1"`."""
+    return [part.strip("\"'") for part in re.findall(r'"[^"]*"|\'[^\']*\'|[^.\s]+', text)]
+
+
+# --- tables of what a folder has ---
+
+BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML wants no quotes for
+DEPTH = 3  # folders below the given one that are looked into
+HEAD = """\
+# The scenes of a batch. Start it with: python -m roigs_engine batch {name} --run-dir runs/{stem}
+# Paths start at the folder of this file. Every option of `run` may stand in [defaults], for all
+# scenes, or with one scene, which wins.
+
+[defaults]
+preset = "draft"
+# max_side = 1600
+# outputs = ["spz"]           # files of each result
+# object_outputs = ["glb"]    # files of each object
+"""
+
+
+def write_table(path: Path, folder: Path) -> int:
+    """Write the table of a folder's scenes; returns their number.
+
+    Args:
+        path: the table, which must not exist.
+        folder: its scenes are COLMAP projects, or folders of photos, below it.
+
+    Raises:
+        ConfigError: the table exists, or the folder has no scene.
+        RunFolderError: it cannot be written.
+    """
+    if path.exists():
+        raise ConfigError(f"{path} exists.", "Choose another name, or delete it.")
+    if not folder.is_dir():
+        raise ConfigError(f"There is no folder {folder}.", "Give the folder of your scenes.")
+    scenes = list(_scenes(folder, DEPTH))
+    if not scenes:
+        raise ConfigError(
+            f"{folder} has no scene: no COLMAP project and no photos.",
+            "Give the folder that your scenes' folders are in.",
+        )
+    parts = [HEAD.format(name=_shell(path.name), stem=_shell(path.stem))]
+    taken: set[str] = set()
+    for scene in scenes:
+        name = _free_name(folder, scene, taken)
+        parts.append(_table_row(name, scene, path.parent))
+    write_text(path, "\n".join(parts))
+    return len(scenes)
+
+
+def _scenes(folder: Path, depth: int) -> Iterator[Path]:
+    """The scenes at and below a folder, sorted; none within another."""
+    if model_folders(folder) or (_has_photos(folder) and is_photos(folder)):
+        yield folder
+        return
+    if depth:
+        for child in sorted(folder.iterdir()):
+            if child.is_dir() and not child.name.startswith(".") and not child.is_symlink():
+                yield from _scenes(child, depth - 1)
+
+
+def _has_photos(folder: Path) -> bool:
+    """Whether photos are right in the folder, or in its folder `images`."""
+    from ..photos.files import EXTENSIONS, HEIC
+
+    known = EXTENSIONS | HEIC
+    for place in (folder, folder / "images"):
+        if place.is_dir() and any(p.suffix.lower() in known for p in place.iterdir()):
+            return True
+    return False
+
+
+def _free_name(folder: Path, scene: Path, taken: set[str]) -> str:
+    """A name for the scene's run folder: its folders' names, and a number if that is taken."""
+    parts = scene.relative_to(folder).parts or (Path(os.path.abspath(scene)).name,)
+    name = safe_name("-".join(parts))
+    if is_own(name) or name in (BATCH_ROWS, BATCH_OUTPUTS):
+        name = f"{name}-1"
+    base, number = name, 1
+    while name.casefold() in taken:
+        number += 1
+        name = f"{base}-{number}"
+    taken.add(name.casefold())
+    return name
+
+
+def _table_row(name: str, scene: Path, home: Path) -> str:
+    place = os.path.relpath(scene, home) if _is_near(scene, home) else os.path.abspath(scene)
+    boxes = scene / "rois.json"
+    lines = [
+        f"[scenes.{name if BARE.fullmatch(name) else _quoted(name)}]",
+        f"scene = {_quoted(Path(place).as_posix())}",
+    ]
+    if boxes.is_file():
+        lines.append(f"rois = {_quoted((Path(place) / 'rois.json').as_posix())}")
+    else:
+        lines.append('roi = ["auto"]  # a box around what most photos show')
+    return "\n".join([*lines, ""])
+
+
+def _is_near(scene: Path, home: Path) -> bool:
+    """Whether the scene lies below the table's folder."""
+    return Path(os.path.abspath(scene)).is_relative_to(os.path.abspath(home))
+
+
+def _quoted(text: str) -> str:
+    """A TOML string; JSON's are, but for surrogates, which no TOML file can hold."""
+    return json.dumps(text.encode("utf-8", "replace").decode(), ensure_ascii=False)
+
+
+def _shell(name: str) -> str:
+    return f'"{name}"' if " " in name else name

@@ -1,0 +1,86 @@
+"""One training on the machines of a cluster, which do its parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from ..context import Context
+from ..errors import ConfigError, RunFolderError
+from ..formats.files import read_bytes, refuse_linked_folders, write_json
+from ..formats.lock import locked
+from ..formats.run_files import CLUSTER_LOCK, CLUSTER_OPTIONS, REPORT
+from ..formats.text import decode_text
+from ..requests.declare import plain, settings_of
+from ..requests.runs import RETRIES, Run, Train
+from .batch_plan import plan_row
+from .batch_table import Row
+from .outputs import Trained, result_in
+
+if TYPE_CHECKING:
+    from ..batch.parts import ScenePlan
+    from ..batch.schedule import Executor
+
+KEPT = ("compare", "device", "preview_seconds", "image_cache")
+"""Options that are no settings of a run, and that its parts must have."""
+
+
+def train_on_cluster(request: Train, context: Context) -> Trained:
+    """Do a run on the cluster that it names; every machine must see its folders.
+
+    The context gets the events of the parts, as if the run were here.
+
+    Raises:
+        ConfigError: an option is for one machine.
+        RunFolderError: a part failed.
+        Stopped: on request; checkpoints were written.
+    """
+    from ..batch.ray_executor import RayExecutor
+    from ..batch.record import BatchRecord
+
+    if isinstance(request, Run) and request.part:
+        raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
+    if request.threads:
+        raise ConfigError("--threads is for this machine.", "Leave it out with --cluster.")
+    assert request.cluster is not None
+    folder = request.run_dir.absolute()
+    row = _row(request)
+    with locked(folder, context.warn, name=CLUSTER_LOCK):
+        refuse_linked_folders(folder)
+        scene = plan_row(row, folder, BatchRecord(folder), context).scene
+        write_json(folder / CLUSTER_OPTIONS, row.options)
+        executor = RayExecutor(request.cluster, folder / CLUSTER_OPTIONS, context)
+        try:
+            reason = _execute(executor, scene, context)
+        finally:
+            executor.close()
+    if reason:
+        raise RunFolderError(reason, "The same command tries again, and keeps what is done.")
+    if isinstance(request, Run):
+        table = decode_text(read_bytes(folder / REPORT))
+        return replace(result_in(folder, evaluated=True), table=table)
+    found = result_in(folder, evaluated=False)
+    context.info(f"The result is {found.result}.")
+    return found
+
+
+def _row(request: Train) -> Row:
+    """The run as a row of a batch; its folder has a name, which the texts of a failure show."""
+    kept = {key: plain(getattr(request, key)) for key in KEPT if hasattr(request, key)}
+    kept = {key: value for key, value in kept.items() if value is not None}
+    home = request.run_dir.absolute()
+    row = Row(name=home.name, line=1, options=settings_of(request) | kept, elsewhere=True)
+    return replace(row, kind=type(request), home=home, update=request.update)
+
+
+def _execute(executor: Executor, plan: ScenePlan, context: Context) -> str:
+    """Do the parts; returns why one failed, empty: none did."""
+    from ..batch.board import Reporter
+    from ..batch.schedule import Scheduler
+
+    scheduler = Scheduler(
+        [plan], executor, context, retries=RETRIES, told=lambda *told: reporter.take(*told)
+    )
+    with Reporter(scheduler.scenes, context, alone=True) as reporter:
+        scheduler.run()
+    return scheduler.scenes[plan.name].reason

@@ -1,0 +1,389 @@
+"""Conversion of files of Gaussians: other formats, turned, cropped, or several placed as one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, RoiError
+from ..exchange.axes import turn
+from ..formats.drawable import usable
+from ..formats.gravity import gravity_alignment
+from ..model.roi import load_rois
+from ..requests.models import Convert
+from .inputs import boxes_of
+from .instances import LIST, read_list
+from .outputs import Result, refuse_inputs, refuse_run_files
+from .run_scene import cameras_of_result, levelled_run, poses_of, scene_of_run, up_in_run
+
+if TYPE_CHECKING:
+    from ..exchange.arrays import Arrays
+    from ..exchange.formats import FileFormat
+    from ..exchange.page import Extras
+    from ..model.scene import Float64
+
+PAGE, STREAMED = ".html", "lod-meta.json"
+SCENE_UP = "-y"
+"""The axis that points up in formats that keep the frame of a scene."""
+OTHER = "Choose another OUT."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converted(Result):
+    """The file, its Gaussians, and how many were left out."""
+
+    result: Path
+    count: int
+    left_out: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Model:
+    """Gaussians on their way to a file.
+
+    Attributes:
+        arrays: as they will be written.
+        count: how many there were, with those that cannot be drawn.
+        antialiased: whether they are drawn with anti-aliasing.
+        poses: (N, 4, 4) world_to_camera of photos, in the frame of the boxes; None: not known.
+        matrix: (4, 4) from that frame to the file's.
+        upright: whether photos tell which way is up.
+    """
+
+    arrays: Arrays
+    count: int
+    antialiased: bool
+    poses: Float64 | None
+    matrix: Float64
+    upright: bool = False
+
+
+def convert(request: Convert, context: Context = QUIET) -> Converted:
+    """Read the models, make them one, and write it.
+
+    Raises:
+        EngineError: an input cannot be used, or options do not fit the format.
+    """
+    from ..exchange import formats
+
+    refuse_run_files(request.out)
+    if request.out.name == STREAMED:
+        _refuse_page_options(request, plain=False)
+        return _write_streamed(request, context)
+    target = formats.format_of(request.out)
+    plain = request.plain or not target.keeps_antialiased
+    _refuse_page_options(request, plain=plain)
+    if request.source.suffix.lower() == LIST:
+        model = _listed(request, target, plain=plain)
+    else:
+        model = _single(request, target, context, plain=plain)
+    arrays = _shortened(model.arrays, request)
+    context.check_cancelled()
+    if model.antialiased and plain:
+        _say_photos_unknown(target, context)
+    if target.suffix == PAGE:
+        extras = _page_extras(request, _before(request, target.up, model), model)
+        written = formats.write(request.out, arrays, antialiased=model.antialiased, extras=extras)
+    else:
+        check = context.check_cancelled
+        written = formats.write(request.out, arrays, check, antialiased=model.antialiased)
+    return Converted(result=request.out, count=written, left_out=model.count - written)
+
+
+def _single(request: Convert, target: FileFormat, context: Context, *, plain: bool) -> _Model:
+    """The model of one file, cropped and turned."""
+    from ..exchange import formats
+
+    home, poses = _home(request, request.source), None
+    before = request.from_up or formats.format_of(request.source).up
+    matrix = turn(before, request.up or target.up)
+    if target.suffix == PAGE:
+        poses = _page_poses(request, context)
+    if poses is not None:
+        matrix = turn("z", request.up or target.up)
+        matrix[:3, :3] = matrix[:3, :3] @ gravity_alignment(poses)
+        matrix = matrix @ home
+    elif request.from_up is None:
+        _warn_of_axes(request.source, before, context)
+    refuse_inputs([request.out], [request.source], OTHER)
+    whole, antialiased = _read(request.source, plain=plain, scene=request.page_scene)
+    arrays = _cropped(whole, request, home)
+    context.check_cancelled()
+    return _Model(
+        arrays=turned(arrays, matrix),
+        count=len(arrays["means"]),
+        antialiased=antialiased,
+        poses=poses,
+        matrix=matrix @ home.T,
+        upright=poses is not None,
+    )
+
+
+def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
+    """The models of a list, at their poses, as one."""
+    from ..exchange import formats
+    from ..exchange.merged import merged
+    from ..model.gaussians import Gaussians
+    from ..rasterize.instances import Instance
+
+    if boxes_of(request, required=False):
+        raise ConfigError("A list of models cannot be cropped.", "Leave out the boxes.")
+    wanted, poses = read_list(request.source)
+    refuse_inputs([request.out], [request.source, *(Path(item.file) for item in wanted)], OTHER)
+    names = dict.fromkeys(item.file for item in wanted)
+    models = {name: _read(Path(name), plain=plain, scene=request.page_scene) for name in names}
+    read = {name: Gaussians.framed(usable(arrays)) for name, (arrays, _) in models.items()}
+    if not any(len(gaussians) for gaussians, _ in read.values()):
+        raise ConfigError(f"{request.source} has no Gaussians.", "Give models that have some.")
+    if plain:
+        antialiased = any(still for _, still in models.values())
+    else:
+        antialiased = formats.are_antialiased(Path(name) for name in names)
+    matrix = turn(request.from_up or SCENE_UP, request.up or target.up)
+    placed = []
+    for item in wanted:
+        gaussians, frame = read[item.file]
+        placed.append(
+            Instance(
+                gaussians=gaussians,
+                frame=frame,
+                matrix=matrix @ item.matrix,
+                gains=item.gains,
+                density=item.density,
+            )
+        )
+    whole, frame = merged(placed)
+    return _Model(
+        arrays=whole.arrays(frame),
+        count=sum(len(models[item.file][0]["means"]) for item in wanted),
+        antialiased=antialiased,
+        poses=poses,
+        matrix=matrix,
+    )
+
+
+def _home(request: Convert, path: Path) -> Float64:
+    """(4, 4) from a file's frame to that of the scene, in which boxes and photos are.
+
+    Formats with -y up keep the scene's frame, whichever axis points up in it. A file of another
+    format was turned; OUT, if it is one that keeps the scene's frame, tells how to turn it back.
+    """
+    from ..exchange import formats
+
+    form, target = formats.format_of(path), formats.format_of(request.out)
+    if form.up == SCENE_UP:
+        return np.eye(4)
+    up = request.up if request.up and target.up == SCENE_UP else SCENE_UP
+    return turn(request.from_up or form.up, up)
+
+
+def _cropped(arrays: Arrays, request: Convert, home: Float64) -> Arrays:
+    """What is in the boxes; everything if none is given. `home` leads to the boxes' frame."""
+    rois = boxes_of(request, required=False)
+    if not rois:
+        return arrays
+    with np.errstate(invalid="ignore"):  # what is not finite is in no box
+        means = arrays["means"].astype(np.float64) @ home[:3, :3].T
+    inside = np.any([roi.contains(means) for roi in rois], axis=0)
+    if not inside.any():
+        raise RoiError("The boxes hold no Gaussian.", "Are they from the same scene?")
+    return {name: values[inside] for name, values in arrays.items()}
+
+
+def _warn_of_axes(source: Path, before: str, context: Context) -> None:
+    """Say so if a run's model would lie on its side: some COLMAP models have another axis up."""
+    up = up_in_run(source)
+    if up not in (None, before):
+        context.warn(
+            f"In this model, {up} points up, and not {before}, so it lies on its side now."
+            f" Choose {up} as its axis that points up (--from-up={up})."
+        )
+
+
+def _shortened(arrays: Arrays, request: Convert) -> Arrays:
+    """With the SH that were asked for."""
+    if request.sh_degree is None:
+        return arrays
+    return {**arrays, "sh": arrays["sh"][:, : (request.sh_degree + 1) ** 2]}
+
+
+def turned(arrays: Arrays, matrix: Float64) -> Arrays:
+    """The model after a rotation; bit for bit the same if that changes nothing."""
+    from ..exchange.moved import moved
+
+    if (matrix == np.eye(4)).all():
+        return arrays
+    arrays = usable(arrays)
+    if not len(arrays["means"]):
+        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
+    return moved(arrays, matrix)
+
+
+# --- viewers without anti-aliasing ---
+
+
+def _read(path: Path, *, plain: bool, scene: Path | None = None) -> tuple[Arrays, bool]:
+    """The Gaussians of a file, and whether they are drawn with anti-aliasing.
+
+    Args:
+        path: of a file in any format that is read.
+        plain: make them about right without anti-aliasing, as far as photos tell how; if these are
+            not known, they stay as they are.
+        scene: of the photos; None: that of the run that made the file.
+
+    Raises:
+        EngineError: as `formats.read`; `scene` cannot be used.
+    """
+    from ..exchange import formats
+    from ..exchange.plain import without_antialiasing
+    from ..model.gaussians import Gaussians
+
+    arrays, antialiased = formats.read(path), formats.is_antialiased(path)
+    photos = cameras_of_result(path, scene) if antialiased and plain else None
+    if photos is None:
+        return arrays, antialiased
+    model, frame = Gaussians.framed(arrays, antialiased=True)
+    made = without_antialiasing(model, frame.scene(photos).images)
+    return {**arrays, "logit_opacities": made.logit_opacities.numpy()}, False
+
+
+def _say_photos_unknown(target: FileFormat, context: Context) -> None:
+    """Refuse to write anti-aliased Gaussians as plain ones; warn where the format leaves no choice.
+
+    Raises:
+        ConfigError: the format can say how Gaussians are drawn.
+    """
+    why = "the photos that they were trained on are not known"
+    if target.keeps_antialiased:
+        raise ConfigError(
+            f"--plain cannot change these Gaussians, as {why}.",
+            "Give their scene's folder with --scene, or leave out --plain.",
+        )
+    context.warn(
+        f"{target.title} cannot say that these Gaussians are anti-aliased, and {why}: other"
+        " programs will show fine ones too thick. Give their scene's folder with --scene, or write"
+        " .ply, .spz, .sog or .html."
+    )
+
+
+# --- web pages ---
+
+
+def _refuse_page_options(request: Convert, *, plain: bool) -> None:
+    """Raise ConfigError if an option of pages is given for another format.
+
+    Args:
+        request: with OUT.
+        plain: whether OUT is for viewers without anti-aliasing, which needs the scene too.
+    """
+    given = {
+        "--title": request.title,
+        "--fly-to": request.fly_to,
+        "--before": request.before,
+        "--scene": None if plain else request.page_scene,
+    }
+    if request.out.suffix.lower() != PAGE:
+        for option in (name for name, value in given.items() if value is not None):
+            also = " and --plain" if option == "--scene" else ""
+            raise ConfigError(
+                f"{option} is for web pages{also} alone.",
+                f"Leave it out, or let OUT end in {PAGE}.",
+            )
+    elif request.page_scene is not None and request.from_up is not None:
+        raise ConfigError("--scene and --from-up both say which way is up.", "Leave out one.")
+
+
+def _page_poses(request: Convert, context: Context) -> Float64 | None:
+    """(N, 4, 4) world_to_camera of the scene's photos; None if no scene is known.
+
+    Raises:
+        SceneError: the one of `--scene` cannot be read.
+    """
+    from ..colmap.project import load_colmap
+
+    scene = None
+    if request.page_scene is not None:
+        scene = load_colmap(request.page_scene, pixels=False, context=context)
+    elif request.from_up is None:
+        scene = scene_of_run(request.source.absolute().parent)
+    return None if scene is None else poses_of(scene)
+
+
+def _before(request: Convert, up: str, model: _Model) -> Arrays | None:
+    """The model of `--before`, as the first one is shown."""
+    if request.before is None:
+        return None
+    from ..exchange import formats
+
+    refuse_inputs([request.out], [request.before], OTHER)
+    home = _home(request, request.before)
+    if model.upright:
+        matrix = model.matrix @ home
+    else:
+        axis = request.from_up or formats.format_of(request.before).up
+        matrix = turn(axis, request.up or up)
+    arrays = _cropped(formats.read(request.before), request, home)
+    return _shortened(turned(arrays, matrix), request)
+
+
+def _page_extras(request: Convert, before: Arrays | None, model: _Model) -> Extras:
+    """What the page shows besides, with boxes and photos turned as the model is."""
+    from ..exchange.formats import is_antialiased
+    from ..exchange.page import Extras
+    from ..exchange.page_views import Ball
+
+    matrix, poses = model.matrix, model.poses
+    places = [
+        (
+            box.name,
+            Ball(
+                centre=matrix[:3, :3] @ box.centre + matrix[:3, 3],
+                radius=float(np.linalg.norm(box.half_extents)),
+            ),
+        )
+        for box in (load_rois(request.fly_to) if request.fly_to else [])
+    ]
+    shown = before is not None and request.before is not None and is_antialiased(request.before)
+    return Extras(
+        title=request.title or "",
+        places=places,
+        before=before,
+        before_antialiased=shown,
+        poses=None if poses is None else poses @ np.linalg.inv(matrix),
+    )
+
+
+# --- levels of detail ---
+
+
+def _write_streamed(request: Convert, context: Context) -> Converted:
+    """Write a run's result in its levels of detail, as Streamed SOG."""
+    from ..exchange import formats, streamed_sog
+    from ..formats.levels import read_ladders
+
+    folder = levelled_run(request.source)
+    if boxes_of(request, required=False):
+        raise ConfigError(f"{STREAMED} holds a whole result.", "Leave out the boxes.")
+    if request.plain:
+        raise ConfigError(f"{STREAMED} says how its Gaussians are drawn.", "Leave out --plain.")
+    before = request.from_up or SCENE_UP
+    matrix = turn(before, request.up or SCENE_UP)
+    if request.from_up is None:
+        _warn_of_axes(request.source, before, context)
+    parts, files = [], []
+    for ladder in read_ladders(folder).values():
+        levels = []
+        for level in ladder.levels:
+            file = folder / level.ply
+            refuse_inputs([request.out], [file], OTHER)
+            context.check_cancelled()
+            levels.append(_shortened(turned(formats.read(file), matrix), request))
+            files.append(file)
+        parts.append(levels)
+    check, antialiased = context.check_cancelled, formats.are_antialiased(files)
+    written = streamed_sog.write(request.out, parts, check, antialiased=antialiased)
+    return Converted(result=request.out, count=written)

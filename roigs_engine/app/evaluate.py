@@ -1,0 +1,179 @@
+"""Evaluation of any PLYs on test photos: scores, tables, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..context import QUIET, Context
+from ..errors import ConfigError
+from ..formats.files import own_folder, read_json
+from ..formats.run_files import CACHE, CROPS, REPORT, REPORT_DATA, REPORT_PAGE, SPLIT
+from ..formats.splat_ply import check_ply
+from ..formats.text import counted
+from ..model.mask_coverage import with_useful_masks
+from ..model.scene import SfmScene
+from ..requests.choices import PHOTOS, TEST, VALIDATION
+from ..requests.runs import Evaluate
+from ..run.config import RunConfig
+from .inputs import boxes_of, load_scene, mask_options, on_device
+from .outputs import Result, named_files, refuse_inputs, refuse_run_files
+
+if TYPE_CHECKING:
+    from ..evaluation.evaluate import Evaluation
+    from ..evaluation.views import EvaluatedModel
+    from ..model.roi import OrientedBox
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluated(Result):
+    """The report, its page and pictures, and its table as Markdown."""
+
+    report: Path
+    page: Path
+    pictures: Path
+    table: str
+
+
+def evaluate(request: Evaluate, context: Context = QUIET) -> Evaluated:
+    """Render the test photos with every model, and compare.
+
+    Raises:
+        EngineError: a model, the split or the scene cannot be used.
+    """
+    import torch
+
+    from ..evaluation import evaluate as evaluation_module
+    from ..evaluation.views import EvaluatedModel
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..model.visibility import check_has_points
+    from ..selection.split import choose_test_views
+
+    refuse_run_files(request.out)
+    files = named_files("--model", request.model, "NAME=FILE.ply")
+    reports = [request.out / name for name in (REPORT, REPORT_DATA, REPORT_PAGE)]
+    given = (request.options_file, request.rois, request.split)
+    refuse_inputs(reports, [*given, *files.values()])
+    rois, split = boxes_of(request), request.split
+    if split is None and request.test_every is None:
+        split = _split_of_run(list(files.values()), context)
+    photos, test = _read_split(split) if split else (TEST, [])
+    for path in files.values():
+        check_ply(path)
+
+    def check(cameras: SfmScene) -> None:
+        for roi in rois:
+            check_has_points(cameras, roi)
+        _check_test_photos(test, split, cameras)
+
+    masks = mask_options(request, [roi.name for roi in rois])
+    cache = own_folder(request.out, CACHE)
+    scene = load_scene(request, context, cache, check=check, masks=masks)
+    scene = with_useful_masks(scene, rois, context)
+    every = request.test_every or RunConfig.test_every
+    test = _there(test or list(choose_test_views(scene, rois, every)), photos, scene, context)
+    frame = LocalFrame.of_scene(scene)
+    scene, rois = frame.scene(scene), [frame.box(roi) for roi in rois]
+    context = on_device(context, request.device)
+    models: list[EvaluatedModel] = []
+    for name, path in files.items():
+        loaded = Gaussians.load_ply(path, frame).to(torch.device(context.device))
+        models.append(EvaluatedModel(name=name, gaussians=loaded, seconds=0.0, stages={}))
+    evaluation = evaluation_module.evaluate(
+        models, scene, test, rois, context=context, baseline=models[0].name, photos=photos
+    )
+    table = write_evaluation(evaluation, models, scene, rois, request.out, context)
+    return Evaluated(
+        report=request.out / REPORT,
+        page=request.out / REPORT_PAGE,
+        pictures=request.out / CROPS,
+        table=table,
+    )
+
+
+def write_evaluation(
+    evaluation: Evaluation,
+    models: Sequence[EvaluatedModel],
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    folder: Path,
+    context: Context,
+) -> str:
+    """Write report, crops and page to a folder; returns the table as Markdown."""
+    from ..evaluation.crops import write_crops
+    from ..evaluation.report import format_markdown, write_report
+    from ..evaluation.report_html import write_page
+    from ..evaluation.report_pictures import comparisons
+
+    write_report(evaluation, folder)
+    write_crops(evaluation, models, scene, rois, folder, context=context)
+    write_page(evaluation, comparisons(evaluation, models, scene, rois, context=context), folder)
+    return format_markdown(evaluation)
+
+
+def _there(wanted: Sequence[str], photos: str, scene: SfmScene, context: Context) -> list[str]:
+    """The wanted test photos that can be used, in the scene's order; warns if some cannot."""
+    names = set(wanted)
+    found = [image.name for image in scene.images if image.name in names]
+    if len(found) < len(names):
+        lost = counted(len(names) - len(found), f"{photos} photo")
+        first = min(names - set(found))
+        context.warn(f"Left out {lost} that cannot be used, the first is {first}.")
+    return found
+
+
+def _check_test_photos(test: Sequence[str], split: Path | None, cameras: SfmScene) -> None:
+    """Raise ConfigError if the split names photos of another scene, or none that can be used."""
+    lost = {name for names in cameras.skipped.values() for name in names}
+    unknown = sorted(set(test) - {image.name for image in cameras.images} - lost)
+    if unknown:
+        raise ConfigError(
+            f"{split} names '{unknown[0]}', which is not in the scene.",
+            "Use the split.json of a run on this scene.",
+        )
+    if test and lost.issuperset(test):
+        raise ConfigError(
+            f"No test photo of {split} can be used, the first is {test[0]}.",
+            "Put the photos back, or test on others (--test-every).",
+        )
+
+
+def _split_of_run(models: Sequence[Path], context: Context) -> Path | None:
+    """The split of the run that all models are from; None, with a warning, if they are from none.
+
+    A model of a run lies in its folder, or in one or two folders below.
+    """
+    found = {
+        next((p / SPLIT for p in list(path.absolute().parents)[:3] if (p / SPLIT).is_file()), None)
+        for path in models
+    }
+    split = found.pop()
+    if split is None or found:
+        context.warn(
+            "The models may have been trained on photos that they are tested on. Name the"
+            " split.json of their run (--split) to test on others."
+        )
+        return None
+    context.info(f"Testing on the photos of {split}.")
+    return split
+
+
+def _read_split(path: Path) -> tuple[str, list[str]]:
+    """Whether a run is evaluated on test or on validation photos, and their names."""
+    record = read_json(path, ConfigError, "Use a run's split.json.")
+    record = record if isinstance(record, dict) else {}
+    photos = record.get("evaluate_on", TEST)
+    if photos not in PHOTOS:
+        what = f"{path}: 'evaluate_on' is neither {TEST} nor {VALIDATION}."
+        raise ConfigError(what, "Use a run's split.json.")
+    names = record.get(photos)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        what = f"{path} has no list '{photos}' of photo names."
+        raise ConfigError(what, "Use a run's split.json.")
+    if not names:
+        hint = "Use the split.json of a run with test photos, or --test-every."
+        raise ConfigError(f"{path} names no {photos} photo.", hint)
+    return photos, names

@@ -1,0 +1,128 @@
+"""Log of a run folder: every event as a JSON line in events.jsonl, how the work ended included."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TextIO
+
+from ..context import Context
+from ..errors import EngineError, RunFolderError, Stopped
+from ..formats.events import Done, Event, Failed, Message, to_json
+from ..formats.files import cannot_write, open_log
+from ..formats.lock import check_held
+from ..formats.run_files import EVENTS
+from ..machine import NO_MEMORY, is_memory_full, more_memory
+
+
+class EventLog:
+    """Passes events on, and writes them down once the folder is known.
+
+    Args:
+        context: receives the events.
+
+    Attributes:
+        outputs: name -> path of what was made, for the last event.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._file: TextIO | None = None
+        self._path: Path | None = None
+        self._early: list[str] = []  # until the file is open
+        self.outputs: dict[str, str] = {}
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the folder is known."""
+        return self._path is not None
+
+    def open(self, folder: Path) -> None:
+        """Write to `folder`/events.jsonl from now on, and what was kept; if it is not open yet.
+
+        Raises:
+            RunFolderError: the file cannot be written.
+        """
+        if self._path is not None:
+            return
+        path = folder / EVENTS
+        try:
+            self._file = open_log(path)
+        except OSError as error:
+            raise cannot_write(path, error) from error
+        self._path = path
+        if self._early:
+            self._append("\n".join(self._early))
+
+    def emit(self, event: Event) -> None:
+        """Pass an event on, and write it down."""
+        self.note(event)
+        self._context.emit(event)
+
+    def note(self, event: Event) -> None:
+        """Write an event down."""
+        if self._path is None:
+            self._early.append(to_json(event))
+        elif self._file is not None and self._may_write(self._path):
+            self._append(to_json(event))
+
+    def close(self) -> None:
+        """End the log."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+
+    def _may_write(self, path: Path) -> bool:
+        """Whether the folder of the log is still this process's own."""
+        try:
+            check_held(path)
+        except RunFolderError:
+            return False
+        return True
+
+    def _append(self, line: str) -> None:
+        """Append a line. A full disk ends the log, but not the work."""
+        assert self._file is not None
+        try:
+            self._file.write(f"{line}\n")
+            self._file.flush()
+        except OSError as error:
+            with suppress(OSError):  # closing tries to write the rest again
+                self._file.close()
+            self._file = None
+            text = f"Events are no longer written to events.jsonl ({error.strerror or error})."
+            self._context.emit(Message(text=text, level="warning"))
+
+
+@contextmanager
+def logged(context: Context) -> Iterator[tuple[Context, EventLog]]:
+    """A context whose events are logged, and its log; the block's end is the log's last event."""
+    log = EventLog(context)
+    try:
+        yield replace(context, emit=log.emit), log
+        log.note(Done(outputs=log.outputs))
+    except Stopped as stopped:
+        stopped.resumes = stopped.resumes or log.is_open
+        log.note(Done(outputs={}, stopped=True))
+        raise
+    except Exception as error:
+        if (failed := failure(error)) is not None:
+            log.note(failed)
+        raise
+    finally:
+        log.close()
+
+
+def failure(error: Exception) -> Failed | None:
+    """What is said of an error: of an engine's, a file's, or full memory; None: it is a fault."""
+    if isinstance(error, EngineError):
+        return Failed(message=error.message, hint=error.hint)
+    if is_memory_full(error):
+        return Failed(message=NO_MEMORY, hint=more_memory())
+    if isinstance(error, OSError) and error.filename is not None:
+        name = f"{os.fsdecode(error.filename):.200}"
+        return Failed(message=f"Cannot use {name!r} ({error.strerror}).", hint="Choose another.")
+    return None

@@ -1,0 +1,255 @@
+"""Scene, boxes, masks and device of a request."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..context import Context
+from ..errors import ConfigError, RoiError
+from ..formats import run_files
+from ..formats.files import write_text
+from ..formats.names import first_taken
+from ..formats.projects import model_folders, project_folder
+from ..formats.rois import rois_document
+from ..formats.text import counted
+from ..machine import return_large_blocks
+from ..model.roi import OrientedBox, load_rois, parse_roi
+from ..model.scene import SfmScene
+from ..photos.files import EXTENSIONS, HEIC, PhotoFolder
+from ..photos.mask_paths import MaskOptions
+from ..requests.groups import Boxes, ObjectMasks, PhotoMasks, PhotoSize, Scene
+from ..requests.values import AUTO
+
+
+def use_threads(threads: int | None) -> None:
+    """Set the threads of the CPU kernels, if a number is given."""
+    if threads is not None:  # else do not load the kernels: they may not run here
+        from ..kernels.library import set_threads
+
+        set_threads(threads)
+
+
+def on_device(context: Context, device: str) -> Context:
+    """The context with the device that a request names; sets up the process for it.
+
+    Raises:
+        KernelError: the device is not available.
+    """
+    from ..cuda.device import choose_device
+    from ..training.gpu_check import check_once
+
+    return_large_blocks()
+    return replace(context, device=str(choose_device(device, context, check_once)))
+
+
+# --- scene ---
+
+
+def load_scene(
+    request: PhotoSize,
+    context: Context,
+    cache: Path | None = None,
+    *,
+    pixels: bool = True,
+    check: Callable[[SfmScene], None] | None = None,
+    masks: MaskOptions | None = None,
+) -> SfmScene:
+    """The scene of a request.
+
+    Args:
+        request: has a scene.
+        context: told of problems; checked for cancellation.
+        cache: folder for undistorted photos; None: only cameras are needed, not pixels.
+        pixels: False if only cameras, and what `cache` knows of the photos, are needed.
+        check: called with the cameras before any photo is decoded.
+        masks: which to use; None: those of `mask_options`, without masks of objects.
+    """
+    from ..colmap.project import load_colmap
+
+    use_threads(request.threads)
+    scene = load_colmap(
+        request.scene,  # type: ignore[attr-defined]  # each request with a scene has its own help
+        images=request.images,
+        cache=cache,
+        downscale=request.downscale,
+        max_side=request.max_side,
+        masks=masks or mask_options(request),
+        pixels=pixels and cache is not None,
+        check=check,
+        context=context,
+    )
+    return _without(scene, request.exclude, context) if isinstance(request, Scene) else scene
+
+
+def _without(scene: SfmScene, photos: Sequence[str], context: Context) -> SfmScene:
+    """The scene without the photos of `--exclude`."""
+    there = {image.name for image in scene.images}
+    skipped = {name for names in scene.skipped.values() for name in names}
+    unknown = [name for name in photos if name not in there | skipped]
+    if unknown:
+        raise ConfigError(
+            f"There is no photo '{unknown[0]}' to exclude.", "Use its name in the COLMAP model."
+        )
+    excluded = tuple(sorted(there & set(photos)))
+    if not excluded:
+        return scene
+    if len(excluded) == len(there):
+        raise ConfigError("--exclude leaves no photo.", "Exclude fewer.")
+    context.info(f"Excluded {counted(len(excluded), 'photo')}.")
+    return replace(scene.without(excluded), skipped={**scene.skipped, "excluded": excluded})
+
+
+def mask_options(
+    request: object, boxes: Iterable[str] = (), run: Path | None = None
+) -> MaskOptions:
+    """Which masks a request wants.
+
+    Args:
+        request: any; only its options of masks count.
+        boxes: names of those whose masks of objects are used, unless the request refuses them.
+        run: the run folder; its masks of objects are used, unless a folder of masks is given.
+
+    Raises:
+        ConfigError: `object_masks` names no folder.
+    """
+    given = request if isinstance(request, PhotoMasks) else PhotoMasks()
+    own = request if isinstance(request, ObjectMasks) else ObjectMasks()
+    objects = own.object_masks
+    if objects is not None and not objects.is_dir():
+        raise ConfigError(f"{objects} is not a folder.", "Give --object-masks the masks' folder.")
+    if objects is None and given.masks is None and run is not None:
+        objects = run / run_files.OBJECT_MASKS
+    return MaskOptions(
+        folder=given.masks,
+        objects=objects,
+        inverted=given.invert_masks,
+        used=not given.no_masks,
+        boxes=() if own.no_object_masks else tuple(boxes),
+    )
+
+
+def is_photos(scene: Path) -> bool:
+    """Whether the scene is a folder of photos without a COLMAP model, or a video."""
+    from ..reconstruction.video import is_video
+
+    if is_video(scene):
+        return True
+    if not scene.is_dir() or model_folders(project_folder(scene)):
+        return False
+    return count_photos(scene) > 0
+
+
+def count_photos(folder: Path) -> int:
+    """The number of photos below a folder."""
+    return len(PhotoFolder(folder, EXTENSIONS | HEIC).others([]))
+
+
+# --- boxes ---
+
+
+def boxes_of(request: Boxes, *, required: bool = True) -> list[OrientedBox]:
+    """The boxes of a request.
+
+    Raises:
+        RoiError: there is no box, two share a name, or `only` names an unknown one.
+        ConfigError: the request leaves the box to the scene.
+    """
+    if AUTO in request.roi:
+        raise ConfigError(
+            f"--roi {AUTO} is an option of select, train and run.",
+            "Give --rois the rois.json that these write.",
+        )
+    rois = load_rois(request.rois) if request.rois else []
+    rois += [parse_roi(text) for text in request.roi]
+    taken = first_taken(roi.name for roi in rois)
+    if taken is not None:
+        raise RoiError(f"Two boxes are named '{taken}'.", "Give each its own name.")
+    rois = _only(rois, request.only)
+    if required and not rois:
+        raise RoiError("There is no box.", "Add --rois FILE or --roi NAME=x0,y0,z0,x1,y1,z1.")
+    return rois
+
+
+def _only(rois: list[OrientedBox], wanted: Sequence[str]) -> list[OrientedBox]:
+    """The wanted boxes, all if none is named; RoiError if there is none of a name."""
+    names = [roi.name for roi in rois]
+    for name in wanted:
+        if name not in names:
+            hint = f"The boxes are: {', '.join(names)}." if names else "Add --rois or --roi."
+            raise RoiError(f"There is no box '{name}'.", hint)
+    return [roi for roi in rois if roi.name in wanted] if wanted else rois
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxSource:
+    """The boxes of a request that may leave them to the scene (`--roi auto`).
+
+    Attributes:
+        given: the boxes; None: one around what most photos show.
+        file: where that box is kept, and read again; None: nowhere.
+        only: names of the boxes that are used; empty: all.
+    """
+
+    given: list[OrientedBox] | None
+    file: Path | None
+    only: tuple[str, ...]
+
+    @staticmethod
+    def of(request: Boxes, folder: Path | None) -> BoxSource:
+        """The source of a request's boxes; a box that is found is kept in the folder.
+
+        Raises:
+            As `boxes_of`; ConfigError: boxes are given, and left to the scene too.
+        """
+        file = folder and folder / run_files.BOXES
+        if AUTO not in request.roi:
+            return BoxSource(given=boxes_of(request), file=None, only=())
+        if request.rois or len(request.roi) > 1:
+            raise ConfigError(f"--roi {AUTO} stands for all boxes.", "Give it, or boxes.")
+        return BoxSource(given=None, file=file, only=request.only)
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the boxes, which are known before the scene."""
+        from ..model.roi import AUTOMATIC_NAME
+
+        if self.given is None and not self._is_kept:
+            return [AUTOMATIC_NAME]
+        return [roi.name for roi in self.given or load_rois(self._file)]
+
+    def boxes(self, scene: SfmScene) -> list[OrientedBox]:
+        """The boxes.
+
+        Raises:
+            RoiError: as `load_rois` and `automatic_box`, or there is no box of a wanted name.
+        """
+        from ..model.roi import automatic_box
+
+        if self.given is not None:
+            return self.given
+        return _only(load_rois(self._file) if self._is_kept else [automatic_box(scene)], self.only)
+
+    def keep(self, rois: Sequence[OrientedBox], context: Context) -> None:
+        """Write the box that was found to the file, where a person can change it, and say so."""
+        if self.given is not None:
+            return
+        known = self._is_kept
+        for roi in rois:
+            sides = " x ".join(f"{2 * side:.3g}" for side in roi.half_extents)
+            place = ", ".join(f"{value:.3g}" for value in roi.centre)
+            how = f"from {self.file}" if known else "around what most photos show"
+            context.info(f"Box '{roi.name}' {how}: {sides}, centre {place}.")
+        if self.file is not None and not known:
+            write_text(self.file, rois_document(rois))
+            context.info(f"To change the box, edit {self.file}; to find it anew, delete that file.")
+
+    @property
+    def _file(self) -> Path:
+        assert self.file is not None
+        return self.file
+
+    @property
+    def _is_kept(self) -> bool:
+        return self.file is not None and self.file.exists()

@@ -1,0 +1,135 @@
+"""Lists of models, their poses and looks, as JSON has them (docs/files.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..formats.drawable import usable
+from ..formats.files import read_json
+from ..formats.splat_ply import is_antialiased, read_ply
+from ..formats.text import counted
+
+if TYPE_CHECKING:
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..model.scene import Float64
+
+HINT = "docs/files.md describes requests."
+LIST = ".json"
+MOST = 2.0**20  # gain of a colour: 16 stops of a tint of 16
+FAR = 1e15  # as for boxes
+
+
+class InstanceRecord(NamedTuple):
+    """A model of a list.
+
+    Attributes:
+        file: of its Gaussians.
+        matrix: (4, 4) from its own world to that of the list.
+        gains: factors on red, green and blue.
+        density: how much of it is there, above 0 and at most 1, see `faded`.
+    """
+
+    file: str
+    matrix: Float64
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    density: float = 1.0
+
+
+def read_list(path: Path) -> tuple[list[InstanceRecord], Float64 | None]:
+    """The models of a list, and (N, 4, 4) world_to_camera of its photos, in the list's world.
+
+    Raises:
+        ConfigError: the file cannot be read, or is malformed.
+    """
+    record = read_json(path, ConfigError, HINT)
+    try:
+        photos = record.get("photos", ())
+        poses = np.array([_affine(rows) for rows in photos]) if photos else None
+        return instances(record, path.parent), poses
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{path} is malformed ({error}).", HINT) from error
+
+
+def instances(record: Any, folder: Path) -> list[InstanceRecord]:
+    """The models of a record's `models`.
+
+    Args:
+        record: of a JSON file.
+        folder: of that file; relative paths start there, wherever the command is started.
+
+    Raises:
+        TypeError, ValueError, OverflowError: it is malformed.
+    """
+    wanted = [
+        InstanceRecord(
+            str(folder / _needed(item, "ply", "a model")),
+            _affine(_needed(item, "matrix", "a model")),
+            _gains(item.get("gains", (1, 1, 1))),
+            _density(item.get("density", 1)),
+        )
+        for item in _needed(record, "models", "it")
+    ]
+    if not wanted:
+        raise ValueError("it has no model")
+    return wanted
+
+
+def drawable_model(path: Path, say: Callable[[str], None]) -> tuple[Gaussians, LocalFrame]:
+    """The Gaussians of a PLY that can be drawn, in a frame of their own; returns both.
+
+    Args:
+        path: of the file.
+        say: gets one line if some cannot be drawn.
+
+    Raises:
+        RunFolderError: the file is missing or damaged.
+    """
+    from ..model.gaussians import Gaussians
+
+    stored = read_ply(path)
+    arrays = usable(stored)
+    there, kept = len(stored["means"]), len(arrays["means"])
+    if kept < there:
+        left_out = f"{there - kept:,} of {counted(there, 'Gaussian')}"
+        say(f"{path}: {left_out} cannot be drawn (NaN, too large, or no rotation).")
+    return Gaussians.framed(arrays, antialiased=is_antialiased(path))
+
+
+def _needed(item: Any, name: str, whose: str) -> Any:
+    """A value of a JSON object; ValueError if it is not there."""
+    if name not in item:
+        raise ValueError(f"{whose} has no '{name}'")
+    return item[name]
+
+
+def _affine(rows: Any) -> Float64:
+    """A matrix of a request; ValueError unless it can be inverted."""
+    matrix = np.array(rows, dtype=float)
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < FAR).all():  # catches NaN too
+        raise ValueError(f"matrix must be 4 x 4 numbers below {FAR:g}")
+    if (matrix[3] != (0, 0, 0, 1)).any() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise ValueError("matrix must be affine, and no scale may be zero")
+    return matrix
+
+
+def _gains(numbers: Any) -> tuple[float, float, float]:
+    """The gains of a request; ValueError unless pictures can have them."""
+    gains = np.array(numbers, dtype=float)
+    if gains.shape != (3,) or not ((gains >= 0) & (gains <= MOST)).all():  # catches NaN too
+        raise ValueError(f"gains must be three numbers from 0 to {MOST:g}")
+    red, green, blue = gains.tolist()
+    return red, green, blue
+
+
+def _density(number: Any) -> float:
+    """The density of a request; ValueError unless it fades."""
+    density = float(number)
+    if not 0 < density <= 1:  # catches NaN too
+        raise ValueError("density must be a number above 0, at most 1")
+    return density

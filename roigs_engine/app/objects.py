@@ -1,0 +1,249 @@
+"""Objects of trained models: composed into a scene, cut out of their boxes, freed of floaters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, RoiError
+from ..formats.drawable import drawable, usable
+from ..formats.files import atomic_write, own_folder
+from ..formats.projects import top_folder
+from ..formats.run_files import BACKGROUND, FINE
+from ..formats.splat_ply import check_ply, is_antialiased, read_ply
+from ..formats.text import counted
+from ..model.mask_coverage import with_useful_masks
+from ..model.ownership import count_owned
+from ..photos.mask_paths import MASKS, MaskOptions
+from ..requests.models import Compose, Cut, Floaters
+from .inputs import boxes_of, load_scene, on_device
+from .instances import LIST, InstanceRecord, read_list
+from .outputs import Result, named_files, refuse_inputs, refuse_run_files
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..model.roi import OrientedBox
+    from ..model.scene import PosedImage, SfmScene
+    from ..rasterize.instances import Instance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Composed(Result):
+    """The merged PLY, and its number of Gaussians."""
+
+    result: Path
+    count: int
+
+
+def compose(request: Compose, context: Context = QUIET) -> Composed:
+    """Replace a scene's Gaussians in boxes by those of object models; EngineError for bad input."""
+    from ..model.gaussians import Gaussians
+    from ..model.operations import merge
+
+    refuse_run_files(request.out)
+    by_name = {roi.name: roi for roi in boxes_of(request)}
+    objects = named_files("--object", request.object, "ROI=FILE.ply")
+    for name, path in objects.items():
+        if name not in by_name:
+            raise RoiError(
+                f"--object {name}={path} does not name a box.",
+                f"Write ROI=FILE.ply; the boxes are: {', '.join(by_name)}.",
+            )
+    if request.out.suffix.lower() != ".ply":
+        raise ConfigError(f"--out {request.out} is not the name of a PLY.", "Write FILE.ply.")
+    refuse_inputs([request.out], [request.scene_ply, *objects.values()])
+    scene, frame = Gaussians.load_framed(request.scene_ply, scaled=False)
+    pairs = [
+        (frame.box(by_name[name]), Gaussians.load_ply(path, frame))
+        for name, path in objects.items()
+    ]
+    for (roi, model), path in zip(pairs, objects.values(), strict=True):
+        if not model.in_box(roi).any():
+            raise RoiError(
+                f"{path} has no Gaussian in box '{roi.name}'.", "Is it from the same scene?"
+            )
+    composed = merge(scene, pairs)
+    context.check_cancelled()
+    composed.save_ply(request.out, frame)
+    return Composed(result=request.out, count=len(composed))
+
+
+# --- cut ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class CutOut(Result):
+    """The folder with the objects, and the PLY with all else."""
+
+    objects: Path
+    rest: Path
+
+
+def cut(request: Cut, context: Context = QUIET) -> CutOut:
+    """Label the Gaussians of each box that has masks, and write the objects and the rest.
+
+    Raises:
+        EngineError: an input cannot be used, or no box has masks.
+    """
+    import torch
+
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..training.labels import object_owners
+
+    refuse_run_files(request.out)
+    rois, rest = boxes_of(request), request.out / BACKGROUND
+    files = {roi.name: own_folder(request.out, FINE) / f"{roi.name}.ply" for roi in rois}
+    given = (request.options_file, request.rois, request.model)
+    refuse_inputs([*files.values(), rest], given)
+    check_ply(request.model)
+    scene = _masked_scene(request, rois, context)
+    frame, context = LocalFrame.of_scene(scene), on_device(context, request.device)
+    model = Gaussians.load_ply(request.model, frame).to(torch.device(context.device))
+    local, images = [frame.box(roi) for roi in rois], frame.scene(scene).images
+    owner = object_owners(model, local, images, context)
+    _say_owned(owner, count_owned(model, local), local, images, context)
+    for index, roi in enumerate(rois):
+        model.rows(owner == index).save_ply(files[roi.name], frame)
+    model.rows(owner == -1).save_ply(rest, frame)
+    return CutOut(objects=request.out / FINE, rest=rest)
+
+
+def _masked_scene(request: Cut, rois: Sequence[OrientedBox], context: Context) -> SfmScene:
+    """The scene with the masks of the boxes' objects; ConfigError if there are none."""
+    root, names = request.masks or top_folder(request.scene) / MASKS, [roi.name for roi in rois]
+    if not any((root / name).is_dir() for name in names):
+        raise ConfigError(
+            f"{root} has no folder of masks for a box ({', '.join(names)}).",
+            f"Put masks into {root / names[0]}, or give --masks the folder above it.",
+        )
+    inverted = request.invert_masks
+    masks = MaskOptions(folder=root, used=False, boxes=tuple(names), objects_inverted=inverted)
+    scene = with_useful_masks(load_scene(request, context, masks=masks), rois, context)
+    if not any(image.objects for image in scene.images):
+        raise ConfigError(
+            f"{root} has no mask that shows an object.",
+            "The mask of the photo 012.jpg is 012.jpg.png: white where the object is, else black.",
+        )
+    return scene
+
+
+def _say_owned(
+    owner: Tensor,
+    owned: Sequence[int],
+    rois: Sequence[OrientedBox],
+    images: Sequence[PosedImage],
+    context: Context,
+) -> None:
+    """Say of each box how many of its Gaussians are the object's."""
+    for index, (roi, whole) in enumerate(zip(rois, owned, strict=True)):
+        photos = sum(roi.name in image.objects for image in images)
+        if not photos:
+            context.info(f"Box '{roi.name}' has no masks: it stays whole.")
+            continue
+        found = int((owner == index).sum())
+        context.info(
+            f"Box '{roi.name}': {found:,} of {whole:,} Gaussians are the object's, by masks on"
+            f" {counted(photos, 'photo')}."
+        )
+        if not found:
+            context.warn(
+                f"No Gaussian of box '{roi.name}' is the object's. If black marks it, use"
+                " --invert-masks."
+            )
+
+
+# --- floaters ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundFloaters(Result):
+    """The NumPy file, how many Gaussians float, and how many there are."""
+
+    floaters: Path
+    count: int
+    among: int
+
+
+def find_floaters(request: Floaters, context: Context = QUIET) -> FoundFloaters:
+    """Find what hangs in the air in a model, by the rule with which a training ends.
+
+    Raises:
+        EngineError: an input cannot be used.
+    """
+    import torch
+
+    from ..model.local_frame import LocalFrame
+    from ..training.floaters import floaters
+
+    refuse_run_files(request.out)
+    listed = request.model.suffix.lower() == LIST
+    wanted = (
+        read_list(request.model)[0] if listed else [InstanceRecord(str(request.model), np.eye(4))]
+    )
+    given = (request.options_file, request.rois, request.model)
+    refuse_inputs([request.out], [*given, *(Path(item.file) for item in wanted)])
+    rois, scene = boxes_of(request, required=False), load_scene(request, context)
+    frame = LocalFrame.of_scene(scene)
+    local = frame.scene(scene)
+    model, there = _as_one(wanted, frame)
+    context = on_device(context, request.device)
+    found = np.zeros(len(there), bool)
+    if len(model):
+        judged = floaters(
+            model.to(torch.device(context.device)),
+            local.images,
+            [frame.box(roi) for roi in rois],
+            local.points,
+            request.min_views,
+            context,
+        )
+        found[there] = judged.cpu().numpy()
+    with atomic_write(request.out) as file:
+        np.save(file, found)
+    return FoundFloaters(floaters=request.out, count=int(found.sum()), among=len(found))
+
+
+def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians, NDArray[np.bool_]]:
+    """All models as one in a frame, and which rows of the files can be drawn: those it has."""
+    from ..exchange.merged import merged
+    from ..model.gaussians import Gaussians
+    from ..rasterize.instances import Instance
+
+    into = np.diag([*[frame.scale] * 3, 1.0])
+    into[:3, 3] = -frame.scale * frame.origin
+    masks, models = [], []
+    for item in wanted:
+        path = Path(item.file)
+        arrays = read_ply(path)
+        mask = drawable(arrays)
+        masks.append(mask)
+        if mask.any():
+            kept, own = Gaussians.framed(usable(arrays, mask), antialiased=is_antialiased(path))
+            models.append(Instance(gaussians=kept, frame=own, matrix=into @ item.matrix))
+    if not models:
+        raise ConfigError("The model has no Gaussians that can be drawn.", "Give another model.")
+    model, own = merged(_alike(models))
+    whole = Gaussians.from_arrays(model.arrays(own), antialiased=model.antialiased)
+    return whole, np.concatenate(masks)
+
+
+def _alike(models: list[Instance]) -> list[Instance]:
+    """All with anti-aliasing or all without, as most Gaussians are drawn.
+
+    They are judged as one model, which is either; it matters little for what hides what.
+    """
+    counts = {True: 0, False: 0}
+    for model in models:
+        counts[model.gaussians.antialiased] += len(model.gaussians)
+    most = counts[True] > counts[False]
+    return [replace(m, gaussians=replace(m.gaussians, antialiased=most)) for m in models]

@@ -1,0 +1,148 @@
+"""Results of pieces of work, and refusal of outputs that would replace inputs or a run's files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+
+from ..errors import ConfigError, EngineError
+from ..formats import run_files
+from ..formats.run_files import LOCK, MANIFEST, SPLIT, is_own
+from ..requests.values import shown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What a piece of work has made; each field with a path is a file or folder that it wrote."""
+
+    files: dict[str, Path] = field(default_factory=dict)
+
+    @property
+    def error(self) -> EngineError | None:
+        """What went wrong with a part of the work, after the rest was done."""
+        return None
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """Name -> path of all that was written."""
+        named = {each.name: getattr(self, each.name) for each in fields(self)}
+        found = {name: value for name, value in named.items() if isinstance(value, Path)}
+        return {name: str(path) for name, path in (found | self.files).items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained(Result):
+    """Where a training's result is.
+
+    Attributes:
+        result: PLY of the scene.
+        rois: folder with a PLY for each box.
+        report, page, pictures: of the evaluation; None: there is none.
+        table: the evaluation, as Markdown.
+    """
+
+    report: Path | None = None
+    page: Path | None = None
+    pictures: Path | None = None
+    result: Path | None = None
+    rois: Path | None = None
+    table: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned(Result):
+    """The plan of a training that is not done, as text."""
+
+    text: str
+
+
+def result_in(folder: Path, *, evaluated: bool) -> Trained:
+    """Where everything is in a run folder."""
+    found = Trained(result=folder / run_files.RESULT, rois=folder / run_files.FINE)
+    if not evaluated:
+        return found
+    return replace(
+        found,
+        report=folder / run_files.REPORT,
+        page=folder / run_files.REPORT_PAGE,
+        pictures=folder / run_files.CROPS,
+    )
+
+
+def refuse_run_files(out: Path | None, *, option: str = "--out") -> None:
+    """Refuse a place where a command may replace the own files of a run.
+
+    Args:
+        out: where the command writes, if it does. Other folders in a run folder, such as
+            `renders`, are free.
+        option: the one that names `out`. A `--run-dir` may be a run folder, but not lie in another.
+
+    Raises:
+        ConfigError: it is a run folder, or one of its own files or folders.
+    """
+    folder = None if out is None else _run_folder(out, above=option == "--run-dir")
+    if folder is not None:
+        free = folder / ("other.ply" if out and out.suffix.lower() == ".ply" else "other")
+        raise ConfigError(
+            f"{option} {out} would replace files of the run in {folder}.",
+            f"Choose another place; in that folder, {free} is free.",
+        )
+
+
+def refuse_inputs(
+    outputs: Iterable[Path], inputs: Iterable[Path | None], hint: str = "Choose another --out."
+) -> None:
+    """Raise ConfigError, with the hint, if a command would replace one of the files it reads."""
+    given = [path for path in inputs if path is not None]
+    for output in outputs:
+        if any(_is_same(output, path) for path in given):
+            raise ConfigError(f"{output} is an input of this command.", hint)
+
+
+def named_files(option: str, texts: Iterable[str], form: str) -> dict[str, Path]:
+    """Name -> path of an option's values such as `NAME=FILE`.
+
+    Args:
+        option: the option's name.
+        texts: its values.
+        form: how they are written, for the message.
+
+    Raises:
+        ConfigError: a name or a path is missing, or a name is there twice.
+    """
+    found: dict[str, Path] = {}
+    for text in texts:
+        name, separator, path = text.partition("=")
+        if not separator or not name.strip():
+            raise ConfigError(f"{option} {shown(text)} has no name.", f"Write {form}.")
+        if not path.strip():
+            raise ConfigError(f"{option} {shown(text)} has no file.", f"Write {form}.")
+        if name in found:
+            raise ConfigError(f"{option} names '{name}' twice.", "Give each its own name.")
+        found[name] = Path(path)
+    return found
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Whether two names stand for one file."""
+    with suppress(OSError):
+        return os.path.samefile(path, other)
+    return False
+
+
+def _run_folder(out: Path, *, above: bool) -> Path | None:
+    """The run folder that `out` is, or that has it among its own files."""
+    out = Path(os.path.realpath(out))
+    for folder in out.parents if above else (out, *out.parents):
+        if _is_there(folder, LOCK) or _is_there(folder, MANIFEST, SPLIT):
+            below = out.relative_to(folder).parts
+            return folder if not below or is_own(below[0]) else None
+    return None
+
+
+def _is_there(folder: Path, *names: str) -> bool:
+    """Whether the folder has files of these names; False if it cannot be read."""
+    return all(os.path.lexists(folder / name) for name in names)

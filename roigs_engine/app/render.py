@@ -1,0 +1,212 @@
+"""Pictures of trained models: from given cameras, and for compositing in another program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..context import QUIET, Context
+from ..errors import ConfigError, EngineError
+from ..formats.events import Preview
+from ..formats.files import read_json
+from ..formats.frame_requests import REQUEST, colour_file, depth_file
+from ..requests.models import Render, RenderFrames
+from .inputs import load_scene, on_device, use_threads
+from .instances import HINT, drawable_model, instances
+from .outputs import Result, refuse_run_files
+from .run_scene import levelled_run
+
+if TYPE_CHECKING:
+    from ..model.gaussians import Gaussians
+    from ..model.local_frame import LocalFrame
+    from ..model.scene import Camera, Float64
+    from ..rasterize.camera_path import CameraPath
+
+STAGE = "models"
+PAUSE = 0.005  # seconds between two looks into the folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendered(Result):
+    """The folder of the pictures, and their number."""
+
+    pictures: Path
+    count: int
+
+
+def render(request: Render, context: Context = QUIET) -> Rendered:
+    """Render a PLY from every camera to a PNG; EngineError if an input cannot be used."""
+    import torch
+
+    from ..levels.drawn import LevelledResult
+    from ..rasterize.image_files import render_sequence
+
+    refuse_run_files(request.out)
+    if request.path and request.images:
+        raise ConfigError("--images has no meaning with --path.", "Leave it out.")
+    whole, frame = drawable_model(request.ply, context.warn)
+    context = on_device(context, request.device)
+    device = torch.device(context.device)
+    whole = whole.to(device)
+    levels = None
+    if request.levels:
+        folder = levelled_run(request.ply)
+        levels = LevelledResult(folder, frame, quality=request.quality, device=device)
+    cameras = _cameras(request, context)
+    local = [(name, camera, frame.transform(pose)) for name, camera, pose in cameras]
+
+    def drawn(camera: Camera, world_to_camera: Float64) -> Gaussians:
+        return whole if levels is None else levels.gaussians(camera, world_to_camera)
+
+    written = render_sequence(drawn, local, request.out, context)
+    return Rendered(pictures=request.out, count=len(written))
+
+
+def _cameras(request: Render, context: Context) -> CameraPath:
+    """The cameras of the scene or of the path, those that are named, at the size of the request."""
+    from ..colmap.project import smaller
+    from ..rasterize.camera_path import load_camera_path
+
+    if request.path is None:
+        scene = load_scene(request, context)
+        cameras = [(i.name, i.camera, i.world_to_camera) for i in scene.images]
+    else:
+        use_threads(request.threads)
+        shrink = smaller(request.downscale, request.max_side)
+        cameras = [
+            (name, camera.resized(*shrink(camera.width, camera.height)), pose)
+            for name, camera, pose in load_camera_path(request.path)
+        ]
+    unknown = sorted(set(request.name) - {name for name, _, _ in cameras})
+    if unknown:
+        first = ", ".join(f"'{name}'" for name, _, _ in cameras[:3])
+        raise ConfigError(
+            f"There is no camera '{unknown[0]}' in {request.path or request.scene}.",
+            f"The first ones are: {first}.",
+        )
+    return [each for each in cameras if not request.name or each[0] in request.name]
+
+
+# --- frames for compositing ---
+
+
+def render_frames(request: RenderFrames, context: Context = QUIET) -> Result:
+    """Answer the requests in a folder, oldest name first, until asked to stop.
+
+    Blender's render waits for each picture, so starting Python and reading models once per frame
+    would be slow: this stays, and keeps the models that it has read.
+
+    Raises:
+        ConfigError: there is no such folder.
+        EngineError: with `once`, a request that cannot be answered.
+    """
+    if not request.folder.is_dir():
+        raise ConfigError(f"{request.folder} is not a folder.", "Give the folder of the requests.")
+    use_threads(request.threads)
+    context = on_device(context, request.device)
+    # As information: a program that waits for a picture takes a warning for a refusal.
+    models = Models(context.info)
+    while not context.should_stop():
+        waiting = sorted(request.folder.glob(f"*{REQUEST}"))
+        if not waiting:
+            if request.once:
+                break
+            time.sleep(PAUSE)
+            continue
+        try:
+            out = answer(waiting[0], models, context)
+            context.emit(Preview(path=str(out)))
+        except EngineError as error:
+            if request.once:
+                raise
+            context.warn(str(error))
+        finally:
+            with suppress(OSError):
+                waiting[0].unlink()
+    return Result()
+
+
+class Models:
+    """PLYs by path; one that has changed is read again, one that is not asked for is dropped.
+
+    Args:
+        say: gets a line for each file that is read and has Gaussians that cannot be drawn.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._read: dict[str, tuple[tuple[int, int], Gaussians, LocalFrame]] = {}
+
+    def get(self, paths: list[str], context: Context) -> list[tuple[Gaussians, LocalFrame]]:
+        """The models, without what cannot be drawn, and the frames that they are in.
+
+        Args:
+            paths: of their files.
+            context: gets the progress: whoever waits for a picture sees that the engine works.
+
+        Raises:
+            EngineError: a file is missing or damaged.
+        """
+        known, self._read = self._read, {}
+        different, started = dict.fromkeys(paths), time.monotonic()
+        for step, path in enumerate(different, start=1):
+            key, entry = _state(path), known.get(path)
+            if entry is None or entry[0] != key:
+                entry = key, *drawable_model(Path(path), self._say)
+                context.progress(STAGE, step, len(different), started)
+            self._read[path] = entry
+        return [self._read[path][1:] for path in paths]
+
+
+def _state(path: str) -> tuple[int, int]:
+    """Time of change and size of a file; ConfigError if it cannot be read."""
+    try:
+        state = Path(path).stat()
+    except OSError as error:
+        reason = error.strerror or error
+        raise ConfigError(f"Cannot read {path} ({reason}).", "Load results again.") from error
+    return state.st_mtime_ns, state.st_size
+
+
+def answer(request: Path, models: Models, context: Context) -> Path:
+    """Render what a request asks for; returns the picture, which is written last.
+
+    Args:
+        request: its file.
+        models: that were read before.
+        context: has the device, and gets the progress.
+
+    Raises:
+        EngineError: the request is malformed, or a model cannot be read.
+    """
+    import torch
+
+    from ..rasterize.camera_path import camera_from_record
+    from ..rasterize.image_files import save_layer
+    from ..rasterize.instances import Instance, render_instances
+
+    record = read_json(request, ConfigError, HINT)
+    try:
+        _, camera, pose = camera_from_record(record["camera"])
+        out = request.parent / record["out"]
+        wanted = instances(record, request.parent)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{request} is malformed ({error}).", HINT) from error
+    read = models.get([item.file for item in wanted], context)
+    placed = [
+        Instance(
+            gaussians=gaussians,
+            frame=frame,
+            matrix=item.matrix,
+            gains=item.gains,
+            density=item.density,
+        )
+        for (gaussians, frame), item in zip(read, wanted, strict=True)
+    ]
+    layer = render_instances(placed, camera, pose, torch.device(context.device))
+    save_layer(colour_file(out), depth_file(out), layer)
+    return colour_file(out)

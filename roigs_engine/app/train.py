@@ -1,0 +1,212 @@
+"""A training from request to result: run folder, plan, stages, evaluation, levels of detail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..context import QUIET, Context
+from ..formats import run_files
+from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
+from ..formats.lock import check_held
+from ..formats.text import counted
+from ..requests.declare import settings_of
+from ..requests.runs import Train
+from .asked import Asked
+from .event_log import EventLog, logged
+from .inputs import count_photos, mask_options
+from .outputs import Planned, Trained, result_in
+
+if TYPE_CHECKING:
+    from ..model.scene import SfmScene
+    from ..run.definition import Run
+    from ..run.executor import TrainedModel
+
+PREPARE, ALL = "prepare", "all"
+"""Parts of a run: open the folder and look at the photos; do all that is missing."""
+
+
+def train(request: Train, context: Context = QUIET) -> Trained | Planned:
+    """Train, or resume the run in the folder; a `Run` is compared with baselines and evaluated.
+
+    Args:
+        request: what to train, and how.
+        context: receives the events; asked whether to stop.
+
+    Raises:
+        EngineError: the request, the scene or the folder cannot be used, or training diverged.
+        Stopped: on request; the same request resumes.
+    """
+    asked = Asked.of(request)
+    if request.dry_run:
+        return _planned(asked, context)
+    if request.cluster:
+        from .cluster import train_on_cluster
+
+        return train_on_cluster(request, context)
+    with logged(context) as (context, log):
+        if asked.parts and ALL not in asked.parts:
+            done = _do_parts(asked, context, log)
+        else:
+            done = _do_all(asked, context, log)
+        log.outputs = done.outputs
+    return done
+
+
+# --- plan ---
+
+
+def _planned(asked: Asked, context: Context) -> Planned:
+    """The plan of the run; a few steps are trained to measure time, nothing is written."""
+    from ..run.dry_run import describe_plan
+
+    request = asked.request
+    if asked.photos is not None and not asked.has_model:
+        return Planned(text=_plan_of_photos(asked.photos, request))
+    context = asked.context(context)
+    run = asked.defined(context, pixels=False)
+    return Planned(text=describe_plan(run, asked.compare, context, update=request.update))
+
+
+def _plan_of_photos(photos: Path, request: Train) -> str:
+    """What a run of photos does that have no model yet."""
+    count = counted(count_photos(photos), "photo") if photos.is_dir() else str(photos)
+    return "\n".join(
+        [
+            f"Plan of {request.run_dir}: preset {request.preset}",
+            f"1. Make a COLMAP project from {count} in {request.scene}",
+            f"2. Put a box around what most photos show: {request.run_dir / run_files.BOXES}",
+            "3. Train. Stages, memory and minutes can be told after step 1, which is",
+            f"   python -m roigs_engine reconstruct {photos} --out {request.scene}",
+        ]
+    )
+
+
+# --- run folder ---
+
+
+@contextmanager
+def opened(asked: Asked, context: Context, log: EventLog) -> Iterator[tuple[Run, Context]]:
+    """The run; its folder is open and locked during the block.
+
+    Events are written to the folder once it is known that it may be this run's. The preview is
+    deleted at the end: the result is there.
+    """
+    from ..colmap.undistorted_photos import remove_unused
+    from ..run.definition import define_run
+    from ..run.folder import open_folder
+    from ..run.manifest import check_version, refuse_other_run
+    from ..run.provenance import recorded
+    from ..run.side_by_side import PATIENCE, held
+
+    request, folder = asked.request, asked.request.run_dir
+    inputs = {} if asked.boxes.given is None else asked.inputs(asked.boxes.given)
+    with held(folder, context, PATIENCE if asked.parts else 0):
+        refuse_linked_folders(folder)
+        check_version(folder)
+        remove_leftovers(folder)
+        if asked.photos is not None:
+            if not (folder / run_files.MANIFEST).exists():
+                log.open(folder)
+            _reconstruct(asked.photos, request, context)
+        context = asked.context(context)
+
+        def check(cameras: SfmScene) -> None:
+            """What is wrong with the options is said before minutes go into the photos."""
+            if not inputs:
+                inputs.update(asked.inputs(asked.boxes.boxes(cameras)))
+            quiet = replace(context, emit=QUIET.emit)
+            without_pixels = define_run(folder, cameras, context=quiet, **inputs)
+            if not request.update:
+                refuse_other_run(folder, without_pixels.manifest())
+            asked.boxes.keep(inputs["rois"], context)
+            log.open(folder)
+
+        # Damaged photos are found only now: without them, other photos may be test photos.
+        scene = asked.scene(context, check=check)
+        run = define_run(folder, scene, context=context, **inputs)
+        open_folder(run, context, update=request.update)
+        if asked.boxes.given is None:
+            request = replace(request, rois=asked.boxes.file, roi=())
+        write_json(folder / run_files.SETTINGS, settings_of(request))
+        remove_unused(folder / run_files.CACHE, scene.images)
+        for message in run.memory(context).messages():
+            context.emit(message)
+        with recorded(folder, run.config.seed, context.device):
+            yield run, context
+        with suppress(OSError):  # on Windows, while it is read
+            (folder / run_files.PREVIEW).unlink()
+
+
+def _reconstruct(photos: Path, request: Train, context: Context) -> None:
+    """Make the photos the scene's COLMAP project, or resume that; raises as `reconstruct`."""
+    from ..reconstruction.reconstruct import reconstruct
+    from ..reconstruction.settings import Settings
+
+    context.info(f"{photos} has no COLMAP model; {request.scene} gets one.")
+    masks = mask_options(request)
+    masks.check()
+    reconstruct(photos, request.scene, Settings(), request.threads, context, masks=masks)
+
+
+def _do_all(asked: Asked, context: Context, log: EventLog) -> Trained:
+    """Train all that is missing; evaluate, and make levels of detail, if they are asked for."""
+
+    from ..run.folder import train_opened
+
+    request, table = asked.request, ""
+    with opened(asked, context, log) as (run, context):
+        trained = train_opened(
+            run,
+            asked.compare,
+            context,
+            update=request.update,
+            preview_seconds=request.preview_seconds,
+        )
+        if asked.evaluated:
+            table = _evaluate(run, trained, context)
+        if request.levels:
+            from ..levels.make import make_levels
+
+            images = run.scene.images
+            make_levels(run.folder, images, run.frame, levels=request.levels, context=context)
+    found = result_in(request.run_dir, evaluated=asked.evaluated)
+    if not asked.evaluated:
+        context.info(f"The result is {found.result}.")
+    return replace(found, table=table)
+
+
+def _evaluate(run: Run, trained: Sequence[TrainedModel], context: Context) -> str:
+    """Compare the models on the held-out photos, and write the report; returns the table."""
+    import torch
+
+    from ..evaluation.evaluate import evaluate
+    from .evaluate import write_evaluation
+
+    device = torch.device(context.device)
+    models = [model.evaluated().to(device) for model in trained]
+    photos = run.config.evaluate_on
+    evaluation = evaluate(models, run.scene, run.measured, run.rois, context=context, photos=photos)
+    check_held(run.folder)
+    return write_evaluation(evaluation, models, run.scene, run.rois, run.folder, context)
+
+
+def _do_parts(asked: Asked, context: Context, log: EventLog) -> Trained:
+    """Prepare the folder, or train stages of it."""
+    if PREPARE in asked.parts:
+        with opened(asked, context, log):
+            pass
+    stages = [name for name in asked.parts if name != PREPARE]
+    if stages:
+        from ..run.side_by_side import train_stage
+        from ..run.strategies import plan_run
+
+        context = asked.context(context)
+        run = asked.defined(context)
+        plan = plan_run(run, asked.compare, replace(context, emit=QUIET.emit))  # it was said before
+        for name in stages:
+            train_stage(run, plan, name, context)
+    return Trained(files={name: asked.request.run_dir / name for name in stages})

@@ -1,0 +1,142 @@
+"""Upkeep: levels of detail of a finished run, its clean-up, and the check of a GPU."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..context import QUIET, Context
+from ..errors import RunFolderError
+from ..formats import clean_up, run_files
+from ..formats.lock import locked
+from ..formats.text import in_gb
+from ..requests.runs import CheckGpu, Clean, Levels
+from .inputs import on_device, use_threads
+from .outputs import Result
+from .run_scene import cameras_of_run
+
+if TYPE_CHECKING:
+    from ..formats.levels import Ladder
+
+GPU_STEPS, CPU_STEPS = 50, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Levelled(Result):
+    """The list of levels in the run folder, and the levels of each part of the result."""
+
+    levels: Path
+    ladders: tuple[Ladder, ...]
+
+
+def make_levels(request: Levels, context: Context = QUIET) -> Levelled:
+    """Train and measure levels of detail, or resume; they are in the run folder.
+
+    Raises:
+        EngineError: the run folder or its scene cannot be used.
+        Stopped: on request; the same request resumes.
+    """
+    from ..levels import make
+    from ..model.local_frame import LocalFrame
+
+    _check_run(request.run)
+    use_threads(request.threads)
+    said, context = context, on_device(context, request.device)
+    with locked(request.run, context.warn, option=None):
+        scene = cameras_of_run(request.run, request.scene, said)
+        frame = LocalFrame.of_scene(scene)
+        ladders = make.make_levels(
+            request.run,
+            frame.scene(scene).images,
+            frame,
+            levels=request.levels,
+            steps=request.steps,
+            context=context,
+        )
+    return Levelled(levels=request.run / run_files.LEVELS_FILE, ladders=tuple(ladders))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cleaned(Result):
+    """What could be removed, by its place in the run folder, with bytes, and what was freed."""
+
+    removable: tuple[tuple[str, int], ...]
+    freed: int = 0
+
+
+def clean(request: Clean, context: Context = QUIET) -> Cleaned:
+    """Remove from a run folder what can be made again; RunFolderError if it is none."""
+    _check_run(request.run)
+    with locked(request.run, context.warn, option=None):
+        found = tuple(
+            (str(path.relative_to(request.run)), clean_up.disk_size([path]))
+            for path in clean_up.removable(request.run)
+        )
+        if request.dry_run:
+            return Cleaned(removable=found)
+        freed = clean_up.remove(request.run)
+    context.info(f"Removed {in_gb(freed)}." if freed else "There is nothing to remove.")
+    return Cleaned(removable=found, freed=freed)
+
+
+def _check_run(folder: Path) -> None:
+    if not clean_up.is_run_folder(folder):
+        raise RunFolderError(
+            f"{folder} is not a run folder.", "Give the folder that --run-dir named."
+        )
+
+
+def check_gpu(
+    request: CheckGpu, context: Context = QUIET, say: Callable[[str], None] | None = None
+) -> Result:
+    """Check an NVIDIA GPU against the CPU, and time training steps on both.
+
+    Args:
+        request: how much of it.
+        context: told which device training would use.
+        say: gets each line as soon as it is known: versions, the card, the errors of each result,
+            milliseconds a step; None: the context is told.
+
+    Raises:
+        KernelError: the GPU cannot be used.
+    """
+    import torch
+
+    from ..cuda import compiler, driver
+    from ..cuda.device import CPU, check_cuda, choose_device
+    from ..training import gpu_check, gpu_times
+
+    if request.brief:
+        choose_device("auto", context, gpu_check.check_once)
+        return Result()
+    say = say or context.info
+    version = ".".join(map(str, sys.version_info[:3]))
+    say(f"System   {platform.platform()}, Python {version}")
+    say(f"torch    {torch.__version__}, CUDA {torch.version.cuda or '(none)'}")
+    say(f"Driver   {driver.build() or '(not found)'}")
+    started = time.perf_counter()
+    device = check_cuda(context)
+    seconds = time.perf_counter() - started
+    capability = ".".join(map(str, torch.cuda.get_device_capability(device)))
+    memory = torch.cuda.get_device_properties(device).total_memory / 2**30
+    name = torch.cuda.get_device_name(device)
+    say(f"Card     {name}, compute capability {capability}, {memory:.1f} GiB")
+    nvrtc = ".".join(map(str, compiler.nvrtc_of_torch().version))
+    say(f"Kernels  ready in {seconds:.1f} s, NVRTC {nvrtc}")
+    for result, error in gpu_check.compare(device).items():
+        verdict = "ok   " if error <= gpu_check.LIMIT else "WRONG"
+        say(f"  {error:.1e}  {verdict}  {result}")
+    gpu_check.check_again(device)
+    width, height = gpu_times.SIZE
+    say(f"Step     {gpu_times.COUNT:,} Gaussians, {width}x{height}:")
+    gpu = gpu_times.step_milliseconds(device, "cuda", steps=GPU_STEPS)
+    say(f"  GPU {gpu:8.2f} ms")
+    cpu = gpu_times.step_milliseconds(CPU, "cpu", steps=CPU_STEPS)
+    say(f"  CPU {cpu:8.2f} ms")
+    context.info("The GPU computes what the CPU does. Training uses it.")
+    return Result()

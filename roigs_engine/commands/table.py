@@ -1,0 +1,256 @@
+"""The commands: what each is asked for, what does it, its help, and what it prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from ..requests import models, projects, runs
+from ..requests.declare import Request
+from . import answers
+
+if TYPE_CHECKING:
+    from ..app.outputs import Result
+    from ..context import Context
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """A command of the command line.
+
+    Attributes:
+        request: what it is asked for.
+        does: module and function of `app` that does it; imported when it is used.
+        help: what it does, in a line.
+        examples: for the help, each what follows the command.
+        prints: the answer on standard output, of the request and the result; empty: none.
+        torch: whether it needs torch, which needs much memory to start.
+        takes_file: whether its scene may be an options file.
+        as_it_goes: whether the function is also given where to print lines as they are known.
+    """
+
+    request: type[Request]
+    does: str
+    help: str
+    examples: tuple[str, ...]
+    prints: Callable[[Any, Any], str]
+    torch: bool = True
+    takes_file: bool = False
+    as_it_goes: bool = False
+
+    def run(self, request: Request, context: Context, say: Say) -> Result:
+        """Do it; returns the result."""
+        module, _, name = self.does.partition(":")
+        work = getattr(import_module(f"..app.{module}", __package__), name)
+        result: Result = work(request, context, *([say] if self.as_it_goes else []))
+        return result
+
+
+COMMANDS: dict[str, Command] = {
+    "reconstruct": Command(
+        request=projects.Reconstruct,
+        does="scenes:reconstruct",
+        help="make a COLMAP project from a folder of photos, or a video",
+        examples=(
+            "photos --out garden",
+            "garden/images --out garden --pairs all",
+            "walk.mp4 --out garden",
+        ),
+        prints=answers.reconstructed,
+        torch=False,
+    ),
+    "inspect": Command(
+        request=projects.Inspect,
+        does="scenes:inspect",
+        help="show what a COLMAP model contains and which photos see each box",
+        examples=(
+            "garden",
+            "garden --rois garden/rois.json --json",
+        ),
+        prints=answers.inspected,
+        torch=False,
+        takes_file=True,
+    ),
+    "export": Command(
+        request=projects.Export,
+        does="scenes:export",
+        help="write the cameras and points of a COLMAP model as JSON and NumPy files",
+        examples=(
+            "garden --out out",
+            "garden --max-side 640 --out out --events",
+            "garden --placed --out metres",
+        ),
+        prints=answers.exported,
+        torch=False,
+        takes_file=True,
+    ),
+    "refine-cameras": Command(
+        request=projects.RefineCameras,
+        does="scenes:refine_cameras",
+        help="fit the cameras of a COLMAP model better, which makes everything trained with them"
+        " sharper",
+        examples=(
+            "garden",
+            "garden --out garden-refined",
+        ),
+        prints=answers.refined,
+        torch=False,
+        takes_file=True,
+    ),
+    "select": Command(
+        request=projects.Select,
+        does="scenes:select",
+        help="choose the photos that show each box best",
+        examples=(
+            "garden --rois garden/rois.json",
+            'garden --roi "vase=0,0,0,1,1,2" --method gp9 --count 40 --out out',
+        ),
+        prints=answers.selected,
+        torch=False,
+        takes_file=True,
+    ),
+    "train": Command(
+        request=runs.Train,
+        does="train:train",
+        help="train the scene and its boxes, and write one PLY",
+        examples=(
+            "garden --rois garden/rois.json --run-dir runs/garden",
+            "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
+            "garden --rois garden/rois.json --run-dir runs/paper --preset paper",
+        ),
+        prints=answers.trained,
+        takes_file=True,
+    ),
+    "run": Command(
+        request=runs.Run,
+        does="train:train",
+        help="do everything: select photos, train, compare with baselines, evaluate",
+        examples=(
+            "garden --rois garden/rois.json --max-side 640 --run-dir runs/garden",
+            "garden --rois garden/rois.json --run-dir runs/garden --dry-run",
+            "garden --rois garden/rois.json --run-dir runs/all --compare all",
+        ),
+        prints=answers.trained,
+        takes_file=True,
+    ),
+    "batch": Command(
+        request=runs.Batch,
+        does="batch:run_batch",
+        help="do the runs of a table of scenes, several at once, here or on a cluster",
+        examples=(
+            "museum.toml --init scans",
+            "museum.toml --run-dir runs/museum --dry-run",
+            "museum.toml --run-dir runs/museum --jobs 4",
+            "museum.toml --run-dir runs/museum --cluster auto",
+        ),
+        prints=answers.batched,
+    ),
+    "evaluate": Command(
+        request=runs.Evaluate,
+        does="evaluate:evaluate",
+        help="compare PLYs on test photos, in each box and on the whole image",
+        examples=(
+            "garden --rois garden/rois.json --split runs/garden/split.json --out out --model"
+            ' "Full Scene=runs/garden/full-scene/model.ply" --model Ours=runs/garden/result.ply',
+        ),
+        prints=answers.evaluated,
+        takes_file=True,
+    ),
+    "render": Command(
+        request=models.Render,
+        does="render:render",
+        help="render a PLY from the cameras of a COLMAP model or along a camera path",
+        examples=(
+            "result.ply --scene garden --name IMG_0004.jpg --out frames",
+            "result.ply --path cameras.json --out frames",
+        ),
+        prints=answers.rendered,
+    ),
+    "render-frames": Command(
+        request=models.RenderFrames,
+        does="render:render_frames",
+        help="render pictures for compositing, as another program asks for them in a folder",
+        examples=("requests --once",),
+        prints=answers.nothing,
+    ),
+    "compose": Command(
+        request=models.Compose,
+        does="objects:compose",
+        help="replace a scene's Gaussians in the boxes by those of object models",
+        examples=("scene.ply --rois rois.json --object vase=vase.ply --out all.ply",),
+        prints=answers.composed,
+    ),
+    "convert": Command(
+        request=models.Convert,
+        does="convert:convert",
+        help="write Gaussians in another format, turned, cropped to boxes, or placed as a list"
+        " says",
+        examples=(
+            "runs/garden/result.ply garden.spz",
+            "result.ply vase.glb --rois rois.json --only vase --sh-degree 0",
+            "placed.json garden.compressed.ply",
+            "result.ply vase.html --fly-to rois.json --before scene/model.ply",
+        ),
+        prints=answers.converted,
+    ),
+    "masks": Command(
+        request=models.Masks,
+        does="masks:make_masks",
+        help="make masks of an object on many photos from a few strokes on one",
+        examples=(
+            "garden --rois garden/rois.json --scribbles strokes.json "
+            "--model runs/garden/result.ply --out garden/masks",
+        ),
+        prints=answers.all_places,
+        takes_file=True,
+    ),
+    "cut": Command(
+        request=models.Cut,
+        does="objects:cut",
+        help="cut objects out of their boxes along masks: the vase without the table under it",
+        examples=("garden --rois garden/rois.json --model runs/garden/result.ply --out cut",),
+        prints=answers.all_places,
+        takes_file=True,
+    ),
+    "floaters": Command(
+        request=models.Floaters,
+        does="objects:find_floaters",
+        help="find Gaussians that hang in the air, by the rule with which a training ends",
+        examples=("garden --rois garden/rois.json --model result.ply --out floaters.npy",),
+        prints=answers.floaters,
+        takes_file=True,
+    ),
+    "levels": Command(
+        request=runs.Levels,
+        does="upkeep:make_levels",
+        help="make levels of detail of a run's result: fewer Gaussians for views from afar",
+        examples=("runs/garden",),
+        prints=answers.levels,
+    ),
+    "clean": Command(
+        request=runs.Clean,
+        does="upkeep:clean",
+        help="remove from a run folder what can be made again: caches, archived stages, previews",
+        examples=(
+            "runs/garden --dry-run",
+            "runs/garden",
+        ),
+        prints=answers.cleaned,
+        torch=False,
+    ),
+    "check-gpu": Command(
+        request=runs.CheckGpu,
+        does="upkeep:check_gpu",
+        help="check an NVIDIA GPU against the CPU, and time training steps on both",
+        examples=(
+            "",
+            "--brief",
+        ),
+        prints=answers.nothing,
+        as_it_goes=True,
+    ),
+}

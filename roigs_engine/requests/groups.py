@@ -1,0 +1,229 @@
+"""Options that several requests share, in groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..formats.run_files import OBJECT_MASKS
+from . import choices
+from .declare import Request, option
+from .values import EITHER, FLAG, NAME, PATH, AutoOr, Choice, Number, integer
+
+MAX_THREADS = 1024
+MAX_MEGABYTES = 1e9
+MODEL = "folder with a COLMAP model (sparse/0, sparse, or the model itself)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threads(Request):
+    """The threads of the CPU kernels."""
+
+    threads: int | None = option(
+        integer(1, MAX_THREADS),
+        "CPU threads (default: as many as there are cores)",
+        metavar="N",
+        decides=False,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device(Request):
+    """The device that renders and trains."""
+
+    device: str = option(
+        Choice(choices.DEVICES),
+        "auto uses an NVIDIA GPU that passes its check, else the CPU (default: {default})",
+        "auto",
+        decides=False,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photos(Request, heading="scene"):
+    """The folder of the photos."""
+
+    images: Path | None = option(
+        PATH,
+        "folder of the photos (default: images, images_2, images_4 or images_8)",
+        metavar="DIR",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoSize(Photos, Threads, heading="scene"):
+    """The photos' folder and size."""
+
+    downscale: float | None = option(
+        Number(low=1, high=choices.MAX_DOWNSCALE),
+        "divide the photos' size by N",
+        metavar="N",
+        excludes="size",
+    )
+    max_side: int | None = option(
+        integer(1, choices.MAX_SIDE),
+        "limit the photos' longest side to PX pixels",
+        metavar="PX",
+        excludes="size",
+        label="Photo Size",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoMasks(Request, heading="scene"):
+    """Which parts of the photos are ignored."""
+
+    masks: Path | None = option(
+        PATH,
+        "folder of masks, 012.jpg.png for the photo 012.jpg: what is black is ignored"
+        " (default: the folder masks beside that of the photos, if there is one)",
+        metavar="DIR",
+        excludes="masks",
+    )
+    no_masks: bool = option(
+        FLAG, "use whole photos: no masks, and no alpha channels", False, excludes="masks"
+    )
+    invert_masks: bool = option(FLAG, "in the masks' files, black marks what is used", False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(PhotoSize, PhotoMasks):
+    """The scene, and how its photos are read."""
+
+    scene: Path = option(
+        PATH,
+        f"{MODEL}, or an options file (JSON) whose keys are the long names of these options",
+        required=True,
+        flags=(),
+    )
+    exclude: tuple[str, ...] = option(
+        NAME,
+        "leave a photo out, by its name in the model; repeatable",
+        repeat=True,
+        metavar="PHOTO",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectMasks(Request, heading="masks of objects"):
+    """Whether masks of the boxes' objects are used."""
+
+    no_object_masks: bool = option(
+        FLAG,
+        "use whole boxes: no masks of their objects (masks/vase/012.jpg.png shows the object"
+        " of box vase on the photo 012.jpg; white is the object)",
+        False,
+    )
+    object_masks: Path | None = option(
+        PATH,
+        "folder of such masks for photos without one in masks: DIR/vase/012.jpg.png"
+        f" (`train` and `run` use {OBJECT_MASKS} of the run folder, where Blender puts them if"
+        " it cannot write beside the photos)",
+        metavar="DIR",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boxes(Request, heading="boxes"):
+    """The boxes."""
+
+    rois: Path | None = option(PATH, "rois.json with the boxes", metavar="FILE")
+    roi: tuple[str, ...] = option(
+        NAME,
+        "one box by its corners in the COLMAP frame; repeatable. auto (select, train, run):"
+        " a box around what most photos show, written to rois.json",
+        repeat=True,
+        metavar="NAME=x0,y0,z0,x1,y1,z1",
+    )
+    only: tuple[str, ...] = option(
+        NAME,
+        "use only the box of this name; repeatable",
+        repeat=True,
+        flags=("--only", "--box"),
+        metavar="NAME",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selection(Request, heading="selection"):
+    """How photos are selected, and which are test photos."""
+
+    method: str | None = option(Choice(choices.METHODS), "how photos are selected", label="Method")
+    count: int | None = option(
+        integer(1), "number of photos to select for each box", metavar="K", label="Photos"
+    )
+    seed: int | None = option(
+        integer(0, choices.MAX_SEED),
+        "seed of all random numbers (default: 0)",
+        metavar="N",
+        label="Seed",
+    )
+    test_every: int | None = option(
+        integer(2, zero=True),
+        "make every N-th photo that sees a box a test photo; 0: none",
+        metavar="N",
+        label="Test Photos",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training(Request, heading="training"):
+    """The preset, and settings that override it."""
+
+    preset: str = option(
+        Choice(choices.PRESETS), "settings (default: {default})", "draft", label="Preset"
+    )
+    strategy: str | None = option(
+        Choice(choices.STRATEGIES), "one joint stage for all boxes, or one for each box"
+    )
+    steps_factor: float | None = option(
+        Number(low=0, high=choices.MAX_FACTOR, above=True),
+        "multiply the steps of both stages by F",
+        metavar="F",
+        label="Steps ×",
+    )
+    kept_share: float | None = option(
+        Number(low=0, high=1),
+        "share of the selected photos, 0 to 1, that the Scene-GS is trained on too",
+        hidden="line",
+    )
+    roi_init: str | None = option(
+        Choice(choices.INITS),
+        "what the box stage starts from: the Scene-GS, the sparse points, or those of the"
+        " Scene-GS's Gaussians that are in the box",
+        hidden="line",
+    )
+    roi_order: str | None = option(
+        Choice(choices.ORDERS), "order of the selected photos", hidden="line"
+    )
+    sh_degree: int | None = option(integer(0, 3), "highest SH degree, 0 to 3", metavar="N")
+    antialiased: bool | None = option(
+        EITHER,
+        "draw fine Gaussians fainter from afar, not thicker: sharp near and far, but only in"
+        " viewers that support it (default: on; off in `paper`)",
+        label="Anti-aliased",
+    )
+    evaluate_on: str | None = option(
+        Choice(choices.PHOTOS),
+        "photos to evaluate on: the test photos (default), or validation photos, to choose"
+        " settings with; nothing uses the test photos then",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout(Request, heading="large scenes, many boxes"):
+    """How training is laid out: in blocks of the scene, in groups of boxes."""
+
+    blocks: int | str | None = option(
+        AutoOr(low=1, high=choices.MOST_BLOCKS),
+        "cut the scene into N blocks that are trained one by one and joined; auto: as many as"
+        " this machine's memory needs (default: 1)",
+        metavar="N",
+    )
+    group: tuple[str, ...] = option(
+        NAME,
+        "boxes that are trained together, apart from the others; repeatable; all: all boxes"
+        " (default: boxes that share photos)",
+        repeat=True,
+        metavar="BOX,BOX",
+    )

@@ -1,0 +1,123 @@
+"""Requests for COLMAP projects: made, looked at, refined, and photos selected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import choices
+from .declare import Request, option
+from .groups import MODEL, Boxes, ObjectMasks, PhotoMasks, Scene, Selection, Threads
+from .values import FLAG, PATH, Choice, integer
+
+MOST_FEATURES, LARGEST_SIDE, MOST_NEIGHBOURS, MOST_FRAMES = 32_768, 8_192, 1_000, 10_000
+FEW_PHOTOS, MANY, USUAL = 40, 8192, 2048  # photos, and their features; more photos have the usual
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Method(Request, heading="method"):
+    """What decides the result of a reconstruction."""
+
+    max_side: int = option(
+        integer(64, LARGEST_SIDE),
+        "longest side of photos in which features are found (default: {default})",
+        1600,
+        metavar="PX",
+        label="Photo Size",
+    )
+    features: int = option(
+        integer(64, MOST_FEATURES, zero=True),
+        f"most features of a photo (default: 0, which is {USUAL}, and {MANY} of up to {FEW_PHOTOS}"
+        " photos)",
+        0,
+        metavar="N",
+    )
+    pairs: str = option(
+        Choice(choices.PAIRS),
+        "photos to match: all pairs, the similar ones, those that follow one another by name (and"
+        " similar ones), or all of few photos and else the similar ones (auto, the default)",
+        "auto",
+        label="Pairs",
+    )
+    neighbours: int = option(
+        integer(1, MOST_NEIGHBOURS),
+        "similar photos that each is matched with (default: {default})",
+        30,
+        metavar="N",
+    )
+    cameras: str = option(
+        Choice(choices.CAMERAS),
+        "photos that share a camera: those of one device, lens, focal length and size (auto, the"
+        " default), all of one size, or none",
+        "auto",
+        label="Cameras",
+    )
+    camera_model: str = option(
+        Choice(choices.CAMERA_MODELS), "COLMAP's lens model (default: {default})", "SIMPLE_RADIAL"
+    )
+    seed: int = option(integer(0), "seed of random numbers", 0, metavar="N")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruct(PhotoMasks, _Method, Threads):
+    """A COLMAP project from a folder of photos, or a video."""
+
+    photos: Path = option(PATH, "folder of the photos, or a video", required=True, flags=())
+    out: Path = option(
+        PATH,
+        "folder of the project: gets images, sparse/0, database.db and reconstruction.md; the same"
+        " command resumes",
+        required=True,
+        metavar="SCENE",
+    )
+    frames: int | None = option(
+        integer(2, MOST_FRAMES),
+        "use about N frames of a video (default: as many as its motion asks for)",
+        metavar="N",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspect(Scene, Boxes):
+    """What a COLMAP model contains, and the photos that see each box."""
+
+    check_photos: bool = option(FLAG, "decode every photo, and skip damaged ones", False)
+    json: bool = option(FLAG, "print the result as JSON", False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(Scene):
+    """Cameras and points of a COLMAP model as JSON and NumPy files."""
+
+    placed: bool = option(
+        FLAG,
+        "write them as the scene was placed in Blender (roigs_placement.json), in metres;"
+        " default: in the COLMAP frame",
+        False,
+    )
+    out: Path = option(PATH, "folder to write to", required=True, metavar="DIR")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineCameras(Request):
+    """Cameras that fit the photos better."""
+
+    scene: Path = option(PATH, MODEL, required=True, flags=())
+    images: Path | None = option(
+        PATH, "folder of the photos (default: the project's)", metavar="DIR"
+    )
+    tracks_only: bool = option(
+        FLAG,
+        "use the model's keypoints alone, and do not look at the photos: faster, less exact",
+        False,
+    )
+    out: Path | None = option(
+        PATH, "folder of the new model (default: sparse/refined)", metavar="DIR"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Select(Scene, ObjectMasks, Boxes, Selection):
+    """The photos that show each box best, in order."""
+
+    out: Path | None = option(PATH, "write ROI.json files there", metavar="DIR")

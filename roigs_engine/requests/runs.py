@@ -1,0 +1,200 @@
+"""Requests for trainings and their results: runs, evaluation, levels of detail, batches, upkeep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import choices
+from .declare import Request, option
+from .groups import (
+    MAX_MEGABYTES,
+    Boxes,
+    Device,
+    Layout,
+    ObjectMasks,
+    Scene,
+    Selection,
+    Threads,
+    Training,
+)
+from .values import FLAG, NAME, PATH, PLACE, Choice, Number, integer
+
+MAX_SECONDS = 1e9
+MOST_LEVELS, MOST_LEVEL_STEPS = 8, 100_000
+MOST_JOBS, MOST_RETRIES, RETRIES = 1024, 100, 3
+CLUSTER = (
+    "on Ray: ray://HOST:10001, auto (the cluster that this machine is part of), or local (a Ray of"
+    " this machine alone)"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
+    """Scene and boxes trained, and one PLY written."""
+
+    run_dir: Path = option(PATH, "folder of the run", required=True, metavar="DIR", decides=False)
+    selection: Path | None = option(
+        PATH,
+        "folder of ROI.json files with the photos of each box, as `select --out` writes them;"
+        " --method selects the photos of boxes without a file",
+        metavar="DIR",
+    )
+    levels: int | None = option(
+        integer(2, MOST_LEVELS),
+        "make the result's levels of detail at the end, as `levels` does: N of them",
+        metavar="N",
+    )
+    update: bool = option(
+        FLAG,
+        "reuse a run folder of other settings: results that still fit are kept, the others move to"
+        " its folder 'archive'",
+        False,
+        decides=False,
+    )
+    dry_run: bool = option(
+        FLAG,
+        "print the plan (stages, photos, steps, memory, minutes) and train nothing",
+        False,
+        decides=False,
+    )
+    preview_seconds: float = option(
+        Number(low=0, high=MAX_SECONDS),
+        "write the model in training to preview.ply, at most every S seconds; 0: never",
+        0.0,
+        metavar="S",
+        decides=False,
+    )
+    image_cache: float | None = option(
+        Number(low=0, high=MAX_MEGABYTES),
+        "megabytes of decoded photos to keep in memory (default: a quarter of the memory)",
+        metavar="MB",
+        decides=False,
+    )
+    cluster: str | None = option(NAME, f"train {CLUSTER}", metavar="ADDRESS", decides=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(Train):
+    """A training that is compared with baselines, and evaluated."""
+
+    compare: tuple[str, ...] = option(
+        Choice((*choices.COMPARISONS, "all")),
+        "models to train for comparison, with the same number of steps (default: full-scene)",
+        ("full-scene",),
+        several=True,
+        decides=False,
+    )
+    part: tuple[str, ...] = option(
+        NAME,
+        "do one part only, as `batch` does, so that several engines can work in one run folder:"
+        " 'prepare', then the name of each stage, then 'all' for the rest; repeatable",
+        repeat=True,
+        metavar="PART",
+        decides=False,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Scene, ObjectMasks, Boxes, Device):
+    """The evaluation table of any PLYs, on test photos."""
+
+    model: tuple[str, ...] = option(
+        NAME,
+        "a row of the table; gains are relative to the first one; repeatable",
+        required=True,
+        repeat=True,
+        metavar="NAME=FILE.ply",
+    )
+    split: Path | None = option(
+        PATH,
+        "split.json of a run (default: that of the run that the models are from)",
+        metavar="FILE",
+        excludes="tests",
+    )
+    test_every: int | None = option(
+        integer(2),
+        "test on every N-th photo that sees a box, whether or not a model was trained on it",
+        metavar="N",
+        excludes="tests",
+    )
+    out: Path = option(PATH, "folder to write to", required=True, metavar="DIR")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Levels(Threads, Device):
+    """Levels of detail of a run's result."""
+
+    run: Path = option(PATH, "folder of the run", required=True, flags=())
+    levels: int = option(
+        integer(2, MOST_LEVELS),
+        "how many, with the whole one; each has half the Gaussians of the one before"
+        " (default: {default})",
+        5,
+        metavar="N",
+    )
+    steps: int = option(
+        integer(1, MOST_LEVEL_STEPS),
+        "steps to train each level of each box for (default: {default})",
+        500,
+        metavar="N",
+    )
+    scene: Path | None = option(PATH, "COLMAP project of the run, if it was moved", metavar="DIR")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch(Request):
+    """The runs of a table of scenes, several at once, here or on a cluster."""
+
+    table: Path | None = option(
+        PATH,
+        "TOML file with the scenes and their settings (docs/many.md)",
+        flags=(),
+        metavar="TABLE",
+    )
+    init: Path | None = option(PATH, "write TABLE with the scenes of this folder", metavar="FOLDER")
+    run_dir: Path | str | None = option(
+        PLACE,
+        "folder that gets a run folder for each scene; also an address such as s3://BUCKET/RUNS",
+        metavar="DIR",
+    )
+    scenes: tuple[str, ...] = option(
+        NAME,
+        "do the scene of this name only; repeatable",
+        repeat=True,
+        flags=("--scene",),
+        metavar="NAME",
+    )
+    only: tuple[str, ...] = option(NAME, "no option of a batch", repeat=True, hidden="help")
+    jobs: int | None = option(
+        integer(1, MOST_JOBS),
+        "most parts at a time on this machine (default: one for every two cores)",
+        metavar="N",
+    )
+    cluster: str | None = option(NAME, f"do the parts {CLUSTER}", metavar="ADDRESS")
+    retries: int = option(
+        integer(0, MOST_RETRIES, zero=True),
+        "how often a part is tried again if its process is lost (default: {default})",
+        RETRIES,
+        metavar="N",
+    )
+    dry_run: bool = option(
+        FLAG,
+        "check the table, print its plan (stages, steps, memory, time), and do nothing",
+        False,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clean(Request):
+    """What can be made again, removed from a run folder."""
+
+    run: Path = option(PATH, "folder of the run; its results stay", required=True, flags=())
+    dry_run: bool = option(FLAG, "print what would be removed, and remove nothing", False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckGpu(Request):
+    """An NVIDIA GPU checked against the CPU, and timed."""
+
+    brief: bool = option(FLAG, "only say which device training would use, and why", False)

@@ -1,0 +1,174 @@
+"""Kinds of option values, checked alike on the command line, in files and in Python.
+
+A kind converts the text of a command line when it is called; `of_json` takes a value of JSON, TOML
+or Python. Both raise ArgumentTypeError with the end of a line that begins with the option's name.
+"""
+
+from __future__ import annotations
+
+import re
+from argparse import ArgumentTypeError
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+MOST = (1 << 31) - 1  # of counts: a larger one is a typing error
+AUTO = "auto"
+SCHEME = re.compile(r"([a-z][a-z0-9+.-]+)://", re.IGNORECASE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number:
+    """An integer or a number in a range.
+
+    Attributes:
+        low, high: the range; both belong to it.
+        integer: whether it must be an integer.
+        above: `low` does not belong to the range.
+        zero: 0 is allowed too, though it is below the range.
+    """
+
+    low: float
+    high: float
+    integer: bool = False
+    above: bool = False
+    zero: bool = False
+
+    def __call__(self, text: str) -> Any:
+        """The value of a text."""
+        try:
+            value: int | float | None = int(text) if self.integer else float(text)
+        except ValueError:
+            value = None
+        return self._in_range(value, text)
+
+    def of_json(self, value: Any) -> Any:
+        """The value of JSON, TOML or Python."""
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        found: int | float | None = value if number else None
+        if self.integer and isinstance(found, float):
+            # Some programs write the integer 640 as 640.0.
+            found = int(found) if found.is_integer() else None
+        return self._in_range(found, value)
+
+    def _in_range(self, value: int | float | None, given: object) -> int | float:
+        if value is None or not self._contains(value):
+            raise ArgumentTypeError(f"{shown(given if value is None else value)} is not {self}")
+        return value if self.integer else float(value)
+
+    def _contains(self, value: int | float) -> bool:
+        if self.zero and value == 0:
+            return True
+        return self.low <= value <= self.high and not (self.above and value == self.low)
+
+    def __str__(self) -> str:
+        kind = "an integer" if self.integer else "a number"
+        span = f"above {self.low:,} up to" if self.above else f"from {self.low:,} to"
+        return f"{'0 or ' if self.zero else ''}{kind} {span} {self.high:,}"
+
+
+def integer(low: int, high: int = MOST, *, zero: bool = False) -> Number:
+    """Integers from `low` to `high`, and 0 if `zero`."""
+    return Number(low=low, high=high, integer=True, zero=zero)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoOr(Number):
+    """`auto`, or an integer in a range."""
+
+    integer: bool = True
+
+    def __call__(self, text: str) -> Any:
+        """The value of a text."""
+        return AUTO if text == AUTO else super().__call__(text)
+
+    def of_json(self, value: Any) -> Any:
+        """The value of JSON, TOML or Python."""
+        return AUTO if value == AUTO else super().of_json(value)
+
+    def __str__(self) -> str:
+        return f"{AUTO}, or {integer(int(self.low), int(self.high))}"
+
+
+class Name:
+    """Text that is not blank."""
+
+    def __call__(self, text: str) -> Any:
+        """The text."""
+        return self.of_json(text)
+
+    def of_json(self, value: Any) -> Any:
+        """The text of JSON, TOML or Python."""
+        if not isinstance(value, str) or "\0" in value:
+            raise ArgumentTypeError(f"{shown(value)} is not a string")
+        if not value.strip():
+            raise ArgumentTypeError("it is empty")
+        return value
+
+
+class PathName(Name):
+    """A path; a blank one would stand for the working directory."""
+
+    def of_json(self, value: Any) -> Any:
+        """The path of JSON, TOML or Python."""
+        if isinstance(value, Path):
+            return value
+        text = super().of_json(value)
+        if is_url(text):
+            raise ArgumentTypeError(f"{shown(text)} is an address; only `batch` takes one")
+        return Path(text)
+
+
+class PlaceName(PathName):
+    """A path, or an address of a store, which stays text."""
+
+    def of_json(self, value: Any) -> Any:
+        """The path or address of JSON, TOML or Python."""
+        return value if is_url(value) else super().of_json(value)
+
+
+@dataclass(frozen=True)
+class Choice(Name):
+    """One of several words."""
+
+    words: tuple[str, ...]
+
+    def of_json(self, value: Any) -> Any:
+        """The word of JSON, TOML or Python."""
+        if super().of_json(value) not in self.words:
+            raise ArgumentTypeError(f"{shown(value)} is not one of {', '.join(self.words)}")
+        return value
+
+
+class Flag:
+    """True or false; on the command line, the option's name alone is true.
+
+    Args:
+        negatable: whether `--no-NAME` is false, as for an option whose default depends on others.
+    """
+
+    def __init__(self, *, negatable: bool = False) -> None:
+        self.negatable = negatable
+
+    def of_json(self, value: Any) -> bool:
+        """The value of JSON, TOML or Python."""
+        if not isinstance(value, bool):
+            raise ArgumentTypeError(f"{shown(value)} is not true or false")
+        return value
+
+
+Kind = Number | Name | Flag
+NAME, PATH, PLACE, FLAG, EITHER = Name(), PathName(), PlaceName(), Flag(), Flag(negatable=True)
+
+
+def is_url(text: object) -> bool:
+    """Whether a path is an address of a store, `s3://bucket/scans`, and no folder."""
+    return isinstance(text, str) and SCHEME.match(text) is not None
+
+
+def shown(value: object) -> str:
+    """The value for a message, on one line and not too long."""
+    try:
+        return f"{value!r:.60}"
+    except ValueError:  # an integer of thousands of digits
+        return "a number of thousands of digits"
