@@ -21,8 +21,8 @@ from torch import Tensor
 from benchmarks.markdown import table
 from roigs_engine.app.convert import turned
 from roigs_engine.colmap.project import load_colmap
-from roigs_engine.exchange import axes, formats
-from roigs_engine.exchange.arrays import Arrays
+from roigs_engine.exchange import formats
+from roigs_engine.exchange.arrays import Arrays, turn
 from roigs_engine.formats.splat_ply import read_ply
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import PosedImage
@@ -57,7 +57,7 @@ def foreign(path: Path, folder: Path) -> Arrays | None:
     back = folder / "foreign.ply"
     subprocess.run([TOOL, "-q", "-w", path, back], check=True, capture_output=True)
     found = read_ply(back)
-    return turned(found, axes.turn("y", "-y")) if path.suffix == ".spz" and as_ply() else found
+    return turned(found, turn("y", "-y")) if path.suffix == ".spz" and as_ply() else found
 
 
 def as_ply() -> bool:
@@ -76,7 +76,7 @@ def rows(whole: Path, photos: list[PosedImage], folder: Path) -> list[tuple[str,
         if form.suffix in (".ply", ".usda", ".usdz"):
             continue
         path = folder / f"model{form.suffix}"
-        there = axes.turn("-y", form.up)
+        there = turn("-y", form.up)
         start = time.monotonic()
         formats.write(path, turned(arrays, there))
         seconds = time.monotonic() - start

@@ -11,7 +11,7 @@ import numpy as np
 from ..colmap.records import MAX_SIDE
 from ..context import QUIET, Context
 from ..errors import ConfigError, EngineError
-from ..exchange.axes import UP
+from ..exchange.arrays import UP
 from ..formats.files import read_json
 from ..formats.gravity import gravity_alignment
 from ..formats.run_files import (

@@ -1,4 +1,4 @@
-"""Gaussians as file formats take them: arrays in the form of `formats.splat_ply`."""
+"""Models as arrays, in the form of `formats.splat_ply`, and the axis that points up in them."""
 
 from __future__ import annotations
 
@@ -72,3 +72,18 @@ def in_morton_order(arrays: Arrays) -> Arrays:
             key |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
     order = np.argsort(key, kind="stable")
     return {name: values[order] for name, values in arrays.items()}
+
+
+UP: dict[str, tuple[tuple[int, int, int], ...]] = {
+    "-y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+}
+"""Axis that points up -> rotation from the world whose z axis does."""
+
+
+def turn(before: str, after: str) -> Float64:
+    """(4, 4) that makes the axis `after` point up in a model in which the axis `before` does."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array(UP[after]) @ np.array(UP[before]).T
+    return matrix

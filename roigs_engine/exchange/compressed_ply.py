@@ -12,8 +12,7 @@ import numpy as np
 from ..formats.files import atomic_write
 from ..formats.splat_ply import ANTIALIASED
 from .arrays import Arrays, unit_quats
-from .damage import damaged, reading
-from .packages import package
+from .libraries import damaged, package, reading
 
 TITLE = "compressed PLY"
 CHUNK = 256  # Gaussians that share their bounds

@@ -16,7 +16,7 @@ from ..formats import splat_ply
 from ..formats.drawable import usable
 from ..formats.files import regular, remove_leftovers_of
 from .arrays import Arrays, Check, extent, flaw, nothing
-from .damage import HINT, damaged
+from .libraries import HINT, damaged
 
 FAR = 1e4
 """So many times its size away from the origin, float32 shows a model's Gaussians moved."""

@@ -17,9 +17,8 @@ from ..formats.files import atomic_write
 from ..model.gaussians import SH_C0
 from ..model.scene import Float64
 from .arrays import Arrays, logits, opacities, unit_quats
-from .damage import damaged, reading
-from .moved import moved
-from .packages import package
+from .libraries import damaged, package, reading
+from .transform import moved
 
 TITLE = "glTF"
 NAME = "KHR_gaussian_splatting"

@@ -27,8 +27,8 @@ from ..rasterize.inputs import BLUR, FRUSTUM_MARGIN, NEAR
 from ..rasterize.limits import PICTURE_LIMITS
 from . import spz
 from .arrays import Arrays
+from .libraries import scratch
 from .page_views import FIELD, Ball, overview, photographed, viewpoint
-from .scratch import scratch
 
 PARTS = Path(__file__).parent / "page_parts"
 SCRIPTS = ("shaders.js", "renderer.js", "camera.js", "page.js")

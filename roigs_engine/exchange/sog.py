@@ -20,8 +20,7 @@ from ..formats.files import atomic_write
 from ..model.scene import Float64
 from .arrays import Arrays, Check, Float32, extent, in_morton_order, nothing, opacities, unit_quats
 from .compressed_ply import arrays_of
-from .damage import reading, refuse_bomb
-from .packages import package
+from .libraries import package, reading, refuse_bomb
 
 TITLE = "SOG"
 CODES = 256  # numbers that a codebook has

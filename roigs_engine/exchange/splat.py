@@ -9,7 +9,7 @@ import numpy as np
 from ..formats.files import atomic_write
 from ..model.gaussians import SH_C0
 from .arrays import Arrays, Float32, logits, opacities, unit_quats
-from .damage import damaged
+from .libraries import damaged
 
 ROW = np.dtype(
     [("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]

@@ -18,9 +18,7 @@ from ..formats.drawable import FLAT
 from ..formats.files import atomic_write
 from .arrays import Arrays, Check, Float32, in_morton_order, nothing, unit_quats
 from .compressed_ply import arrays_of
-from .damage import damaged, reading, refuse_bomb
-from .packages import package
-from .scratch import scratch
+from .libraries import damaged, package, reading, refuse_bomb, scratch
 
 TITLE = "SPZ"
 MAGIC, GZIP = 0x5053474E, b"\x1f\x8b"

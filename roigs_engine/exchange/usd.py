@@ -10,12 +10,9 @@ import numpy as np
 
 from ..errors import EngineError
 from ..formats.files import atomic_write
-from .arrays import Arrays, logits, opacities, unit_quats
-from .axes import turn
-from .damage import damaged, reading
-from .moved import moved
-from .packages import package
-from .scratch import scratch
+from .arrays import Arrays, logits, opacities, turn, unit_quats
+from .libraries import damaged, package, reading, scratch
+from .transform import moved
 
 TITLE = "OpenUSD"
 PRIM = "/Gaussians"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from roigs_engine.errors import EngineError
-from roigs_engine.exchange import formats, packages
-from roigs_engine.exchange.axes import turn
+from roigs_engine.exchange import formats, libraries
+from roigs_engine.exchange.arrays import turn
 from roigs_engine.formats.splat_ply import is_antialiased, read_ply, write_ply
 from tests.addon.fake_engine import use
 from tests.addon.pictures import load_png, load_rgba
@@ -295,9 +295,9 @@ def test_a_missing_package_is_said(
     def missing(name: str, package: str | None = None) -> None:
         raise ImportError(f"No module named '{name}'")
 
-    monkeypatch.setattr(packages, "import_module", missing)
+    monkeypatch.setattr(libraries, "import_module", missing)
     with pytest.raises(EngineError) as caught:
-        packages.package("gsply", "gsply", "SPZ")
+        libraries.package("gsply", "gsply", "SPZ")
     error = caught.value
     event = f"event='failed', message={error.message!r}, hint={error.hint!r}"
     use(monkeypatch, tmp_path, f"say({event}); sys.exit(2)")

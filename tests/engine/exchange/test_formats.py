@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from roigs_engine.cli import main
 from roigs_engine.errors import ConfigError, EngineError, RunFolderError, Stopped
-from roigs_engine.exchange import axes, formats, gltf, packages
-from roigs_engine.exchange.moved import moved
+from roigs_engine.exchange import formats, gltf, libraries
+from roigs_engine.exchange.arrays import UP, turn
+from roigs_engine.exchange.transform import moved
 from roigs_engine.formats.splat_ply import read_ply, write_ply
 from tests.engine.exchange.format_cases import LEAST, READABLE, TOOL, arrays, needed, picture, psnr
 
@@ -67,14 +68,14 @@ def test_another_axis_points_up(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_ply(out)["means"], np.column_stack((x, z, -y)), atol=1e-5)
 
 
-@pytest.mark.parametrize("before", axes.UP)
-@pytest.mark.parametrize("after", axes.UP)
+@pytest.mark.parametrize("before", UP)
+@pytest.mark.parametrize("after", UP)
 def test_turning_is_a_rotation(before: str, after: str) -> None:
-    turn = axes.turn(before, after)
-    assert np.linalg.det(turn[:3, :3]) == pytest.approx(1)
-    assert (turn @ axes.turn(after, before) == np.eye(4)).all()
+    there = turn(before, after)
+    assert np.linalg.det(there[:3, :3]) == pytest.approx(1)
+    assert (there @ turn(after, before) == np.eye(4)).all()
     pointing = {"-y": (0, -1, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
-    assert (turn[:3, :3] @ pointing[before] == pointing[after]).all()
+    assert (there[:3, :3] @ pointing[before] == pointing[after]).all()
 
 
 def test_only_what_is_in_a_box(tmp_path: Path) -> None:
@@ -154,7 +155,7 @@ def test_openusd_transforms_and_up_axis_move_the_gaussians(tmp_path: Path) -> No
     prim.AddTransformOp().Set(Gf.Matrix4d(PLACE.T.tolist()))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.GetRootLayer().Save()
-    wanted = moved(values, axes.turn("z", "y") @ PLACE)
+    wanted = moved(values, turn("z", "y") @ PLACE)
     assert psnr(picture(formats.read(path)), picture(wanted)) > 60
 
 
@@ -291,7 +292,7 @@ def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path
     def missing(name: str, package: str | None = None) -> None:
         raise ImportError(f"No module named '{name}'")
 
-    monkeypatch.setattr(packages, "import_module", missing)
+    monkeypatch.setattr(libraries, "import_module", missing)
     for suffix, package in ((".spz", "gsply"), (".glb", "pygltflib"), (".usdc", "usd-core")):
         with pytest.raises(EngineError, match=f"needs {package}, which is not installed") as caught:
             formats.write(tmp_path / f"a{suffix}", arrays())

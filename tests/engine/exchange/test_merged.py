@@ -7,8 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from roigs_engine.exchange.merged import merged
-from roigs_engine.exchange.turned_sh import turned_sh
+from roigs_engine.exchange.transform import merged, turned_sh
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from roigs_engine.exchange.plain import without_antialiasing
+from roigs_engine.exchange.transform import without_antialiasing
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.scene import Camera, PosedImage
 from roigs_engine.rasterize.view import render_view

@@ -11,7 +11,7 @@ import pytest
 
 from roigs_engine.errors import EngineError
 from roigs_engine.exchange import formats
-from roigs_engine.exchange.scratch import scratch
+from roigs_engine.exchange.libraries import scratch
 from tests.engine.exchange.format_cases import arrays, needed
 from tests.engine.other_process import in_the_middle
 

@@ -1,16 +1,47 @@
-"""Errors of libraries that read files become one line."""
+"""Guards around the optional libraries that read and write files of Gaussians.
+
+A missing library, a damaged file and a full folder for temporary files become one line each.
+"""
 
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import EngineError, RunFolderError
 from ..formats.text import in_gb
+from ..machine import is_memory_full
+
+EXTRA = "formats"
+"""The extra of pyproject.toml that installs all of them."""
+
+
+def package(module: str, name: str, purpose: str) -> Any:
+    """A module of an optional package.
+
+    Args:
+        module: to import.
+        name: of the package, as pip knows it.
+        purpose: begins the error's sentence, such as "SPZ".
+
+    Raises:
+        EngineError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise EngineError(
+            f"{purpose} needs {name}, which is not installed ({error}).",
+            f"Install {name}, or all of the extra '{EXTRA}'.",
+        ) from error
+
 
 HINT = "Write or download the file again."
 MOST_RATIO, SMALL = 100, 64 << 20
@@ -56,3 +87,32 @@ def refuse_bomb(path: Path, title: str, unpacked: int) -> None:
     """Raise RunFolderError if a file would unpack to far more bytes than files of Gaussians do."""
     if unpacked > SMALL and unpacked > MOST_RATIO * path.stat().st_size:
         raise damaged(path, title, f"it would unpack to {in_gb(unpacked)}")
+
+
+@contextmanager
+def scratch(title: str) -> Iterator[Path]:
+    """A temporary folder, removed in the end; whatever fails meanwhile could not be written to it.
+
+    Args:
+        title: of the format, for the error.
+
+    Raises:
+        EngineError: there is no such folder, or the library could not write to it.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder)
+    except (OSError, RuntimeError) as error:  # OpenUSD raises the latter
+        if is_memory_full(error):
+            raise
+        raise EngineError(
+            f"{title} cannot be written to the folder for temporary files, {_place()}.",
+            "Free some space there, or set TMPDIR to another folder.",
+        ) from error
+
+
+def _place() -> str:
+    try:
+        return tempfile.gettempdir()
+    except OSError:
+        return "which does not exist"

@@ -1,0 +1,155 @@
+"""Transforms of whole models: affine maps, several models as one, anti-aliasing baked in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..formats.drawable import usable
+from ..model.gaussians import Gaussians
+from ..model.local_frame import LocalFrame
+from ..model.operations import faded, recoloured
+from ..model.rotations import rotation_matrices
+from ..model.scene import Float64, PosedImage
+from ..rasterize.inputs import NEAR, blur_of
+from ..rasterize.instances import Instance, transformed
+from ..rasterize.reference import drawn_share, jacobian, sh_basis
+from .arrays import Arrays, flaw
+
+
+def merged(models: Sequence[Instance]) -> tuple[Gaussians, LocalFrame]:
+    """One model of all, in the world, and the frame that it is in.
+
+    Args:
+        models: at least one Gaussian in all.
+    """
+    bands = max(model.gaussians.sh.shape[1] for model in models)
+    parts = [_in_world(model, bands) for model in models]
+    centres = np.concatenate([centres for centres, _ in parts])
+    frame = LocalFrame.of_centres(centres)
+    model = Gaussians.concatenate([part for _, part in parts])
+    means = torch.from_numpy(frame.points(centres).astype(np.float32))
+    log_scales = model.log_scales + float(np.log(frame.scale))
+    return replace(model, means=means, log_scales=log_scales), frame
+
+
+def _in_world(model: Instance, bands: int) -> tuple[Float64, Gaussians]:
+    """(N, 3) centres in the world, and the model there as it looks, with so many SH bands."""
+    gaussians, to_world = model.gaussians, model.from_frame
+    linear = to_world[:3, :3]
+    quats, log_scales = transformed(gaussians, linear)
+    centres = gaussians.means.numpy().astype(np.float64) @ linear.T + to_world[:3, 3]
+    return centres, replace(
+        gaussians,  # the centres are replaced when the frame of all is known
+        quats=quats,
+        log_scales=log_scales,
+        logit_opacities=faded(gaussians.logit_opacities, model.density),
+        sh=_padded(recoloured(turned_sh(gaussians.sh, linear), model.gains), bands),
+    )
+
+
+def _padded(sh: Tensor, bands: int) -> Tensor:
+    """(N, bands, 3) with zeros for what is missing."""
+    return torch.nn.functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
+
+
+PLACES = 12  # decimals of the fit; the rest depends on the number of threads
+DIRECTIONS = 2048  # evenly over the sphere; 16 coefficients are fitted to them
+
+
+def turned_sh(sh: Tensor, linear: Float64) -> Tensor:
+    """SH coefficients of colours after a linear map of the space around them.
+
+    A Gaussian that showed a colour in direction d then shows it in direction linear @ d. Spherical
+    harmonics up to a degree stay such under rotations and reflections, so for these, uniform scales
+    included, the result is exact. A map that stretches or shears bends directions: then the
+    coefficients are those that fit best, by least squares over all directions.
+
+    Args:
+        sh: (N, K, 3), K = 1, 4, 9 or 16.
+        linear: (3, 3), invertible.
+    """
+    bands = sh.shape[1]
+    after = _sphere(DIRECTIONS)
+    before: Float64 = np.linalg.solve(linear, after.T).T.astype(np.float64)
+    before /= np.linalg.norm(before, axis=1, keepdims=True)
+    basis, wanted = (_basis(directions)[:, :bands] for directions in (after, before))
+    turn = np.linalg.lstsq(basis, wanted, rcond=None)[0].round(PLACES) + 0.0  # no -0
+    return torch.einsum("jk,nkc->njc", torch.from_numpy(turn.astype(np.float32)), sh)
+
+
+def _basis(directions: Float64) -> Float64:
+    found: Float64 = sh_basis(torch.from_numpy(directions)).numpy()
+    return found
+
+
+def _sphere(count: int) -> Float64:
+    """(count, 3) unit vectors, evenly spread: a Fibonacci lattice."""
+    steps = np.arange(count) + 0.5
+    z = 1 - 2 * steps / count
+    angle = np.pi * (1 + np.sqrt(5)) * steps
+    around = np.sqrt(1 - z**2)
+    return np.column_stack((around * np.cos(angle), around * np.sin(angle), z))
+
+
+FLATTEST = 1e-9  # least determinant of a matrix, of 1 for the same size in all directions
+
+
+def moved(arrays: Arrays, matrix: Float64) -> Arrays:
+    """Gaussians after a (4, 4) matrix; bit for bit the same if that changes nothing.
+
+    Raises:
+        ValueError: the arrays do not belong together, or the matrix flattens them.
+    """
+    if (matrix == np.eye(4)).all():
+        return arrays
+    if problem := flaw(arrays):
+        raise ValueError(problem)
+    linear = matrix[:3, :3]
+    if not np.isfinite(matrix).all() or (matrix[3] != (0, 0, 0, 1)).any():
+        raise ValueError("its transform is none of space")
+    if abs(np.linalg.det(linear)) <= FLATTEST * np.linalg.norm(linear, axis=0).prod():
+        raise ValueError("its transform flattens the Gaussians")
+    arrays = usable(arrays)
+    if not len(arrays["means"]):
+        return arrays
+    gaussians, frame = Gaussians.framed(arrays)
+    model, frame = merged([Instance(gaussians=gaussians, frame=frame, matrix=matrix)])
+    return model.arrays(frame)
+
+
+@torch.no_grad()
+def without_antialiasing(model: Gaussians, images: Sequence[PosedImage]) -> Gaussians:
+    """An anti-aliased model for viewers that draw without anti-aliasing.
+
+    Such a viewer draws a Gaussian below a pixel's size larger, and as opaque as it is stored. No
+    stored opacity is right from everywhere then. Here it becomes what it looks like in the photos,
+    on average: so the model is right from about where it was photographed, somewhat too thick from
+    farther away and too faint from nearer by.
+
+    Args:
+        model: on the CPU.
+        images: the photos' cameras, in the model's frame. A Gaussian that none of them shows stays
+            as it is.
+    """
+    axes = rotation_matrices(torch.nn.functional.normalize(model.quats, dim=1))
+    axes = axes * model.log_scales.exp()[:, None, :]
+    total, count = torch.zeros(len(model)), torch.zeros(len(model))
+    for image in images:
+        camera = image.camera
+        pose = torch.as_tensor(image.world_to_camera, dtype=torch.float32)
+        matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32)
+        centres = model.means @ pose[:3, :3].T + pose[:3, 3]
+        place = centres[:, :2] / centres[:, 2:] * matrix.diagonal()[:2] + matrix[:2, 2]
+        size = torch.tensor([camera.width, camera.height])
+        rows = ((centres[:, 2] > NEAR) & (place > 0).all(1) & (place < size).all(1)).nonzero()[:, 0]
+        projected = jacobian(centres[rows], matrix, camera.width, camera.height) @ pose[:3, :3]
+        total[rows] += drawn_share(projected @ axes[rows], blur_of(1.0, antialiased=True))
+        count[rows] += 1
+    share = torch.where(count > 0, total / count.clamp(min=1), 1.0)
+    opacity = model.logit_opacities.sigmoid() * share
+    return replace(model, logit_opacities=torch.logit(opacity, eps=1e-6), antialiased=False)
