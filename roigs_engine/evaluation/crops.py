@@ -1,4 +1,4 @@
-"""Side-by-side images of every box on test photos: the photo, then the models.
+"""Crops of boxes on test photos, the photo beside the models: image files, and the report's page.
 
 For each box there are up to four photos: those with the largest, the median and the least gain of
 the result over the baseline, so that the choice is fair, and the nearest one. Files:
@@ -8,7 +8,9 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,13 +23,12 @@ from ..context import QUIET, Context
 from ..formats.files import own_folder
 from ..formats.names import safe_name
 from ..formats.run_files import CROPS
-from ..model.roi import OrientedBox
+from ..model.roi import EDGES, NEAR_SHARE, OrientedBox
 from ..model.scene import Camera, Float64, PosedImage, SfmScene
 from ..photos.decode import load_photo
 from ..photos.headers import PhotoError
 from ..rasterize.image_files import save_png, to_uint8
 from ..rasterize.view import render_view
-from .box_lines import box_lines
 from .metrics import bounding_box
 from .scores import Evaluation, ModelScore, RoiScores
 from .views import EvaluatedModel
@@ -37,6 +38,46 @@ MARGIN = 0.1  # of the silhouette's bounding box, on each side
 STRIP = 26  # height of the label under a panel, pixels
 GAP = 4  # pixels between panels
 INK, PAPER, OUTLINE = (235, 235, 235), (24, 24, 24), (255, 160, 0)
+SIDE = 720  # pixels of the longer side of a picture in the page, at most
+ENLARGED = 360  # what is smaller is enlarged to at least this
+QUALITY = 90  # of JPEG
+
+Pixels = NDArray[np.uint8]  # (H, W, 3)
+Panels = Sequence[tuple[ModelScore, EvaluatedModel]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """One picture of the report's page.
+
+    Attributes:
+        name: `photo`, or the model's.
+        psnr: in the box, dB.
+        jpeg: the file.
+    """
+
+    name: str
+    psnr: float | None
+    jpeg: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A box on one photo, for the report's page.
+
+    Attributes:
+        roi: the box's name.
+        view: the photo's name.
+        label: why this photo is shown.
+        size: width and height of the pictures, pixels.
+        pictures: the photo, then the models; the last one is the result.
+    """
+
+    roi: str
+    view: str
+    label: str
+    size: tuple[int, int]
+    pictures: tuple[Shown, ...]
 
 
 def write_crops(
@@ -59,18 +100,10 @@ def write_crops(
         run_dir: the images go to its folder `crops`.
         names: rows to show after the photo; the last one is the result. Default: the baseline and
             the box's last row.
-
         context: checked for cancellation before every picture.
     """
     written: list[Path] = []
-    for roi in rois:
-        scores = evaluation.roi(roi.name)
-        shown = shown_rows(scores, evaluation.baseline, names)
-        if not scores.views or not shown:
-            continue
-        by_name = {m.name: m for m in models if m.rois is None or roi.name in m.rois}
-        panels = [(row, by_name[row.model]) for row in shown]
-        chosen = choose_views(shown[-1], shown[0])
+    for roi, panels, chosen in _boxes(evaluation, models, rois, names):
         folder = own_folder(run_dir, CROPS, safe_name(roi.name))
         for name, label in chosen.items():
             context.check_cancelled()
@@ -83,7 +116,49 @@ def write_crops(
     return written
 
 
-def _saved(path: Path, picture: Callable[[], NDArray[np.uint8]], context: Context) -> list[Path]:
+def comparisons(
+    evaluation: Evaluation,
+    models: Sequence[EvaluatedModel],
+    scene: SfmScene,
+    rois: Sequence[OrientedBox],
+    *,
+    context: Context = QUIET,
+) -> list[Comparison]:
+    """The photos and models that `write_crops` shows; photos that are lost are left out."""
+    found = []
+    for roi, panels, chosen in _boxes(evaluation, models, rois, None):
+        for view, label in chosen.items():
+            context.check_cancelled()
+            try:
+                crops = _crops(scene.image(view), roi, panels)
+            except PhotoError:
+                continue  # `write_crops` has said so
+            files = [(name, psnr, *_jpeg(picture)) for name, psnr, picture in crops]
+            pictures = tuple(Shown(name=n, psnr=p, jpeg=jpeg) for n, p, _, jpeg in files)
+            size = files[0][2]
+            found.append(
+                Comparison(roi=roi.name, view=view, label=label, size=size, pictures=pictures)
+            )
+    return found
+
+
+def _boxes(
+    evaluation: Evaluation,
+    models: Sequence[EvaluatedModel],
+    rois: Sequence[OrientedBox],
+    names: Sequence[str] | None,
+) -> Iterator[tuple[OrientedBox, Panels, dict[str, str]]]:
+    """The boxes with scores: their rows to show with the models, and `choose_views`."""
+    for roi in rois:
+        scores = evaluation.roi(roi.name)
+        shown = shown_rows(scores, evaluation.baseline, names)
+        if scores.views and shown:
+            by_name = {m.name: m for m in models if m.rois is None or roi.name in m.rois}
+            panels = [(row, by_name[row.model]) for row in shown]
+            yield roi, panels, choose_views(shown[-1], shown[0])
+
+
+def _saved(path: Path, picture: Callable[[], Pixels], context: Context) -> list[Path]:
     """The path of the picture, or nothing if its photo is lost since it was evaluated."""
     try:
         save_png(path, picture())
@@ -127,22 +202,18 @@ def shown_rows(
     return [rows[baseline], last] if baseline in rows and baseline != last.model else [last]
 
 
-def _side_by_side(
-    image: PosedImage,
-    roi: OrientedBox,
-    panels: Sequence[tuple[ModelScore, EvaluatedModel]],
-    label: str,
-) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the photo's crop window, then each model's, labelled."""
+def _crops(
+    image: PosedImage, roi: OrientedBox, panels: Panels
+) -> list[tuple[str, float | None, Pixels]]:
+    """Name, ROI PSNR and pixels of the crop window: of the photo, then of each model."""
     rows, columns = crop_window(roi, image.camera, image.world_to_camera)
-    pictures = [load_photo(image)[rows, columns]]
-    captions = [f"photo ({label})"]
+    found: list[tuple[str, float | None, Pixels]] = []
+    found.append(("photo", None, load_photo(image)[rows, columns]))
     for row, model in panels:
         view = render_view(model.gaussians, image.camera, image.world_to_camera)
-        pictures.append(to_uint8(view.image)[rows, columns])
-        scored = [score.roi_psnr for score in row.views if score.view == image.name]
-        captions.append(f"{row.model}  {scored[0]:.2f} dB" if scored else row.model)
-    return _joined([_panel(p, c) for p, c in zip(pictures, captions, strict=True)])
+        psnr = next((score.roi_psnr for score in row.views if score.view == image.name), None)
+        found.append((row.model, psnr, to_uint8(view.image)[rows, columns]))
+    return found
 
 
 def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> tuple[slice, slice]:
@@ -157,7 +228,16 @@ def crop_window(roi: OrientedBox, camera: Camera, world_to_camera: Float64) -> t
     return window
 
 
-def _panel(picture: NDArray[np.uint8], caption: str) -> Image.Image:
+def _side_by_side(image: PosedImage, roi: OrientedBox, panels: Panels, label: str) -> Pixels:
+    """The photo's crop window, then each model's, labelled."""
+    shown: list[Image.Image] = []
+    for name, psnr, picture in _crops(image, roi, panels):
+        caption = name if psnr is None else f"{name}  {psnr:.2f} dB"
+        shown.append(_panel(picture, caption if shown else f"photo ({label})"))
+    return _joined(shown)
+
+
+def _panel(picture: Pixels, caption: str) -> Image.Image:
     """The image, about `HEIGHT` pixels high, with its caption below.
 
     Small images are enlarged by an integer factor without interpolation, which would look sharper
@@ -179,8 +259,8 @@ def _panel(picture: NDArray[np.uint8], caption: str) -> Image.Image:
     return panel
 
 
-def _joined(panels: Sequence[Image.Image]) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the panels side by side."""
+def _joined(panels: Sequence[Image.Image]) -> Pixels:
+    """The panels side by side."""
     width = sum(panel.width for panel in panels) + GAP * (len(panels) - 1)
     sheet = Image.new("RGB", (width, max(panel.height for panel in panels)), PAPER)
     left = 0
@@ -190,8 +270,22 @@ def _joined(panels: Sequence[Image.Image]) -> NDArray[np.uint8]:
     return np.asarray(sheet)
 
 
-def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the whole photo and the whole render, both with the box's edges."""
+def _jpeg(picture: Pixels) -> tuple[tuple[int, int], bytes]:
+    """Size and file of a picture; small ones show their pixels."""
+    image = Image.fromarray(np.ascontiguousarray(picture))
+    factor = -(-ENLARGED // max(image.size))
+    if factor > 1:
+        size = (image.width * factor, image.height * factor)
+        image = image.resize(size, Image.Resampling.NEAREST)
+    else:
+        image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+    out = io.BytesIO()
+    image.save(out, "JPEG", quality=QUALITY, subsampling=0)
+    return image.size, out.getvalue()
+
+
+def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> Pixels:
+    """The whole photo and the whole render, both with the box's edges."""
     view = render_view(model.gaussians, image.camera, image.world_to_camera)
     panels = []
     for picture, caption in ((load_photo(image), "photo"), (to_uint8(view.image), model.name)):
@@ -201,3 +295,42 @@ def _overview(image: PosedImage, roi: OrientedBox, model: EvaluatedModel) -> NDA
             pen.line(line, fill=OUTLINE, width=max(1, image.camera.height // 300))
         panels.append(_panel(np.asarray(drawn), f"{caption} ({image.name})"))
     return _joined(panels)
+
+
+def box_lines(
+    roi: OrientedBox, camera: Camera, world_to_camera: Float64
+) -> list[tuple[float, float, float, float]]:
+    """The box's edges, x0, y0, x1, y1 in pixels, clipped to the image; hidden edges too."""
+    corners = roi.corners() @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    near = NEAR_SHARE * roi.diagonal
+    lines = []
+    for a, b in EDGES:
+        ends = _clipped_line(corners[a], corners[b], np.array([0.0, 0.0, 1.0]), -near)
+        # The image's four sides as planes through the camera: n . p >= 0 is inside.
+        for normal in (
+            np.array([camera.fx, 0.0, camera.cx]),
+            np.array([-camera.fx, 0.0, camera.width - camera.cx]),
+            np.array([0.0, camera.fy, camera.cy]),
+            np.array([0.0, -camera.fy, camera.height - camera.cy]),
+        ):
+            ends = None if ends is None else _clipped_line(*ends, normal, 0.0)
+        if ends is not None:
+            pixels = [
+                (camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy)
+                for p in ends
+            ]
+            lines.append((*pixels[0], *pixels[1]))
+    return lines
+
+
+def _clipped_line(
+    a: Float64, b: Float64, normal: Float64, offset: float
+) -> tuple[Float64, Float64] | None:
+    """The part of the line from a to b where normal . p + offset >= 0, or None."""
+    at_a, at_b = normal @ a + offset, normal @ b + offset
+    if at_a < 0 and at_b < 0:
+        return None
+    if at_a >= 0 and at_b >= 0:
+        return a, b
+    middle = a + at_a / (at_a - at_b) * (b - a)
+    return (a, middle) if at_a >= 0 else (middle, b)

@@ -28,11 +28,13 @@ from .scores import (
     FULL_SCENE_TUNED,
     MIN_OBJECT,
     Evaluation,
+    Gains,
     ModelScore,
     RoiScores,
     ViewScore,
+    mean,
+    near_and_far,
 )
-from .summaries import Gains, mean, near_and_far
 from .views import BoxPlan, EvaluatedModel, Sample, measure_view, plan_views
 
 __all__ = ["EvaluatedModel", "Evaluation", "evaluate"]

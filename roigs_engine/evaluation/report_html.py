@@ -11,9 +11,8 @@ from pathlib import Path
 from ..formats.files import write_text
 from ..formats.run_files import REPORT_PAGE
 from ..formats.text import counted, printable
+from .crops import Comparison, Shown
 from .report import PHOTO_COLUMNS, Column, box_notes, cells, has_number, shown_columns
-from .report_pictures import Comparison, Shown
-from .report_plot import plot
 from .scores import Evaluation, ModelScore, RoiScores
 
 STYLE = """\
@@ -89,7 +88,7 @@ def _box(scores: RoiScores, evaluation: Evaluation, pictures: Sequence[Compariso
     parts = [f"<h2>{_text(scores.roi)}</h2>", *_table(rows, columns)]
     if pictures:
         parts += ['<div class="pictures">', *(_figure(item) for item in pictures), "</div>"]
-    parts += plot(rows)
+    parts += _plot(rows)
     columns = [column for column in PHOTO_COLUMNS if has_number(rows, column)]
     if columns:
         parts += ["<h3>Near and far, and single photos</h3>", *_table(rows, columns)]
@@ -141,3 +140,40 @@ def _image(shown: Shown, width: int, height: int) -> str:
     data = base64.b64encode(shown.jpeg).decode()
     source = f"data:image/jpeg;base64,{data}"
     return f'<img alt="{_text(shown.name)}" width="{width}" height="{height}" src="{source}">'
+
+
+WIDTH, HEIGHT = 640, 280
+LEFT, RIGHT, TOP, BOTTOM = 60, 180, 20, 45  # margins; names stand in the right one
+MARGIN = 0.08  # of the range of PSNR, above and below
+
+
+def _plot(rows: Sequence[ModelScore]) -> list[str]:
+    """PSNR against seconds as SVG, a point for each model; nothing for fewer than two points."""
+    points = [
+        (row.model, row.seconds, row.roi_psnr)
+        for row in rows
+        if row.seconds > 0 and row.roi_psnr is not None
+    ]
+    if len(points) < 2:
+        return []
+    low, high = min(p for *_, p in points), max(p for *_, p in points)
+    space = MARGIN * (high - low) or 0.5
+    low, high, longest = low - space, high + space, max(seconds for _, seconds, _ in points)
+    wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+    bottom = TOP + tall
+    lines = [
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" role="img"'
+        ' aria-label="ROI PSNR against training seconds">',
+        f'<path d="M{LEFT} {TOP}V{bottom}H{LEFT + wide}" fill="none" stroke="currentColor"/>',
+        f'<text x="{LEFT}" y="{HEIGHT - 8}">training time (seconds)</text>',
+        f'<text x="{LEFT + wide}" y="{bottom + 18}" text-anchor="end">{longest:,.0f}</text>',
+        f'<text x="{LEFT}" y="{bottom + 18}">0</text>',
+        f'<text x="{LEFT - 6}" y="{TOP + 10}" text-anchor="end">{high:.1f} dB</text>',
+        f'<text x="{LEFT - 6}" y="{bottom}" text-anchor="end">{low:.1f}</text>',
+    ]
+    for name, seconds, psnr in points:
+        x = LEFT + wide * seconds / longest
+        y = TOP + tall * (high - psnr) / (high - low)
+        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#ffa000"/>')
+        lines.append(f'<text x="{x + 9:.1f}" y="{y + 4:.1f}">{_text(name)}</text>')
+    return [*lines, "</svg>"]

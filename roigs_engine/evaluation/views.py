@@ -22,9 +22,7 @@ from ..photos.decode import load_photo
 from ..photos.mask_images import load_mask, load_object_mask
 from ..rasterize.view import render_view
 from . import metrics
-from .flip import flip
-from .scores import MIN_SILHOUETTE, MeasuredView
-from .summaries import FEW_VIEWS
+from .scores import FEW_VIEWS, MIN_SILHOUETTE, MeasuredView
 
 PIXELS_AT_ONCE = 1 << 18  # pixels whose world positions are in memory at a time
 
@@ -230,7 +228,7 @@ def measure_view(
             box.errors.append(error[box.mask])
             box.corrected.append(metrics.corrected_error(picture, target, box.mask))
             box.ssim.append(metrics.ssim(picture, photo, box.mask, counted))
-            box.flip.append(flip(picture, target, box.mask))
+            box.flip.append(metrics.flip(picture, target, box.mask))
             box.objects.append(box.inside(view.depth.to(device)))
     return whole, [boxes[index].sample() if index in boxes else None for index in range(len(plans))]
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from roigs_engine.evaluation.box_lines import box_lines
-from roigs_engine.evaluation.crops import STRIP, choose_views, crop_window, write_crops
+from roigs_engine.evaluation.crops import STRIP, box_lines, choose_views, crop_window, write_crops
 from roigs_engine.evaluation.evaluate import Evaluation, evaluate
 from roigs_engine.evaluation.scores import ModelScore, ViewScore
 from roigs_engine.model.roi import OrientedBox

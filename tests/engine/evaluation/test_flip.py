@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from roigs_engine.evaluation import flip as module
-from roigs_engine.evaluation.flip import FLIP_RADIUS, flip
+from roigs_engine.evaluation import metrics as module
+from roigs_engine.evaluation.metrics import FLIP_RADIUS, flip
 
 
 def pictures(height: int = 60, width: int = 80) -> tuple[torch.Tensor, torch.Tensor]:

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from roigs_engine.evaluation.crops import Comparison, Shown, comparisons
 from roigs_engine.evaluation.evaluate import evaluate
 from roigs_engine.evaluation.report_html import format_html, write_page
-from roigs_engine.evaluation.report_pictures import Comparison, Shown, comparisons
 from roigs_engine.evaluation.scores import Evaluation
 from tests import chromium
 from tests.chromium import browser

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from roigs_engine.evaluation.summaries import Gains, mean, near_and_far
+from roigs_engine.evaluation.scores import Gains, mean, near_and_far
 
 
 @pytest.mark.parametrize(
