@@ -1,25 +1,27 @@
-"""The masks of one box: from strokes, photos and files to files."""
+"""The masks of one box, from strokes and photos to files; kept while their inputs stay the same."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from ..colmap.photo_pixels import PhotoPixels
 from ..context import QUIET, Context
-from ..errors import ConfigError
-from ..formats.files import atomic_write, own_folder, remove_leftovers
+from ..errors import ConfigError, SceneError
+from ..formats.files import atomic_write, own_folder, remove_leftovers, sha256
 from ..formats.mask_record import made_masks, made_of, mask_name, record_masks
 from ..formats.scribbles import Stroke
 from ..formats.text import counted
 from ..model.roi import OrientedBox
 from ..model.scene import SfmScene
+from ..photos.headers import content_digest, unreadable
 from ..photos.mask_images import mask_png, read_mask
 from ..photos.mask_paths import MaskFiles
-from .inputs import mask_inputs
-from .propagate import Knowledge, make_masks
+from .propagation import Knowledge, fenced, make_masks
 from .views import Mask, View, in_photo, part_around, view_of
 
 NAMED = 3  # photos that a warning names
@@ -62,7 +64,7 @@ class BoxMasks:
         remove_leftovers(self.folder)
         made = made_masks(self.folder)
         views = self._views(made, context)
-        inputs = mask_inputs(views, self.strokes, self.basis)
+        inputs = _inputs(views, self.strokes, self.basis)
         views = views if self.anew else self._with_kept(views, made, inputs)
         wanted = [view for view in views if view.known is None]
         found = make_masks(views, knowledge, self.roi.centre, context) if wanted else {}
@@ -166,3 +168,74 @@ def masked_photos(
     names = list(dict.fromkeys([*scribbled, *selected]))
     more = [name for name in seeing if name not in names]
     return [*names, *more[: max(0, LEAST_PHOTOS - len(names))]]
+
+
+VERSION = 2  # increase it if masks of the same inputs become others
+Strokes = Mapping[str, tuple[Stroke, ...]]
+
+
+def basis_digest(
+    model: Path | None, scene: SfmScene, roi: OrientedBox, rois: Sequence[OrientedBox]
+) -> str:
+    """Hash of what carries masks from photo to photo: the model, or the sparse points.
+
+    Args:
+        model: the PLY; None: there is none.
+        scene: with the sparse points.
+        roi: the box.
+        rois: all boxes, which share the Gaussians.
+
+    Raises:
+        SceneError: the model cannot be read.
+    """
+    if model is None:
+        points = hashlib.sha256(np.ascontiguousarray(scene.points).tobytes()).hexdigest()
+        return _hash([points, _box(roi)])
+    try:
+        found = sha256(model)
+    except OSError as error:
+        raise SceneError(f"Cannot read {model} ({error.strerror}).") from error
+    return _hash([found, _box(roi), *(_box(each) for each in rois)])
+
+
+def _inputs(views: Iterable[View], strokes: Strokes, basis: str) -> dict[str, str]:
+    """The hash of what decides each photo's mask; a mask with the same hash is kept.
+
+    The inputs are the photo with its camera and strokes, the strokes that the work begins with, the
+    boxes, and the model. Strokes that correct another photo are none of them: masks that a person
+    has looked at stay as they are.
+
+    Args:
+        views: the photos.
+        strokes: on photos, by their names.
+        basis: of `basis_digest`.
+
+    Raises:
+        PhotoError: a photo cannot be read.
+    """
+    views = list(views)
+    drawn = [view for view in views if view.is_scribbled]
+    first = [view for view in drawn if fenced(view).any()] or drawn
+    common = _hash([VERSION, basis, *((each.name, _lines(strokes, each)) for each in first)])
+    return {view.name: _hash([common, _photo(view), _lines(strokes, view)]) for view in views}
+
+
+def _photo(view: View) -> str:
+    try:
+        content = content_digest(view.photo.path)
+    except OSError as error:
+        raise unreadable(view.photo.path, error) from error
+    return _hash([content, view.photo.lens, view.camera, view.part, view.world_to_camera.tolist()])
+
+
+def _lines(strokes: Strokes, view: View) -> list[tuple[str, float, list[float]]]:
+    lines = strokes.get(view.name, ())
+    return [(line.kind, line.width, line.points.tolist()) for line in lines]
+
+
+def _box(roi: OrientedBox) -> list[list[float]]:
+    return [*roi.world_to_box.tolist(), roi.half_extents.tolist()]
+
+
+def _hash(values: Sequence[object]) -> str:
+    return hashlib.sha256(repr(values).encode()).hexdigest()

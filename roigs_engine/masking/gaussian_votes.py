@@ -1,4 +1,4 @@
-"""What masks say of a trained model's Gaussians, and what these say of other photos."""
+"""Votes of masks on a trained model's Gaussians, which carry them to other photos."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..model.roi import OrientedBox
 from ..rasterize.limits import PICTURE_LIMITS
 from ..rasterize.view import rasterize_view
 from ..training.labels import MaskedView, mask_votes, object_rows
-from .grab_cut import Prior, eroded
+from .propagation import Prior, eroded
 from .views import ON_BACKGROUND, ON_OBJECT, Mask, View
 
 Votes = tuple[Tensor, Tensor]

@@ -1,4 +1,4 @@
-"""What masks say of the sparse points and of colours, and what these say of other photos.
+"""Votes of masks on sparse points and on colours, which carry them to other photos.
 
 For scenes that are not trained yet. Points are few, so between them the nearest ones decide,
 together with the colours that the object and its surroundings have had so far.
@@ -13,12 +13,12 @@ from scipy.spatial import cKDTree
 
 from ..model.roi import OrientedBox
 from ..model.scene import Float64, SfmScene
-from .grab_cut import Prior, eroded
+from .propagation import Prior, eroded
 from .views import FREE, ON_OBJECT, Mask, View
 
 Numbers = NDArray[np.float64]
 NEAREST = 5  # points that decide for a pixel
-LEVELS, SPREAD = 16, 0.7  # of each channel's histogram; standard deviation of its smoothing
+LEVELS, SMOOTHING = 16, 0.7  # of each channel's histogram; standard deviation of its smoothing
 EDGE = 2.0  # pixels at a mask's outline that say nothing
 TRUST, UNKNOWN = 0.5, 0.4  # see `Prior`: between points, nothing is sure
 EVERY = 7  # every n-th pixel of strokes counts as a point
@@ -115,7 +115,7 @@ class PointVotes:
 
 def _by_neighbours(places: Float64, labels: Float64, view: View) -> Numbers:
     """(H, W) the share of the object among the nearest points; computed on a coarser grid."""
-    from .opencv import opencv
+    from .views import opencv
 
     height, width = view.near_box.shape
     step = max(1, max(height, width) // 160)
@@ -140,7 +140,7 @@ def _histogram(view: View, mask: Mask) -> Numbers:
     """(LEVELS, LEVELS, LEVELS) share of each colour in a mask of a photo."""
     counts = np.zeros((LEVELS,) * 3)
     np.add.at(counts, tuple(channel[mask] for channel in _bins(view)), 1.0)
-    found: Numbers = gaussian_filter(counts / max(1.0, counts.sum()), SPREAD, mode="nearest")
+    found: Numbers = gaussian_filter(counts / max(1.0, counts.sum()), SMOOTHING, mode="nearest")
     return found
 
 

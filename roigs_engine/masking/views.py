@@ -1,22 +1,20 @@
-"""A photo's part around a box: its pixels, its camera, and the strokes on it."""
+"""Photos cropped around a box: pixels, camera, and the strokes on them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..colmap.photo_pixels import PhotoPixels
+from ..errors import EngineError
 from ..formats.scribbles import MOST, OBJECT, Stroke
 from ..model.roi import OrientedBox
 from ..model.scene import Camera, Float64
-from .opencv import opencv
-
-if TYPE_CHECKING:
-    from ..colmap.photo_pixels import PhotoPixels
 
 Mask = NDArray[np.bool_]
 Seeds = NDArray[np.uint8]
@@ -27,6 +25,18 @@ MOST_WIDTH = 32767  # of a line, pixels: OpenCV draws no wider one
 SMOOTHING = 4, 20  # of fine texture: pixels, and levels of colour
 FREE, ON_OBJECT, ON_BACKGROUND = 0, 1, 2
 """Values of seeds."""
+
+
+def opencv() -> Any:
+    """The module `cv2`; EngineError if it is not installed."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise EngineError(
+            f"Making masks needs OpenCV, which is not installed ({error}).",
+            "Run: pip install opencv-python-headless (Blender: set up the engine again).",
+        ) from error
+    return cv2
 
 
 @dataclass(frozen=True, kw_only=True)

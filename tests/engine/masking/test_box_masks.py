@@ -23,9 +23,8 @@ from .scenes import BOX, BallScene, ball_scene, iou, strokes
 pytest.importorskip("cv2")
 
 from roigs_engine.masking import box_masks
-from roigs_engine.masking.box_masks import BoxMasks, masked_photos
+from roigs_engine.masking.box_masks import BoxMasks, basis_digest, masked_photos
 from roigs_engine.masking.gaussian_votes import GaussianVotes
-from roigs_engine.masking.inputs import basis_digest
 from roigs_engine.masking.point_votes import PointVotes
 from roigs_engine.masking.views import _pieces
 
