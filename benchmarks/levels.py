@@ -30,9 +30,7 @@ from roigs_engine.colmap.project import load_colmap
 from roigs_engine.evaluation.metrics import psnr_from_mse
 from roigs_engine.formats.files import read_json
 from roigs_engine.formats.levels import Ladder, read_ladders, shown_levels
-from roigs_engine.levels.drawn import LevelledResult
-from roigs_engine.levels.parts import rate_of
-from roigs_engine.levels.teacher import small_picture
+from roigs_engine.levels.parts import LevelledResult, rate_of, small_picture
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera, Float64, PosedImage

@@ -1,29 +1,55 @@
-"""Makes the levels of a run's result: trains, measures, and writes `levels.json`."""
+"""The levels of a run's result: trained, measured, and written with `levels.json`.
+
+A level has the Gaussians that contribute most, trained to look like the whole part from afar. The
+truth is the whole part drawn without aliasing, alone. A level does from where it is at least as
+near to that as the whole part itself is when it is drawn as viewers draw it, one sample per pixel,
+or so near that nobody sees a difference: the whole part may be nearly right itself. From there on
+it looks no worse and costs less.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+from torch import Tensor
+
 from ..context import QUIET, Context
+from ..cuda.device import CPU
 from ..errors import RunFolderError, SceneError
+from ..evaluation.metrics import psnr_from_mse
 from ..formats import run_files
 from ..formats.files import own_folder, read_json, remove_leftovers, write_json
-from ..formats.levels import Ladder, Level, write_ladders
+from ..formats.levels import FADE, Ladder, Level, write_ladders
 from ..formats.lock import check_held
 from ..formats.text import json_digest
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
 from ..model.scene import PosedImage
 from ..photos.headers import content_digest
-from ..rasterize.view import View
+from ..rasterize.limits import PICTURE_LIMITS
+from ..rasterize.view import View, blending_weights
+from ..training.config import TrainConfig
 from ..training.floaters.between_views import poses_between
-from .ladder import LEAST, STEPS, make_level
-from .measure import farther, measure, spaced
-from .parts import Part, parts_of_run
+from ..training.photo_order import shuffled
+from ..training.stage_data import StageData
+from ..training.trainer import Trainer
+from .parts import (
+    BLACK,
+    WHITE,
+    Part,
+    TeacherPictures,
+    parts_of_run,
+    samples_for,
+    small_picture,
+    views_at,
+)
 
 LEVELS = 5
 """How many, with the whole one."""
@@ -32,6 +58,20 @@ HELD = 8
 FEW = 16
 """With fewer photos, all are trained on, and measured on are views between them."""
 MOST_BETWEEN = 60
+STEPS = 500
+SHARE = 0.5
+"""A part is trained for longer if less than this share of the views shows a Gaussian, mean."""
+LONGEST = 4.0  # times as long
+FAINTEST = 1 / 255  # blending weight with which a view shows a Gaussian
+LEAST = 64  # Gaussians of a level
+GREY = 0.5
+STEP = 2 ** (1 / 3)
+"""Between two distances that are measured."""
+NEAREST = STEP
+FARTHEST = 8.0
+APART = FADE**2
+"""Factor from where a level begins to where the next may: between two fades is one level alone."""
+ENOUGH = 40.0  # dB; a mean error of 2.5 of 255
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,3 +219,184 @@ def _known(record: Path) -> dict[str, Any]:
     except RunFolderError:
         return {}
     return known if isinstance(known, dict) else {}
+
+
+def coarseness(level: int) -> float:
+    """How many times coarser than its photos a view shows a part when level `level` is made for it.
+
+    Half the Gaussians serve 4^(1/3) times the distance: an eighth of them 4 times.
+    """
+    return float(4 ** (level / 3))
+
+
+def count_at(level: int, whole: int) -> int:
+    """Number of Gaussians of a level."""
+    return max(LEAST, whole >> level)
+
+
+def make_level(
+    part: Part,
+    start: Gaussians,
+    views: list[View],
+    level: int,
+    *,
+    steps: int = STEPS,
+    context: Context = QUIET,
+) -> Gaussians | None:
+    """A level of a part; None if it is stopped, or no view shows the part so coarsely.
+
+    Args:
+        part: the whole of it.
+        start: the level before, or the whole.
+        views: that show the part.
+        level: from 1.
+        steps: to train for, if `SHARE` of the views show each Gaussian; more if fewer do.
+        context: gives the device; receives progress.
+
+    Raises:
+        Stopped: on request.
+    """
+    coarser = coarseness(level)
+    small = views_at(part, views, coarser)
+    if not small:
+        return None
+    weights, share = contributions(start, small, context)
+    steps = round(steps * min(max(SHARE / max(share, 1e-6), 1.0), LONGEST))
+    kept = weights.topk(min(count_at(level, len(part.gaussians)), len(start))).indices.sort().values
+    device = torch.device(context.device)
+    backgrounds = [(BLACK, WHITE)[k % 2] for k in range(len(small))]
+    config = TrainConfig(
+        steps=steps,
+        sh_degree=int(np.sqrt(start.sh.shape[1])) - 1,
+        sh_start=3,
+        lr_shN=1.25e-3,
+        lr_scales=0.01,
+        densify_until=0,
+        densify_from=0,
+        reset_every=0,
+        prune_opacity=0.0,
+        average_steps=steps // 5,
+        antialiased=start.antialiased,
+    )
+    data = StageData(
+        images=[_image(view, k) for k, view in enumerate(small)],
+        photos=TeacherPictures(part, small, backgrounds, coarser, context),
+        photo_at=shuffled(range(len(small)), 0),
+        extent=_extent(part),
+        backgrounds=torch.tensor(backgrounds, device=device)[:, None].expand(-1, 3),
+        device=device,
+    )
+    trainer = Trainer(start.rows(kept), data, config)
+    name = f"level {level} of {part.box or 'surroundings'}"
+    if not trainer.run(context, stage=name):
+        context.check_cancelled()
+        return None
+    return trainer.gaussians.detached().to(CPU)
+
+
+@torch.no_grad()
+def contributions(
+    gaussians: Gaussians, views: list[View], context: Context = QUIET
+) -> tuple[Tensor, float]:
+    """(N,) how much each Gaussian contributes to the views, on the CPU; in which share of them.
+
+    The product of its largest blending weight and the root of their sum: what is bright in one view
+    counts, and what fills many. The share is the mean over the Gaussians.
+    """
+    model = gaussians.to(torch.device(context.device))
+    most, total, shown = (model.means.new_zeros(len(model)) for _ in range(3))
+    for weights in blending_weights(model, views, context, limits=PICTURE_LIMITS):
+        most, total = torch.maximum(most, weights.largest), total + weights.total
+        shown += weights.largest > FAINTEST
+    return (most * total.sqrt()).cpu(), float(shown.mean()) / max(len(views), 1)
+
+
+def _extent(part: Part) -> float:
+    """Radius of the part, for the learning rate of positions."""
+    return float(np.linalg.norm(part.probes - part.probes.mean(axis=0), axis=1).max())
+
+
+def _image(view: View, number: int) -> PosedImage:
+    camera, pose = view
+    nowhere = np.zeros(0, dtype=np.int64)
+    return PosedImage(
+        name=f"view {number}",
+        path=Path(),  # its pixels are drawn
+        camera=camera,
+        world_to_camera=pose,
+        point_indices=nowhere,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A model at a distance, mean over views.
+
+    Attributes:
+        coarser: than the photos, see `formats.levels`.
+        whole: PSNR of the whole part drawn as viewers draw it, against the truth, dB.
+        level: PSNR of the level against the truth, dB.
+        between: PSNR of the level against the whole part as viewers draw it, dB.
+    """
+
+    coarser: float
+    whole: float
+    level: float
+    between: float
+
+
+def distances() -> list[float]:
+    """The distances that are measured, in those of the photos."""
+    count = round(math.log(FARTHEST / NEAREST, STEP)) + 1
+    return [NEAREST * STEP**k for k in range(count)]
+
+
+@torch.no_grad()
+def measure(
+    part: Part, levels: Sequence[Gaussians], views: Sequence[View], context: Context = QUIET
+) -> list[list[Measured]]:
+    """For each level, how it looks at each distance that the views can show."""
+    device = torch.device(context.device)
+    whole, models = part.gaussians.to(device), [level.to(device) for level in levels]
+    found: list[list[Measured]] = [[] for _ in levels]
+    for coarser in distances():
+        small = views_at(part, views, coarser)
+        rows = []
+        for view in small:
+            context.check_cancelled()
+            truth = small_picture(whole, view, samples_for(coarser), GREY)
+            plain = small_picture(whole, view, 1, GREY)
+            drawn = [small_picture(model, view, 1, GREY) for model in models]
+            errors = [[_error(picture, truth), _error(picture, plain)] for picture in drawn]
+            rows.append([_error(plain, truth), *np.ravel(errors)])
+        if not rows:
+            continue
+        plain_error, *others = (psnr_from_mse(float(mean)) for mean in np.mean(rows, axis=0))
+        for k, records in enumerate(found):
+            level, between = others[2 * k : 2 * k + 2]
+            records.append(
+                Measured(coarser=coarser, whole=plain_error, level=level, between=between)
+            )
+    return found
+
+
+def farther(records: Sequence[Measured]) -> Measured | None:
+    """The nearest distance from which on a level does; None: nowhere."""
+    good: Measured | None = None
+    for record in reversed(records):
+        if record.level < min(record.whole, ENOUGH):
+            break
+        good = record
+    return good
+
+
+def spaced(steps: Sequence[float]) -> list[float]:
+    """Distances at which levels begin, far enough apart."""
+    result: list[float] = []
+    for step in steps:
+        result.append(max([step, *(APART * before for before in result[-1:])]))
+    return result
+
+
+def _error(picture: torch.Tensor, truth: torch.Tensor) -> float:
+    return float(((picture - truth) ** 2).double().mean())

@@ -13,11 +13,19 @@ import torch
 from roigs_engine.context import Context
 from roigs_engine.errors import RunFolderError, Stopped
 from roigs_engine.formats.levels import FADE, read_ladders
-from roigs_engine.levels.ladder import LONGEST, SHARE, contributions, make_level
-from roigs_engine.levels.make import make_levels, training_views
-from roigs_engine.levels.measure import Measured, farther, measure, spaced
-from roigs_engine.levels.parts import Part, View, parts_of_run, rate_of
-from roigs_engine.levels.teacher import small_picture, views_at
+from roigs_engine.levels.make import (
+    LONGEST,
+    SHARE,
+    Measured,
+    contributions,
+    farther,
+    make_level,
+    make_levels,
+    measure,
+    spaced,
+    training_views,
+)
+from roigs_engine.levels.parts import Part, View, parts_of_run, rate_of, small_picture, views_at
 from roigs_engine.model.gaussians import Gaussians
 from roigs_engine.model.local_frame import LocalFrame
 from roigs_engine.model.scene import Camera, PosedImage
@@ -51,7 +59,7 @@ def around(count: int, distance: float = 2.5) -> list[PosedImage]:
 @pytest.fixture(autouse=True)
 def near(monkeypatch: pytest.MonkeyPatch) -> None:
     """Measure up to a short distance: time."""
-    monkeypatch.setattr("roigs_engine.levels.measure.FARTHEST", 2.6)
+    monkeypatch.setattr("roigs_engine.levels.make.FARTHEST", 2.6)
 
 
 @pytest.fixture
@@ -152,7 +160,7 @@ def test_what_few_views_show_is_trained_for_longer(
             lengths.append(self.config.steps)
             return False
 
-    monkeypatch.setattr("roigs_engine.levels.ladder.Trainer", Counted)
+    monkeypatch.setattr("roigs_engine.levels.make.Trainer", Counted)
     seen = [view_of(image) for image in around(16)]
     _, share = contributions(part.gaussians, views_at(part, seen, 1.6))
     narrow = [(replace(camera, width=62), pose) for camera, pose in seen]
@@ -160,7 +168,7 @@ def test_what_few_views_show_is_trained_for_longer(
     assert 0 < less < share / 2 < 0.5
     for given in (share, less, 1e-9):
         monkeypatch.setattr(
-            "roigs_engine.levels.ladder.contributions",
+            "roigs_engine.levels.make.contributions",
             lambda model, *_, given=given: (torch.ones(len(model)), given),
         )
         make_level(part, part.gaussians, seen, 1, steps=100)
