@@ -8,7 +8,6 @@ interface and the order of calls.
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -18,7 +17,7 @@ from torch.autograd.function import once_differentiable
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
 from ..kernels.bindings import pointer
-from .inputs import BackwardStep, Depth, RenderInputs, RenderOutput
+from .inputs import RenderInputs, RenderOutput, gradient_target
 
 _MOST_GAUSSIANS = 2**30  # rows are counted in 32 bits, some beyond the last
 
@@ -81,22 +80,6 @@ class _Lease:
 _SMALLER = "Render a smaller image, or fewer or smaller Gaussians."
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Cameras:
-    """The cameras and options of `RenderInputs` in the kernels' form."""
-
-    structures: list[bindings.Camera]
-    size: tuple[int, int]  # height and width of the window
-    sh_degree: int
-    raw: bool
-    tile_mask: Tensor | None  # kept alive: the structures point to it
-    with_depth: Depth
-    with_max_weight: bool
-    with_weight_sum: bool
-    pixel_weights: Tensor | None
-    backward_step: BackwardStep | None
-
-
 def render(inputs: RenderInputs) -> RenderOutput:
     """Render all cameras; see `rasterize`. Raises KernelError."""
     for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
@@ -110,36 +93,41 @@ def render(inputs: RenderInputs) -> RenderOutput:
             f"rasterize: {inputs.means.shape[0]} Gaussians are too many.",
             f"Render at most {_MOST_GAUSSIANS} at once.",
         )
-    tile_mask = inputs.tile_mask
-    tile_mask = None if tile_mask is None else tile_mask.to("cpu", torch.uint8).contiguous()
-    left, top, right, bottom = inputs.window
-    pixel_weights = inputs.pixel_weights
-    if pixel_weights is not None:
-        pixel_weights = pixel_weights[:, top:bottom, left:right].contiguous()
-    cameras = _Cameras(
-        structures=_camera_structures(inputs, tile_mask),
-        size=(bottom - top, right - left),
-        sh_degree=inputs.sh_degree,
-        raw=inputs.raw,
-        tile_mask=tile_mask,
-        with_depth=inputs.with_depth,
-        with_max_weight=inputs.with_max_weight,
-        with_weight_sum=inputs.with_weight_sum,
-        pixel_weights=pixel_weights,
-        backward_step=inputs.backward_step,
-    )
-    image, alpha, visible, grad2d, depth, max_weight, weight_sum = _Rasterize.apply(  # type: ignore[no-untyped-call]
-        cameras, *inputs.parameters
-    )
-    return RenderOutput(
-        image=image.permute(0, 2, 3, 1),  # planar inside: what the kernels and the loss work on
-        alpha=alpha,
-        visible=visible,
-        grad2d=grad2d,
-        depth=depth,
-        max_weight=max_weight,
-        weight_sum=weight_sum,
-    )
+    return RenderOutput.of_planar(*_Rasterize.apply(_Cameras(inputs), *inputs.parameters))  # type: ignore[no-untyped-call]
+
+
+class _Cameras:
+    """The cameras of `RenderInputs` in the kernels' form.
+
+    Attributes:
+        inputs: all of them.
+        structures: one for each camera.
+        size: height and width of the window.
+        pixel_weights: (C, H, W) of the window; None: 1.
+    """
+
+    def __init__(self, inputs: RenderInputs) -> None:
+        left, top, right, bottom = inputs.window
+        self.inputs, self.size = inputs, (bottom - top, right - left)
+        weights = inputs.pixel_weights
+        self.pixel_weights = (
+            None if weights is None else weights[:, top:bottom, left:right].contiguous()
+        )
+        mask = inputs.tile_mask
+        # Kept alive: the structures point to it.
+        self._tile_mask = None if mask is None else mask.to("cpu", torch.uint8).contiguous()
+        self.structures = _camera_structures(inputs, self._tile_mask)
+
+    def gaussians(self, parameters: list[Tensor]) -> bindings.Gaussians:
+        """The kernels' argument of five packed parameters."""
+        means, sh = parameters[0], parameters[4]
+        return bindings.Gaussians(
+            *(pointer(p) for p in parameters),
+            means.shape[0],
+            sh.shape[1],
+            self.inputs.sh_degree,
+            self.inputs.raw,
+        )
 
 
 def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[bindings.Camera]:
@@ -165,31 +153,21 @@ def _camera_structures(inputs: RenderInputs, tile_mask: Tensor | None) -> list[b
     return structures
 
 
-def _gaussians(cameras: _Cameras, parameters: list[Tensor]) -> bindings.Gaussians:
-    means, sh = parameters[0], parameters[4]
-    return bindings.Gaussians(
-        *(pointer(p) for p in parameters),
-        means.shape[0],
-        sh.shape[1],
-        cameras.sh_degree,
-        cameras.raw,
-    )
-
-
 class _Rasterize(torch.autograd.Function):
     """(cameras, five parameters) -> planar image (C, 3, H, W), and outputs without gradient."""
 
     @staticmethod
     def forward(ctx: Any, cameras: _Cameras, *parameters: Tensor) -> tuple[Tensor | None, ...]:
+        inputs = cameras.inputs
         views, count = len(cameras.structures), parameters[0].shape[0]
         image = torch.empty(views, 3, *cameras.size, dtype=torch.float32)
         alpha = torch.empty(views, *cameras.size, dtype=torch.float32)
-        mean = torch.empty_like(alpha) if cameras.with_depth is True else None
-        median = torch.zeros_like(alpha) if cameras.with_depth == "median" else None
+        mean = torch.empty_like(alpha) if inputs.with_depth is True else None
+        median = torch.zeros_like(alpha) if inputs.with_depth == "median" else None
         visible = torch.zeros(views, count, dtype=torch.bool)
         grad2d = torch.zeros(views, count, dtype=torch.float32)
-        max_weight = torch.zeros(count, dtype=torch.float32) if cameras.with_max_weight else None
-        weight_sum = torch.zeros(count, dtype=torch.float32) if cameras.with_weight_sum else None
+        max_weight = torch.zeros(count, dtype=torch.float32) if inputs.with_max_weight else None
+        weight_sum = torch.zeros(count, dtype=torch.float32) if inputs.with_weight_sum else None
         pixel_weights = cameras.pixel_weights
 
         ctx.cameras, ctx.lease, ctx.grad2d = cameras, _Lease(), grad2d
@@ -228,13 +206,13 @@ class _Rasterize(torch.autograd.Function):
             return (None,) * (1 + len(parameters))
         image_gradient = image_gradient.to(torch.float32).contiguous()  # planar: no copy
         packed = [p.contiguous() for p in parameters]
-        gaussians = _gaussians(ctx.cameras, packed)
+        gaussians = ctx.cameras.gaussians(packed)
         views, ctx.lease.views = ctx.lease.views, []
-        if ctx.cameras.backward_step is not None:
+        if ctx.cameras.inputs.backward_step is not None:
             _step(ctx, views, gaussians, image, image_gradient)
             return (None,) * (1 + len(parameters))
         targets = [
-            _gradient_target(p, needed)
+            gradient_target(p, needed)
             for p, needed in zip(parameters, ctx.needs_input_grad[1:], strict=True)
         ]
         gradients = bindings.Gradients(*(pointer(buffer) for buffer, _ in targets))
@@ -270,7 +248,7 @@ def _step(
         raise EngineError("rasterize: with a backward step, backward() can be called only once.")
     view = views[0]
     view.call("roigs_render_backward", pointer(image), pointer(image_gradient))
-    ctx.cameras.backward_step.take(
+    ctx.cameras.inputs.backward_step.take(
         lambda adam: view.call(
             "roigs_project_backward_adam",
             ctypes.byref(gaussians),
@@ -285,7 +263,7 @@ def _prepare(
     view: KernelView, cameras: _Cameras, c: int, parameters: list[Tensor], visible: Tensor
 ) -> None:
     """Project and bin for camera `c`."""
-    gaussians = _gaussians(cameras, parameters)
+    gaussians = cameras.gaussians(parameters)
     view.call(
         "roigs_project",
         ctypes.byref(gaussians),
@@ -293,19 +271,3 @@ def _prepare(
         pointer(visible),
     )
     view.call("roigs_bin")
-
-
-def _gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
-    """The buffer for a parameter's gradient, and whether it is new.
-
-    A dense gradient costs as much for an invisible Gaussian as for a visible one: it is zeroed,
-    added to `.grad` and zeroed again by the optimizer. A view shows a small part of the Gaussians,
-    so this would be most of a training step. If a leaf already has a `.grad`, rows are added there
-    and autograd gets no gradient (so hooks on the leaf do not run).
-    """
-    if not needed:
-        return None, False
-    grad = parameter.grad if parameter.is_leaf else None
-    if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
-        return grad, False
-    return torch.zeros(parameter.shape, dtype=torch.float32), True

@@ -31,7 +31,7 @@ from ..cuda.bindings import (
 )
 from ..errors import EngineError, KernelError
 from ..kernels import bindings
-from .inputs import RenderInputs, RenderOutput
+from .inputs import RenderInputs, RenderOutput, gradient_target
 
 _MOST_PAIRS = 2**31 - 2**12  # 32-bit places in lists, and the batch behind the last one
 
@@ -41,17 +41,7 @@ def render(inputs: RenderInputs) -> RenderOutput:
     for name, tensor in zip(bindings.Gradients._fields_, inputs.parameters, strict=True):
         if tensor.dtype != torch.float32:
             raise KernelError(f"rasterize: {name[0]} is {tensor.dtype}: the kernels take float32.")
-    image, *rest = _Rasterize.apply(inputs, *inputs.parameters)  # type: ignore[no-untyped-call]
-    alpha, visible, grad2d, depth, max_weight, weight_sum = rest
-    return RenderOutput(
-        image=image.permute(0, 2, 3, 1),  # planar inside: what the kernels and the loss work on
-        alpha=alpha,
-        visible=visible,
-        grad2d=grad2d,
-        depth=depth,
-        max_weight=max_weight,
-        weight_sum=weight_sum,
-    )
+    return RenderOutput.of_planar(*_Rasterize.apply(inputs, *inputs.parameters))  # type: ignore[no-untyped-call]
 
 
 @dataclass(eq=False)
@@ -305,13 +295,3 @@ def _take_step(view: View, adam: bindings.Adam) -> Tensor:
     blocks = -(-view.frame.gaussians.count // ROWS)
     card.program(view.device).launch("project_backward_adam", blocks, ROWS, step)
     return skipped
-
-
-def gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
-    """The buffer for a parameter's gradient, and whether it is new; as on the cpu backend."""
-    if not needed:
-        return None, False
-    grad = parameter.grad if parameter.is_leaf else None
-    if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
-        return grad, False
-    return torch.zeros(parameter.shape, dtype=torch.float32, device=parameter.device), True

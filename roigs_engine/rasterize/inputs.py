@@ -113,6 +113,13 @@ class RenderOutput:
     max_weight: Tensor | None
     weight_sum: Tensor | None
 
+    @classmethod
+    def of_planar(cls, image: Tensor, *others: Tensor | None) -> RenderOutput:
+        """From a planar image (C, 3, H, W), what kernels and loss work on, and the other fields."""
+        names = ("alpha", "visible", "grad2d", "depth", "max_weight", "weight_sum")
+        fields: dict[str, Any] = dict(zip(names, others, strict=True))
+        return cls(image=image.permute(0, 2, 3, 1), **fields)
+
     def cut(self, window: tuple[int, int, int, int]) -> RenderOutput:
         """The part of whole images that is in a window; itself, if that is all."""
         left, top, right, bottom = window
@@ -281,3 +288,19 @@ def background_colour(background: Tensor | None, like: Tensor) -> Tensor:
     if tuple(background.shape) != (3,):
         raise EngineError(f"rasterize: background has shape {tuple(background.shape)}, not (3,).")
     return background.to(dtype=like.dtype, device=like.device)
+
+
+def gradient_target(parameter: Tensor, needed: bool) -> tuple[Tensor | None, bool]:
+    """The buffer for a parameter's gradient, and whether it is new.
+
+    A dense gradient costs as much for an invisible Gaussian as for a visible one: it is zeroed,
+    added to `.grad` and zeroed again by the optimizer. A view shows a small part of the Gaussians,
+    so this would be most of a training step. If a leaf already has a `.grad`, rows are added there
+    and autograd gets no gradient (so hooks on the leaf do not run).
+    """
+    if not needed:
+        return None, False
+    grad = parameter.grad if parameter.is_leaf else None
+    if grad is not None and grad.dtype == torch.float32 and grad.is_contiguous():
+        return grad, False
+    return torch.zeros(parameter.shape, dtype=torch.float32, device=parameter.device), True
