@@ -12,11 +12,9 @@ from torch import Tensor
 from ..formats.drawable import usable
 from ..model.gaussians import Gaussians
 from ..model.local_frame import LocalFrame
-from ..model.operations import faded, recoloured
-from ..model.rotations import rotation_matrices
 from ..model.scene import Float64, PosedImage
 from ..rasterize.inputs import NEAR, blur_of
-from ..rasterize.instances import Instance, transformed
+from ..rasterize.instances import Instance, posed, principal_axes
 from ..rasterize.reference import drawn_share, jacobian, sh_basis
 from .arrays import Arrays, flaw
 
@@ -28,33 +26,17 @@ def merged(models: Sequence[Instance]) -> tuple[Gaussians, LocalFrame]:
         models: at least one Gaussian in all.
     """
     bands = max(model.gaussians.sh.shape[1] for model in models)
-    parts = [_in_world(model, bands) for model in models]
-    centres = np.concatenate([centres for centres, _ in parts])
+    parts = []
+    for model in models:
+        sh = turned_sh(model.gaussians.sh, model.from_frame[:3, :3])
+        padded = torch.nn.functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
+        parts.append(posed(model, model.from_frame, padded))
+    whole = Gaussians.concatenate(parts)
+    centres = whole.means.numpy()
     frame = LocalFrame.of_centres(centres)
-    model = Gaussians.concatenate([part for _, part in parts])
     means = torch.from_numpy(frame.points(centres).astype(np.float32))
-    log_scales = model.log_scales + float(np.log(frame.scale))
-    return replace(model, means=means, log_scales=log_scales), frame
-
-
-def _in_world(model: Instance, bands: int) -> tuple[Float64, Gaussians]:
-    """(N, 3) centres in the world, and the model there as it looks, with so many SH bands."""
-    gaussians, to_world = model.gaussians, model.from_frame
-    linear = to_world[:3, :3]
-    quats, log_scales = transformed(gaussians, linear)
-    centres = gaussians.means.numpy().astype(np.float64) @ linear.T + to_world[:3, 3]
-    return centres, replace(
-        gaussians,  # the centres are replaced when the frame of all is known
-        quats=quats,
-        log_scales=log_scales,
-        logit_opacities=faded(gaussians.logit_opacities, model.density),
-        sh=_padded(recoloured(turned_sh(gaussians.sh, linear), model.gains), bands),
-    )
-
-
-def _padded(sh: Tensor, bands: int) -> Tensor:
-    """(N, bands, 3) with zeros for what is missing."""
-    return torch.nn.functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
+    log_scales = whole.log_scales + float(np.log(frame.scale))
+    return replace(whole, means=means, log_scales=log_scales), frame
 
 
 PLACES = 12  # decimals of the fit; the rest depends on the number of threads
@@ -136,8 +118,7 @@ def without_antialiasing(model: Gaussians, images: Sequence[PosedImage]) -> Gaus
         images: the photos' cameras, in the model's frame. A Gaussian that none of them shows stays
             as it is.
     """
-    axes = rotation_matrices(torch.nn.functional.normalize(model.quats, dim=1))
-    axes = axes * model.log_scales.exp()[:, None, :]
+    axes = principal_axes(model)
     total, count = torch.zeros(len(model)), torch.zeros(len(model))
     for image in images:
         camera = image.camera

@@ -115,18 +115,28 @@ def render_instances(
 def _seen(model: Instance, world_to_camera: Float64) -> Gaussians:
     """The model in the camera's frame, with float64 centres and plain colours."""
     to_camera = world_to_camera @ model.from_frame
-    linear, offset = to_camera[:3, :3], to_camera[:3, 3]
-    gaussians = model.gaussians
-    local = gaussians.means.numpy().astype(np.float64)
-    eye: Float64 = -np.linalg.solve(linear, offset).astype(np.float64)
+    eye: Float64 = -np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3]).astype(np.float64)
+    return posed(model, to_camera, _plain(model.gaussians, eye))
+
+
+def posed(model: Instance, matrix: Float64, sh: Tensor) -> Gaussians:
+    """The model after an affine map, with float64 centres.
+
+    Args:
+        model: its gains and density are applied.
+        matrix: (4, 4) from the frame that the Gaussians are in.
+        sh: (N, K, 3) colours after the map, without the gains.
+    """
+    gaussians, linear = model.gaussians, matrix[:3, :3]
     quats, log_scales = transformed(gaussians, linear)
+    centres = gaussians.means.numpy().astype(np.float64) @ linear.T + matrix[:3, 3]
     return replace(
         gaussians,
-        means=torch.from_numpy(local @ linear.T + offset),
+        means=torch.from_numpy(centres),
         quats=quats,
         log_scales=log_scales,
         logit_opacities=faded(gaussians.logit_opacities, model.density),
-        sh=recoloured(_plain(gaussians, eye), model.gains),
+        sh=recoloured(sh, model.gains),
     )
 
 
@@ -137,10 +147,8 @@ def _for_camera(seen: Gaussians, camera: Camera) -> Gaussians:
     shows of a Gaussian (`blur_of`).
     """
     matrix = torch.as_tensor(camera.matrix(), dtype=torch.float32)
-    axes = rotation_matrices(torch.nn.functional.normalize(seen.quats, dim=1))
-    axes = axes * seen.log_scales.exp()[:, None, :]
     # Beyond the near plane, what is not drawn may be anything.
-    U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ axes
+    U = jacobian(seen.means.float(), matrix, camera.width, camera.height) @ principal_axes(seen)
     share = drawn_share(U, blur_of(1.0, antialiased=True))
     logits = torch.logit((seen.logit_opacities.sigmoid() * share).nan_to_num(0.0), eps=1e-7)
     return replace(seen, logit_opacities=logits, antialiased=False)
@@ -154,6 +162,12 @@ def _plain(gaussians: Gaussians, eye: Float64) -> Tensor:
     return ((colour.clamp(min=-0.5)) / SH_C0)[:, None]
 
 
+def principal_axes(gaussians: Gaussians) -> Tensor:
+    """(N, 3, 3): in the columns, the axes of each ellipsoid, one standard deviation long."""
+    rotations = rotation_matrices(torch.nn.functional.normalize(gaussians.quats, dim=1))
+    return rotations * gaussians.log_scales.exp()[:, None, :]
+
+
 def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
     """Rotations (N, 4) and logarithms of scales (N, 3) after a linear map (3, 3)."""
     scales = np.linalg.svd(linear, compute_uv=False)
@@ -163,8 +177,7 @@ def transformed(gaussians: Gaussians, linear: Float64) -> tuple[Tensor, Tensor]:
         old = Rotation.from_quat(np.roll(gaussians.quats.numpy(), -1, axis=1))  # scipy has xyzw
         quats = _quats(Rotation.from_matrix(rotation) * old)
         return quats, gaussians.log_scales + float(np.log(scales.mean()))
-    axes = rotation_matrices(torch.nn.functional.normalize(gaussians.quats, dim=1))
-    axes = axes * gaussians.log_scales.exp()[:, None, :]
+    axes = principal_axes(gaussians)
     u, stretched, _ = torch.linalg.svd(torch.from_numpy(linear).to(axes) @ axes)
     u = u * torch.linalg.det(u)[:, None, None]  # a rotation; the sign of an axis does not matter
     quats = _quats(Rotation.from_matrix(u.numpy()))
