@@ -37,7 +37,7 @@ NAME = "lod-meta.json"
 TITLE = "Streamed SOG"
 DIGITS = 16  # of the hash in a folder's name
 FOLDER = re.compile(rf"\d+_\d+-[0-9a-f]{{{DIGITS}}}")
-"""Level, part and hash; the first versions of this engine wrote no hash."""
+"""Level, part and hash."""
 LOCK = "lod-meta.lock"
 
 
@@ -119,20 +119,18 @@ def _record(counts: list[int], names: list[str], nodes: list[dict[str, Any]]) ->
 
 @contextmanager
 def _cleaned_up(path: Path) -> Iterator[None]:
-    """Delete what nobody needs after the block: folders of the model that was at `path` before it.
+    """Delete folders of ours that no file called like `path` names after the block.
 
-    So are folders with a hash, which killed engines have left, but none that another file names
-    which is called like `path`. If one of these files is damaged, all folders stay.
+    These are of the model that was at `path` before it, or left by killed engines. If one of these
+    files is damaged, all folders stay.
     """
-    before = _named([path]) or set()
     try:
         yield
     finally:
         remove_leftovers_of(path)
         named = _named(matching(path.parent, f"*{NAME}"))
         for folder in matching(path.parent, "*_*/"):
-            ours = folder.name in before or FOLDER.fullmatch(folder.name)
-            if ours and not is_link(folder):
+            if FOLDER.fullmatch(folder.name) and not is_link(folder):
                 remove_leftovers(folder)
                 if named is not None and folder.name not in named:
                     _remove(folder)

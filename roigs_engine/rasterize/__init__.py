@@ -132,15 +132,9 @@ def _chosen(backend: str, parameters: tuple[Tensor, ...]) -> str:
 def _render(inputs: RenderInputs, backend: str) -> RenderOutput:
     """Render with a backend, which is imported when it is first used."""
     if backend == "cpu":
-        from . import cpu
-
-        return cpu.render(inputs)
-    if backend == "reference":
-        from . import reference
-
-        output = reference.render(inputs)
+        from .cpu import render
+    elif backend == "cuda":
+        from .cuda import render
     else:
-        from . import cuda
-
-        output = cuda.render(inputs)
-    return output.cut(inputs.window)
+        from .reference import render
+    return render(inputs).cut(inputs.window)

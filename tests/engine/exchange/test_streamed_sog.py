@@ -166,21 +166,6 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
     assert not (ours / "meta.json").exists()
 
 
-def test_folders_without_a_hash_go_if_the_old_file_named_them(tmp_path: Path) -> None:
-    path = tmp_path / "lod-meta.json"
-    written(path, OLD)
-    for folder in tmp_path.glob("0_*-*"):
-        folder.rename(tmp_path / folder.name[:3])
-    names = json.loads(path.read_text())["filenames"]
-    short = [f"{name[:3]}/meta.json" for name in names]
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"filenames": short}))
-    (tmp_path / "0_2").mkdir()
-    written(path, NEW)
-    refuse_mixed(path)
-    assert {folder.name[:3] for folder in tmp_path.glob("0_*-*")} == {"0_0", "0_1"}
-    assert [folder.name for folder in tmp_path.glob("0_?")] == ["0_2"]
-
-
 def test_another_model_in_the_same_folder_stays(tmp_path: Path) -> None:
     path, other = tmp_path / "lod-meta.json", tmp_path / "first.lod-meta.json"
     written(path, OLD)
