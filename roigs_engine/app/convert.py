@@ -10,7 +10,7 @@ import numpy as np
 
 from ..context import QUIET, Context
 from ..errors import ConfigError, RoiError
-from ..exchange.axes import turn
+from ..exchange.arrays import turn
 from ..formats.drawable import usable
 from ..formats.gravity import gravity_alignment
 from ..model.roi import load_rois
@@ -126,7 +126,7 @@ def _single(request: Convert, target: FileFormat, context: Context, *, plain: bo
 def _listed(request: Convert, target: FileFormat, *, plain: bool) -> _Model:
     """The models of a list, at their poses, as one."""
     from ..exchange import formats
-    from ..exchange.merged import merged
+    from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
     from ..rasterize.instances import Instance
 
@@ -213,7 +213,7 @@ def _shortened(arrays: Arrays, request: Convert) -> Arrays:
 
 def turned(arrays: Arrays, matrix: Float64) -> Arrays:
     """The model after a rotation; bit for bit the same if that changes nothing."""
-    from ..exchange.moved import moved
+    from ..exchange.transform import moved
 
     if (matrix == np.eye(4)).all():
         return arrays
@@ -239,7 +239,7 @@ def _read(path: Path, *, plain: bool, scene: Path | None = None) -> tuple[Arrays
         EngineError: as `formats.read`; `scene` cannot be used.
     """
     from ..exchange import formats
-    from ..exchange.plain import without_antialiasing
+    from ..exchange.transform import without_antialiasing
     from ..model.gaussians import Gaussians
 
     arrays, antialiased = formats.read(path), formats.is_antialiased(path)

@@ -103,10 +103,9 @@ def write_evaluation(
     context: Context,
 ) -> str:
     """Write report, crops and page to a folder; returns the table as Markdown."""
-    from ..evaluation.crops import write_crops
+    from ..evaluation.crops import comparisons, write_crops
     from ..evaluation.report import format_markdown, write_report
     from ..evaluation.report_html import write_page
-    from ..evaluation.report_pictures import comparisons
 
     write_report(evaluation, folder)
     write_crops(evaluation, models, scene, rois, folder, context=context)

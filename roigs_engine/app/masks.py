@@ -18,7 +18,7 @@ from .inputs import boxes_of, on_device, use_threads
 from .outputs import Result, refuse_inputs, refuse_run_files
 
 if TYPE_CHECKING:
-    from ..masking.propagate import Knowledge
+    from ..masking.propagation import Knowledge
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
     from ..model.roi import OrientedBox
@@ -34,7 +34,7 @@ def make_masks(request: Masks, context: Context = QUIET) -> Result:
     import torch
 
     from ..colmap.project import load_colmap
-    from ..masking.opencv import opencv
+    from ..masking.views import opencv
     from ..model.gaussians import Gaussians
     from ..model.local_frame import LocalFrame
 
@@ -120,8 +120,7 @@ class _Maker:
         """
         from ..colmap.photo_pixels import photo_pixels
         from ..colmap.project import find_model
-        from ..masking.box_masks import BoxMasks, masked_photos
-        from ..masking.inputs import basis_digest
+        from ..masking.box_masks import BoxMasks, basis_digest, masked_photos
         from ..selection import SelectionConfig, select_cameras
 
         request, scene, frame = self.request, self.scene, self.frame

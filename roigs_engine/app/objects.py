@@ -215,7 +215,7 @@ def find_floaters(request: Floaters, context: Context = QUIET) -> FoundFloaters:
 
 def _as_one(wanted: list[InstanceRecord], frame: LocalFrame) -> tuple[Gaussians, NDArray[np.bool_]]:
     """All models as one in a frame, and which rows of the files can be drawn: those it has."""
-    from ..exchange.merged import merged
+    from ..exchange.transform import merged
     from ..model.gaussians import Gaussians
     from ..rasterize.instances import Instance
 

@@ -42,7 +42,7 @@ def render(request: Render, context: Context = QUIET) -> Rendered:
     """Render a PLY from every camera to a PNG; EngineError if an input cannot be used."""
     import torch
 
-    from ..levels.drawn import LevelledResult
+    from ..levels.parts import LevelledResult
     from ..rasterize.image_files import render_sequence
 
     refuse_run_files(request.out)
