@@ -89,7 +89,7 @@ class Inspected(Result):
 def inspect(request: Inspect, context: Context = QUIET) -> Inspected:
     """Load a scene and look what it contains; EngineError if it cannot be used."""
     from ..colmap.inspect import inspect_scene
-    from ..colmap.posed_photos import without_damaged
+    from ..colmap.photo_loader import without_damaged
 
     rois = boxes_of(request, required=False)
     scene = load_scene(request, context)
@@ -108,8 +108,7 @@ class Exported(Result):
 
 def export(request: Export, context: Context = QUIET) -> Exported:
     """Write a model's cameras and points; EngineError if it cannot be used."""
-    from ..colmap.export import COLMAP, PLACED, SCENE, write_export
-    from ..colmap.placed import placed, stored_placement
+    from ..colmap.export import COLMAP, PLACED, SCENE, placed, stored_placement, write_export
     from ..formats.scene_transform import transform_file
 
     refuse_run_files(request.out)

@@ -1,8 +1,11 @@
-"""Bundle adjustments (Triggs et al. 2000) of pycolmap's reconstructions, and what they leave."""
+"""Bundle adjustments (Triggs et al. 2000) with pycolmap, their errors, and fuller lens models."""
 
 from __future__ import annotations
 
+import tempfile
+from collections import Counter
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,3 +93,112 @@ def errors(scene: Any, observations: Sequence[Observation]) -> Float64:
         if seen is not None:
             found[row] = np.linalg.norm(photo.points2D[keypoint].xy - seen)
     return found
+
+
+FULLER, FULLEST = "OPENCV", "FULL_OPENCV"
+# Models that OPENCV includes -> the places of fx, fy, cx, cy, k1, k2 among their parameters.
+INCLUDED: dict[str, tuple[int | None, ...]] = {
+    "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None),
+    "PINHOLE": (0, 1, 2, 3, None, None),
+    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, None),
+    "RADIAL": (0, 0, 1, 2, 3, 4),
+}
+FEWEST_PHOTOS = 5  # of a camera that gets more parameters
+REACH, SAMPLES = 2.0, 2000  # how far beyond the corners a lens is looked at, and how closely
+
+
+def with_fuller_cameras(colmap: Any, scene: Any) -> int:
+    """Give the cameras that OPENCV includes its parameters, and return their number.
+
+    A camera of few photos keeps its own: more could fit anything.
+    """
+    changed = 0
+    for camera in _shared(scene):
+        places = INCLUDED.get(camera.model.name)
+        if places is None:
+            continue
+        old = camera.params
+        values = [0.0 if place is None else float(old[place]) for place in places]
+        camera.model = getattr(colmap.CameraModelId, FULLER)
+        camera.params = [*values, 0.0, 0.0]
+        changed += 1
+    return changed
+
+
+def with_fullest_cameras(colmap: Any, scene: Any) -> int:
+    """Give OPENCV's cameras four more parameters of distortion; the number of cameras."""
+    changed = 0
+    for camera in _shared(scene):
+        if camera.model.name == FULLER:
+            values = list(camera.params)
+            camera.model = getattr(colmap.CameraModelId, FULLEST)
+            camera.params = [*values, 0.0, 0.0, 0.0, 0.0]
+            changed += 1
+    return changed
+
+
+def with_own_cameras(colmap: Any, scene: Any, photos: Collection[int]) -> Any:
+    """A copy of the scene in which each of some photos (by id) has a camera of its own.
+
+    Focusing changes the focal length, in some lenses by a per cent. Photos lose their names (text
+    files could not hold all), and rigs are dissolved.
+    """
+    scene = colmap.Reconstruction(scene)
+    for key, image in scene.images.items():
+        image.name = str(key)
+    with tempfile.TemporaryDirectory(prefix="roigs-cameras-") as name:
+        folder = Path(name)
+        scene.write_text(name)
+        cameras = {line.split()[0]: line.split()[1:] for line in _lines(folder / "cameras.txt")}
+        free = max(map(int, cameras)) + 1
+        images = _lines(folder / "images.txt")
+        for row in range(0, len(images) - 1, 2):
+            words = images[row].split()
+            if int(words[0]) in photos:
+                cameras[str(free)], words[8] = cameras[words[8]], str(free)
+                images[row] = " ".join(words)
+                free += 1
+        lines = [" ".join([key, *values]) for key, values in cameras.items()]
+        (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (folder / "images.txt").write_text("\n".join(images) + "\n", encoding="utf-8")
+        for rest in ("rigs.txt", "frames.txt"):  # made anew: each photo by itself
+            (folder / rest).unlink(missing_ok=True)
+        return colmap.Reconstruction(name)
+
+
+def has_rigs(scene: Any) -> bool:
+    """Whether cameras are fixed to each other."""
+    return any(rig.num_sensors() > 1 for rig in scene.rigs.values())
+
+
+def is_sound(camera: Any) -> bool:
+    """Whether a FULL_OPENCV lens maps rays to its picture one to one, up to the corners.
+
+    Its distortion is a fraction: where the lower part comes to zero, places jump.
+    """
+    if camera.model.name != FULLEST:
+        return True
+    fx, fy, cx, cy, k1, k2, _, _, k3, k4, k5, k6 = camera.params
+    corner = np.hypot(
+        max(cx, camera.width - cx) / min(fx, fy), max(cy, camera.height - cy) / min(fx, fy)
+    )
+    r = np.linspace(0, REACH * corner, SAMPLES)
+    upper, lower = (np.polyval([c, b, a, 1.0], r**2) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = r * upper / lower
+    beyond = np.flatnonzero(~(lower > 0) | (seen > corner))
+    if not len(beyond) or not lower[beyond[0]] > 0:
+        return False
+    return bool((np.diff(seen[: beyond[0] + 1]) > 0).all())
+
+
+def _lines(path: Path) -> list[str]:
+    """The lines of a text file that are no comments; empty ones count (a photo without points)."""
+    lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+    return [line for line in lines if not line.startswith("#")]
+
+
+def _shared(scene: Any) -> list[Any]:
+    """The cameras of enough photos."""
+    photos = Counter(image.camera_id for image in scene.images.values())
+    return [camera for key, camera in scene.cameras.items() if photos[key] >= FEWEST_PHOTOS]

@@ -1,25 +1,37 @@
-"""Reads COLMAP's model files, binary and text, as plain arrays.
+"""Readers of COLMAP's model files, binary and text, as plain arrays.
 
 pycolmap's reader is not used: on damaged files it can loop forever or allocate huge amounts of
-memory, and it rejects a model with a single dangling observation. `rigs` and `frames` files are not
-needed, since `images` has each photo's full pose.
+memory, and it rejects a model with a single dangling observation. Here, counts are checked before
+memory is allocated. `rigs` and `frames` files are not needed, since `images` has each photo's full
+pose.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..context import QUIET, Context
 from ..errors import SceneError
 from ..formats.files import UNREADABLE
 from ..formats.projects import model_suffix
-from . import binary_files, text_files
-from .records import Model, ModelImage
+from ..formats.text import decode_text
+from ..model.scene import Int64
+from .records import (
+    CAMERA_MODELS,
+    NO_IDS,
+    Model,
+    ModelCamera,
+    ModelImage,
+    Points,
+    checked_camera,
+    checked_image,
+)
 
 T = TypeVar("T")
 
@@ -38,12 +50,13 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
     points3d = folder / f"points3D{suffix}"
     if not points3d.is_file():
         raise SceneError(f"{folder} has no {points3d.name}.", "Export the 3D points as well.")
-    cameras = _read(folder / f"cameras{suffix}", files.read_cameras)
+    cameras = _read(folder / f"cameras{suffix}", files.cameras)
     images = read_images(folder, context)
     # Normally the photos list what they observe; else the points' tracks are read.
     tracks = not any((image.point_ids >= 0).any() for image in images)
-    parse = partial(files.read_points, tracks=tracks, context=context)
-    ids, points, colors, rows, viewers = _read(points3d, parse)
+    ids, points, colors, rows, viewers = _read(
+        points3d, lambda data: files.points(data, tracks, context)
+    )
     return Model(
         cameras=cameras,
         images=images,
@@ -58,18 +71,26 @@ def read_model(folder: Path, context: Context = QUIET) -> Model:
 def read_images(folder: Path, context: Context = QUIET) -> list[ModelImage]:
     """The photos of the model in `folder`, from their own file alone. Raises as `read_model`."""
     suffix, files = _format(folder)
-    return _read(folder / f"images{suffix}", partial(files.read_images, context=context))
+    return _read(folder / f"images{suffix}", lambda data: files.images(data, context))
 
 
-def _format(folder: Path) -> tuple[str, ModuleType]:
-    """The end of the names of a model's files, and the module that reads them."""
+class _Format(NamedTuple):
+    """The readers of one of COLMAP's formats; errors about damaged data are those of `_read`."""
+
+    cameras: Callable[[bytes], dict[int, ModelCamera]]
+    images: Callable[[bytes, Context], list[ModelImage]]
+    points: Callable[[bytes, bool, Context], Points]
+
+
+def _format(folder: Path) -> tuple[str, _Format]:
+    """The end of the names of a model's files, and their readers."""
     suffix = model_suffix(folder)
     if suffix is None:
         raise SceneError(
             f"{folder} has no COLMAP model.",
             "It needs cameras, images and points3D, all .bin or all .txt.",
         )
-    return suffix, binary_files if suffix == ".bin" else text_files
+    return suffix, _FORMATS[suffix]
 
 
 def count_images(folder: Path) -> int:
@@ -79,8 +100,8 @@ def count_images(folder: Path) -> int:
         if path.suffix == ".bin":
             with path.open("rb") as file:
                 number = int(struct.unpack("<Q", file.read(8))[0])
-            return number if number * binary_files.SMALLEST_IMAGE <= path.stat().st_size else 0
-        return sum(1 for _ in text_files.image_lines(path.read_bytes()))
+            return number if number * SMALLEST_IMAGE <= path.stat().st_size else 0
+        return sum(1 for _ in _image_lines(path.read_bytes()))
     except (OSError, ValueError, struct.error):
         return 0
 
@@ -97,3 +118,170 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T:
         raise SceneError(f"{path} ends too early ({len(data)} bytes).", HINT_DAMAGED) from error
     except (ValueError, IndexError, OverflowError) as error:
         raise SceneError(f"Cannot read {path} ({error}).", HINT_DAMAGED) from error
+
+
+# One point of points3D.bin without its track, which follows as (image id, index) pairs of uint32.
+POINT_HEAD = np.dtype(
+    [("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("length", "<u8")]
+)
+ROWS_AT_ONCE = 1 << 14  # rows gathered at a time: the index takes 8 bytes for each of their bytes
+SMALLEST_IMAGE = 73  # bytes of a photo in images.bin with an empty name and no observations
+OBSERVATION = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
+
+
+def _unpack(data: bytes, offset: int, form: str) -> tuple[tuple[int | float, ...], int]:
+    """Little-endian values at `offset` and the offset after them; struct.error past the end."""
+    return struct.unpack_from("<" + form, data, offset), offset + struct.calcsize("<" + form)
+
+
+def _record_count(data: bytes, offset: int, smallest: int) -> tuple[int, int]:
+    """A count of records of at least `smallest` bytes; ValueError if the file is too short."""
+    (number,), offset = _unpack(data, offset, "Q")
+    if number * smallest > len(data) - offset:
+        raise ValueError(f"it should have {number} records, but ends after {len(data)} bytes")
+    return int(number), offset
+
+
+def _binary_cameras(data: bytes) -> dict[int, ModelCamera]:
+    """Camera id -> camera, from cameras.bin."""
+    number, offset = _record_count(data, 0, 24)
+    cameras = {}
+    for _ in range(number):
+        (camera_id, model_id, width, height), offset = _unpack(data, offset, "IiQQ")
+        if not 0 <= model_id < len(CAMERA_MODELS):
+            raise ValueError(f"unknown camera model {model_id}")
+        name, length = CAMERA_MODELS[int(model_id)]
+        params, offset = _unpack(data, offset, f"{length}d")
+        cameras[int(camera_id)] = checked_camera(name, int(width), int(height), params)
+    return cameras
+
+
+def _binary_images(data: bytes, context: Context) -> list[ModelImage]:
+    """The photos of images.bin."""
+    number, offset = _record_count(data, 0, SMALLEST_IMAGE)
+    images = []
+    for _ in range(number):
+        context.check_cancelled()
+        (image_id, *pose, camera_id), offset = _unpack(data, offset, "I7dI")
+        end = data.index(b"\0", offset)
+        name = data[offset:end].decode("utf-8", errors="replace")
+        length, offset = _record_count(data, end + 1, OBSERVATION.itemsize)
+        observations = np.frombuffer(data, OBSERVATION, length, offset)
+        offset += length * OBSERVATION.itemsize
+        images.append(
+            checked_image(int(image_id), pose, int(camera_id), name, observations["id"].copy())
+        )
+    return images
+
+
+def _binary_points(data: bytes, tracks: bool, context: Context) -> Points:
+    """The points of points3D.bin, with their tracks if `tracks`."""
+    number, offset = _record_count(data, 0, POINT_HEAD.itemsize)
+    size, length_at = POINT_HEAD.itemsize, POINT_HEAD.itemsize - 8
+    starts = np.empty(number, dtype=np.int64)
+    # Millions of iterations, so only the necessary work: if a track ends past the end of the file,
+    # reading the next head or the check below fails.
+    length_of = struct.Struct("<Q").unpack_from
+    for row in range(number):
+        starts[row] = offset
+        offset += size + 8 * length_of(data, offset + length_at)[0]
+        if not row % 100_000:
+            context.check_cancelled()
+    if offset > len(data):
+        raise ValueError(f"it should have {number} records, but ends after {len(data)} bytes")
+    raw = np.frombuffer(data, dtype=np.uint8)
+    heads = _gather(raw, starts, size).view(POINT_HEAD)
+    ids, points, colors = heads["id"].copy(), heads["xyz"].copy(), heads["rgb"].copy()
+    if not tracks:
+        return ids, points, colors, NO_IDS, NO_IDS
+    lengths = heads["length"].astype(np.int64)
+    # The image id is the first uint32 of each pair in a track.
+    first = np.repeat(starts + size - 8 * (np.cumsum(lengths) - lengths), lengths)
+    at = first + 8 * np.arange(lengths.sum())
+    viewers = _gather(raw, at, 4).view("<u4").astype(np.int64)
+    return ids, points, colors, np.repeat(np.arange(number), lengths), viewers
+
+
+def _gather(raw: NDArray[np.uint8], starts: Int64, size: int) -> NDArray[np.uint8]:
+    """The `size` bytes at each of the (N,) `starts`, concatenated."""
+    gathered = np.empty((len(starts), size), dtype=np.uint8)
+    for row in range(0, len(starts), ROWS_AT_ONCE):
+        rows = slice(row, row + ROWS_AT_ONCE)
+        gathered[rows] = raw[starts[rows, None] + np.arange(size)]
+    return gathered.reshape(-1)
+
+
+def _text_lines(data: bytes) -> list[str]:
+    """All lines, stripped, without comments. Blank lines stay: in images.txt they have meaning."""
+    text = decode_text(data, replace=True)
+    stripped = (line.strip() for line in text.split("\n"))
+    return [line for line in stripped if not line.startswith("#")]
+
+
+def _image_lines(data: bytes) -> Iterator[tuple[str, str]]:
+    """The two lines of each photo: pose and name; observations (may be blank)."""
+    lines = iter(_text_lines(data))
+    for line in lines:
+        if line:
+            yield line, next(lines, "")
+
+
+def _parsed(line: str, parse: Callable[[list[str]], T], fields: int = -1) -> T:
+    """`parse` of the line's words; a ValueError quotes the line if it is malformed."""
+    try:
+        return parse(line.split(maxsplit=fields))
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"at '{line[:60]}': {error}") from error
+
+
+def _text_cameras(data: bytes) -> dict[int, ModelCamera]:
+    """Camera id -> camera, from cameras.txt."""
+
+    def parse(words: list[str]) -> tuple[int, ModelCamera]:
+        camera_id, model, width, height, *params = words
+        values = tuple(float(value) for value in params)
+        return int(camera_id), checked_camera(model, int(width), int(height), values)
+
+    return dict(_parsed(line, parse) for line in filter(None, _text_lines(data)))
+
+
+def _text_images(data: bytes, context: Context) -> list[ModelImage]:
+    """The photos of images.txt."""
+    images = []
+    for head, tail in _image_lines(data):
+        context.check_cancelled()
+        ids = _parsed(tail, lambda words: [int(value) for value in words[2::3]])
+        point_ids = np.array(ids, dtype=np.int64)
+
+        def parse(words: list[str], point_ids: Int64 = point_ids) -> ModelImage:
+            image_id, *pose, camera_id, name = words
+            numbers = [float(value) for value in pose]
+            return checked_image(int(image_id), numbers, int(camera_id), name, point_ids)
+
+        images.append(_parsed(head, parse, 9))
+    return images
+
+
+def _text_points(data: bytes, tracks: bool, context: Context) -> Points:
+    """The points of points3D.txt, with their tracks if `tracks`."""
+
+    def parse(words: list[str]) -> tuple[int, list[float], list[int]]:
+        context.check_cancelled()
+        numbers = [float(value) for value in words[1:7]]
+        if len(numbers) != 6 or not np.isfinite(numbers[3:]).all():
+            raise ValueError("a point needs a position and a colour")
+        return int(words[0]), numbers, [int(value) for value in words[8::2]] * tracks
+
+    parsed = [_parsed(line, parse) for line in filter(None, _text_lines(data))]
+    table = np.array([numbers for _, numbers, _ in parsed], dtype=np.float64).reshape(-1, 6)
+    colors = np.clip(table[:, 3:], 0, 255).astype(np.uint8)
+    ids = np.array([point_id for point_id, _, _ in parsed], dtype=np.int64)
+    rows = np.repeat(np.arange(len(parsed)), [len(track) for _, _, track in parsed])
+    viewers = np.array([viewer for _, _, track in parsed for viewer in track], dtype=np.int64)
+    return ids, table[:, :3].copy(), colors, rows.astype(np.int64), viewers
+
+
+_FORMATS = {
+    ".bin": _Format(_binary_cameras, _binary_images, _binary_points),
+    ".txt": _Format(_text_cameras, _text_images, _text_points),
+}

@@ -16,7 +16,7 @@ from ..context import QUIET, Context
 from ..model.scene import Camera, Float64, PosedImage
 from ..photos.headers import photo_size
 from .model_files import read_model
-from .posed_photos import photo_name
+from .photo_loader import photo_name
 from .records import ModelCamera
 from .undistort import resized_lens, undistorted_pixels, undistorted_places
 

@@ -25,9 +25,9 @@ from ..model.scene import Float64, Int64, SfmScene
 from ..model.scene_checks import without_outliers
 from ..photos.files import PhotoFolder, find_photos
 from ..photos.mask_paths import USUAL_MASKS, MaskOptions
+from .camera_masks import HIDDEN
 from .model_files import HINT_DAMAGED, count_images, read_images, read_model
-from .photo_masks import HIDDEN
-from .posed_photos import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name, pose_of
+from .photo_loader import CANNOT_UNDISTORT, UNPOSED, PhotoLoader, Shrink, photo_name, pose_of
 from .records import MAX_DOWNSCALE, MAX_SIDE, NO_IDS, Model
 from .undistort import HINT_RESAMPLE
 

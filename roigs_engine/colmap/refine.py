@@ -8,7 +8,7 @@ points again. Of every third point, one observation is left out. The result is k
 these better than the old cameras, adjusted without them with COLMAP's own loss.
 
 Then the photos are looked at: each point is found in them to a few hundredths of a pixel, also
-where no keypoint was, and the cameras are fitted to that (`matched_cameras`).
+where no keypoint was, and the cameras are fitted to that (`refine_by_matches`).
 """
 
 from __future__ import annotations
@@ -27,11 +27,17 @@ from ..context import QUIET, Context
 from ..errors import SceneError
 from ..model.scene import Float64
 from ..photos.files import find_photos
-from .adjustment import FEWEST_LEFT_OUT, LONG_TRACK, adjust, median_error, to_leave_out
-from .lenses import with_fuller_cameras
+from .adjustment import (
+    FEWEST_LEFT_OUT,
+    LONG_TRACK,
+    adjust,
+    median_error,
+    to_leave_out,
+    with_fuller_cameras,
+)
 from .library import pycolmap_module
-from .matched_cameras import MatchedFit, fit_to_matches, photo_paths
 from .model_files import HINT_DAMAGED, read_model
+from .refine_by_matches import MatchedFit, fit_to_matches, photo_paths
 
 LOSS_SCALE = 1.0  # px of the full-size photos; what is farther off counts ever less
 

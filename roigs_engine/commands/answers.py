@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from ..app.render import Rendered
     from ..app.scenes import Exported, Inspected, Reconstructed, Refined, Selected
     from ..app.upkeep import Cleaned, Levelled
-    from ..colmap.matched_cameras import MatchedFit
     from ..colmap.refine import Refinement
+    from ..colmap.refine_by_matches import MatchedFit
     from ..formats.levels import Ladder
     from ..requests import models, projects
 

@@ -107,6 +107,11 @@ def weakly_observed(points: Mapping[str, int]) -> list[str]:
     return sorted(found, key=lambda name: (points[name], name))
 
 
+def is_video(path: Path) -> bool:
+    """Whether the path names a video, by its ending."""
+    return path.suffix.lower() in VIDEOS and not path.is_dir()
+
+
 def _children(folder: Path) -> list[Path]:
     try:
         return [child for child in folder.iterdir() if os.path.isdir(child)]

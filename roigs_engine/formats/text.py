@@ -96,6 +96,12 @@ def first_of(names: Sequence[str]) -> str:
     return ", ".join(shown) + ("" if len(shown) == len(names) else ", …")
 
 
+def named(names: Sequence[str], most: int = NAMED) -> str:
+    """The names, or the first of them and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def counted(count: int, noun: str) -> str:
     """'1 photo', '2 photos', '12,345 photos'."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"

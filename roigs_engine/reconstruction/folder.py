@@ -22,8 +22,7 @@ from ..formats.lock import locked
 from ..formats.projects import PHOTO_FOLDERS, RECONSTRUCTION, SPARSE, model_suffix
 from ..photos.files import EXTENSIONS, HEIC, UNREAD, PhotoFolder
 from ..photos.mask_paths import MASKS
-from .checks import unread_in_words
-from .look import Photo, digests_of
+from .photo_checks import Photo, digests_of, unread_in_words
 from .settings import Settings
 
 IMAGES, DATABASE, REPORT = PHOTO_FOLDERS[0], "database.db", "reconstruction.md"

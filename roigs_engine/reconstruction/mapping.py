@@ -51,7 +51,7 @@ class Mapped:
 def map_models(
     folder: Folder, total: int, settings: dict[str, Any], context: Context
 ) -> list[Mapped]:
-    """The models, the largest first; empty: no two photos could be placed.
+    """The models, the largest first; empty: no two photos could be registered.
 
     Args:
         folder: with photos and a database.

@@ -1,12 +1,21 @@
-"""Which photos are matched with which."""
+"""Choice of the pairs of photos to match, in order or by a cheap measure of their similarity.
+
+Features of large scales are few and match again most often, so a few hundred of a photo tell
+whether matching all is worth it (preemptive matching, Wu 2013). Among very many photos, even these
+are compared only with the photos that are nearest by an aggregate of all of them (VLAD, Jégou et
+al. 2010, with words from the photos themselves).
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..context import Context
+from ..formats.events import StageStarted
 from .database import Pair
 
 FEW = 30  # photos up to which all pairs are matched
@@ -47,3 +56,89 @@ def merged(*parts: Iterable[Pair]) -> list[Pair]:
 
 def _ordered(one: str, other: str) -> Pair:
     return (one, other) if one < other else (other, one)
+
+
+STAGE = "compare photos"
+LARGEST = 600  # features of a photo that are compared
+MAX_RATIO, MAX_ANGLE = 0.8, 0.7  # of matches: COLMAP's, of the angles between descriptors
+ALL_PAIRS = 300  # photos up to which every pair is compared
+SHORTLIST = 100  # photos that each is compared with beyond
+WORDS, SAMPLE = 64, 100_000
+
+Descriptors = NDArray[np.uint8]
+Unit = NDArray[np.float32]
+
+
+def similarities(
+    photos: Sequence[Descriptors], context: Context, seed: int = 0
+) -> NDArray[np.float32]:
+    """(N, N) number of matches between the photos' largest features, symmetric, 0 if not compared.
+
+    Args:
+        photos: (M, 128) descriptors of each.
+        context: gets the progress; checked for cancellation.
+        seed: of the words.
+    """
+    total = len(photos)
+    found = np.zeros((total, total), dtype=np.float32)
+    wanted = _shortlisted(photos, seed) if total > ALL_PAIRS else ~np.eye(total, dtype=bool)
+    wanted = np.triu(wanted | wanted.T, 1)
+    context.emit(StageStarted(stage=STAGE, total=total))
+    started = time.monotonic()
+    for row in range(total):
+        context.check_cancelled()
+        mine = unit(photos[row])
+        for column in map(int, np.flatnonzero(wanted[row])):
+            found[row, column] = found[column, row] = matches(mine, unit(photos[column]))
+        context.progress(STAGE, row + 1, total, started)
+    return found
+
+
+def unit(descriptors: Descriptors) -> Unit:
+    """Descriptors as unit vectors."""
+    values = descriptors.astype(np.float32)
+    values /= np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-6)
+    return values
+
+
+def matches(one: Unit, other: Unit) -> int:
+    """The number of features that are each other's nearest, by COLMAP's limits."""
+    if len(one) < 2 or len(other) < 2:
+        return 0
+    cosines = one @ other.T
+    rows = np.arange(len(one))
+    nearest = cosines.argmax(axis=1)
+    mutual = cosines.argmax(axis=0)[nearest] == rows
+    best = cosines[rows, nearest]
+    cosines[rows, nearest] = -1
+    angle, second = (np.arccos(np.clip(c, -1, 1)) for c in (best, cosines.max(axis=1)))
+    return int((mutual & (angle < MAX_RATIO * second) & (angle < MAX_ANGLE)).sum())
+
+
+def _shortlisted(photos: Sequence[Descriptors], seed: int) -> NDArray[np.bool_]:
+    """(N, N) whether a photo is among the nearest of another by its aggregated features."""
+    from sklearn.cluster import MiniBatchKMeans
+
+    rng = np.random.default_rng(seed)
+    each = max(1, SAMPLE // len(photos))
+    sample = [unit(p)[rng.permutation(len(p))[:each]] for p in photos if len(p)]
+    words = MiniBatchKMeans(WORDS, n_init=1, random_state=seed).fit(np.concatenate(sample))
+    centres = words.cluster_centers_.astype(np.float32)
+    vectors = np.array([_aggregate(unit(photo), centres) for photo in photos])
+    near = vectors @ vectors.T
+    np.fill_diagonal(near, -np.inf)
+    rank = np.argsort(-near, axis=1)[:, :SHORTLIST]
+    chosen = np.zeros(near.shape, dtype=bool)
+    np.put_along_axis(chosen, rank, True, axis=1)
+    return chosen
+
+
+def _aggregate(features: Unit, centres: Unit) -> Unit:
+    """The photo's VLAD vector: differences to the nearest words, summed and normalised."""
+    sums = np.zeros_like(centres)
+    if len(features):
+        nearest = (features @ centres.T - 0.5 * (centres**2).sum(axis=1)).argmax(axis=1)
+        np.add.at(sums, nearest, features - centres[nearest])
+    sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-6)
+    flat = sums.ravel()
+    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-6), dtype=np.float32)

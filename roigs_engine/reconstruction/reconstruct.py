@@ -15,11 +15,11 @@ from ..context import Context
 from ..errors import SceneError
 from ..formats.events import Message, StageStarted
 from ..formats.files import write_text
+from ..formats.projects import is_video
 from ..formats.text import json_digest
 from ..machine import machine_memory, usable_cores
 from ..photos.mask_paths import USUAL_MASKS, MaskOptions
 from . import pairs
-from .checks import unread_in_words, warnings_of, warnings_of_matches
 from .child import run_task
 from .convert import converted
 from .database import (
@@ -32,15 +32,22 @@ from .database import (
     pair_kinds,
     pair_line,
 )
-from .findings import NOTHING, Reconstruction, as_markdown, findings
+from .feature_masks import digest_of, make_masks
 from .folder import Folder
-from .frames import take_frames
-from .look import Found, Photo, camera_groups, digests_of, look_at
 from .mapping import map_models, map_rest
-from .photo_masks import digest_of, make_masks
+from .pairs import LARGEST, similarities
+from .photo_checks import (
+    Found,
+    Photo,
+    camera_groups,
+    digests_of,
+    look_at,
+    unread_in_words,
+    warnings_of,
+)
+from .report import NOTHING, Reconstruction, as_markdown, findings, warnings_of_matches
 from .settings import Settings
-from .similarity import LARGEST, similarities
-from .video import is_video
+from .video import take_frames
 
 FEATURES, MATCHING, MAPPING = "features", "matching", "mapping"
 # Measured bytes that a thread takes: for a pixel of the photo as it is searched, and of its file.

@@ -1,24 +1,34 @@
-"""A video's frames, one after the other, upright; imports PyAV when it is used."""
+"""Frames of a video that become photos: the sharpest of each part of the camera's path, none twice.
+
+A video is read as a stream, twice: to measure how the picture moves, and to write what was chosen.
+PyAV is imported when it is used.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-from ..errors import EngineError, SceneError
-from ..formats.projects import VIDEOS
+from ..context import Context
+from ..errors import EngineError, RunFolderError, SceneError
+from ..formats.events import StageStarted
+from ..formats.files import atomic_write, own_folder, read_json, write_json
+from ..formats.text import counted
+from ..photos.headers import content_digest
+from .folder import IMAGES, Folder
+from .photo_checks import BLURRED, fine_detail
 
 ENDS_EARLY = 0.98  # of the frames that the file's header promises
 Pixels = NDArray[np.uint8]
-
-
-def is_video(path: Path) -> bool:
-    """Whether the path names a video, by its ending."""
-    return path.suffix.lower() in VIDEOS and not path.is_dir()
 
 
 def av_module() -> Any:
@@ -108,7 +118,7 @@ def grey(frame: Any, side: int) -> Pixels:
     return np.asarray(small.to_ndarray(), dtype=np.uint8)
 
 
-def upright(frame: Any, ratio: float) -> Pixels:
+def picture_of(frame: Any, ratio: float) -> Pixels:
     """(H, W, 3) sRGB of a frame, turned as its metadata say, and its pixels square.
 
     Args:
@@ -118,3 +128,177 @@ def upright(frame: Any, ratio: float) -> Pixels:
     width = max(2, round(frame.width * ratio))
     rgb = frame.reformat(width=width, height=frame.height, format="rgb24").to_ndarray()
     return np.ascontiguousarray(np.rot90(rgb, round(frame.rotation / 90)), dtype=np.uint8)
+
+
+LOOK, WRITE = "look at the video", "write frames"
+VERSION = 1  # of the record; increase it if other frames would be chosen
+STEP = 0.05  # of the picture's longer side: how far the picture moves from photo to photo
+FEWEST, MOST = 30, 300  # photos, if their number is not given
+STILL = 0.004  # of the picture's longer side: nearer frames are taken for the same
+APART = 0.4  # of the way from photo to photo: the least between two
+SHARP_SIDE, MOVED_SIDE, BLOCK = 640, 256, 64  # px
+FAR = 0.15  # of a block: when the picture has moved so far, it is compared with a later frame
+COARSE = 0.1  # cycles per px: finer detail counts less in the motion
+TEXTURE = 3.0  # grey levels: the least contrast of a block whose motion is found
+QUALITY = 95
+RECORD = "video.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """A frame: its number, how far the picture had moved until then, and its fine detail.
+
+    `moved` is in longer sides of the picture; `sharpness` as of `look.Photo`.
+    """
+
+    number: int
+    moved: float
+    sharpness: float
+
+
+def take_frames(path: Path, folder: Folder, wanted: int, context: Context) -> dict[str, Path]:
+    """Write the frames of a video that become photos; name -> file. What is there is kept.
+
+    Args:
+        path: of the video.
+        folder: of the reconstruction.
+        wanted: about how many frames; 0: as many as the motion asks for.
+        context: gets the progress; checked for cancellation.
+
+    Raises:
+        SceneError: the video cannot be read, shows too little, or the folder has another's frames.
+        EngineError: PyAV is not installed.
+        RunFolderError: the folder cannot be written.
+        Stopped: on request; what is done stays.
+    """
+    video, images = Video(path), own_folder(folder.root, IMAGES)
+    seen = _seen(video, folder, context)
+    files = {frame.number: images / file_name(frame.number) for frame in choose(seen, wanted)}
+    if len(files) < 2:
+        raise SceneError(
+            f"The picture of {path} hardly moves.", "Film while you walk around the object."
+        )
+    missing = [number for number, file in files.items() if not file.exists()]
+    if missing:
+        _write(video, {number: files[number] for number in missing}, context)
+    context.info(f"{len(files)} of {counted(len(seen), 'frame')} are used as photos.")
+    return {file.name: file for file in files.values()}
+
+
+def file_name(number: int) -> str:
+    """The photo that a frame becomes."""
+    return f"frame_{number:06d}.jpg"
+
+
+def _seen(video: Video, folder: Folder, context: Context) -> list[Seen]:
+    """All frames; remembered beside the video's digest."""
+    path = folder.work(RECORD)
+    try:
+        digest = content_digest(video.path)
+    except OSError as error:
+        text = f"Cannot read the video {video.path} ({error.strerror or error})."
+        raise SceneError(text, "Give another.") from error
+    record: Any = {}
+    with suppress(RunFolderError):
+        record = read_json(path)
+    if not isinstance(record, dict) or record.get("video") != digest:
+        if any(folder.images.glob("frame_*.jpg")):
+            raise SceneError(f"{folder.images} has frames of another video.", "Give another --out.")
+        record = {}
+    if record.get("version") != VERSION:
+        rows = [[frame.moved, frame.sharpness] for frame in look(video, context)]
+        record = {"version": VERSION, "video": digest, "frames": rows, "damaged": video.damaged}
+        write_json(path, record)
+    if record["damaged"]:
+        context.warn(f"Parts of {video.path} cannot be read; the other frames are used.")
+    return [
+        Seen(number=number, moved=moved, sharpness=sharpness)
+        for number, (moved, sharpness) in enumerate(record["frames"])
+    ]
+
+
+def look(video: Video, context: Context) -> list[Seen]:
+    """Measure every frame."""
+    seen, moved, reference = [], 0.0, None
+    context.emit(StageStarted(stage=LOOK, total=0))
+    began = time.monotonic()
+    for number, frame in video.frames():
+        context.check_cancelled()
+        small = grey(frame, MOVED_SIDE)
+        if reference is None or reference.shape != small.shape:
+            reference = small
+        way = shift(reference, small)
+        here = moved + way / max(small.shape)
+        if way > FAR * BLOCK:
+            moved, reference = here, small
+        seen.append(Seen(number=number, moved=here, sharpness=fine_detail(grey(frame, SHARP_SIDE))))
+        context.progress(LOOK, number + 1, max(video.expected, number + 1), began)
+    return seen
+
+
+def shift(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> float:
+    """How far the picture has moved, px: the mean over its blocks, each by phase correlation."""
+    rows, columns = (max(1, length // BLOCK) for length in before.shape)
+    height, width = before.shape[0] // rows, before.shape[1] // columns
+    window = np.outer(np.hanning(height), np.hanning(width))
+    found = []
+    for row in range(rows):
+        for column in range(columns):
+            at = np.s_[row * height : (row + 1) * height, column * width : (column + 1) * width]
+            blocks = [picture[at].astype(np.float64) for picture in (before, after)]
+            if min(block.std() for block in blocks) >= TEXTURE:
+                found.append(_block_shift(*((block - block.mean()) * window for block in blocks)))
+    return float(np.mean(found)) if found else 0.0
+
+
+def _block_shift(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """The length of the shift between two blocks, px."""
+    spectrum = np.fft.rfft2(other) * np.conj(np.fft.rfft2(one))
+    spectrum /= np.maximum(np.abs(spectrum), 1e-9)
+    fine = np.hypot(np.fft.fftfreq(one.shape[0])[:, None], np.fft.rfftfreq(one.shape[1]))
+    spectrum *= np.exp(-((fine / COARSE) ** 2))  # a blurred frame has no fine detail
+    response = np.fft.irfft2(spectrum, one.shape)
+    peak = np.unravel_index(int(response.argmax()), response.shape)
+    signed = [int(k) - n if k > n // 2 else int(k) for k, n in zip(peak, one.shape, strict=True)]
+    return math.hypot(*signed)
+
+
+def choose(seen: Sequence[Seen], wanted: int = 0) -> list[Seen]:
+    """The frames that become photos: the sharpest of each part of the way, in order.
+
+    Args:
+        seen: all frames.
+        wanted: number of parts; 0: as many as the way is long.
+    """
+    way = max((frame.moved for frame in seen), default=0.0)
+    parts = wanted or int(np.clip(round(way / STEP), FEWEST, MOST))
+    step = way / parts
+    least = max(APART * step, STILL)
+    chosen: list[Seen] = []
+    for part in range(parts):
+        last = chosen[-1].moved if chosen else -np.inf
+        low, high = part * step, (part + 1) * step if part < parts - 1 else np.inf
+        inside = [f for f in seen if low <= f.moved < high and f.moved - last >= least]
+        if inside:
+            chosen.append(max(inside, key=lambda frame: frame.sharpness))
+    usual = float(np.median([frame.sharpness for frame in chosen])) if chosen else 0.0
+    return sorted(
+        (frame for frame in chosen if frame.sharpness >= BLURRED * usual),
+        key=lambda frame: frame.number,
+    )
+
+
+def _write(video: Video, missing: Mapping[int, Path], context: Context) -> None:
+    """Write these frames; each appears when it is complete."""
+    context.emit(StageStarted(stage=WRITE, total=len(missing)))
+    began, done, last = time.monotonic(), 0, max(missing)
+    for number, frame in video.frames():
+        context.check_cancelled()
+        if number in missing:
+            with atomic_write(missing[number], durable=False) as file:
+                picture = Image.fromarray(picture_of(frame, video.ratio))
+                picture.save(file, format="JPEG", quality=QUALITY, subsampling=0)
+            done += 1
+            context.progress(WRITE, done, len(missing), began)
+        if number == last:
+            return

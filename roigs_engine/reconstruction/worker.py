@@ -1,4 +1,4 @@
-"""The child process that runs one of pycolmap's long calls: it can be killed at any time.
+"""Child process for one of pycolmap's long calls, which can be killed at any time.
 
 `python -m roigs_engine.reconstruction.worker` reads a task, one line of JSON, from standard input,
 and ends when that is closed. Each line on standard output is JSON: `{"registered": 12}`,
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,15 @@ import numpy as np
 
 from ..colmap.library import pycolmap_module
 from ..errors import EngineError
+from ..formats.gravity import Matrix, Vector, gravity_alignment
 from .database import camera_ids, show_spaces, spaces_hidden
-from .placing import placement
 
 Task = dict[str, Any]
 NEEDED = ("FeatureExtractionOptions", "FeatureMatchingOptions", "match_image_pairs")
+DISTANCE = 2.0  # from the cameras to what they see, in units of the scene; a guess at metres
+LAYERS = 200  # of the height, in the search for the floor
+FLOOR = 3.0  # times the points of the median layer that has any: a layer with more is a floor
+LOWEST = 0.02  # share of the points below the floor, where no layer stands out
 
 
 def colmap_module() -> Any:
@@ -125,8 +130,8 @@ def map_photos(colmap: Any, task: Task) -> list[dict[str, Any]]:
 
 
 def _written(model: Any, folder: Path) -> dict[str, Any]:
-    """Place a model and write it; returns what it is as plain values."""
-    _place(model)
+    """Normalise a model and write it; returns what it is as plain values."""
+    _normalise(model)
     folder.mkdir()
     model.write_binary(str(folder))
     images = [model.images[key] for key in sorted(model.reg_image_ids())]
@@ -139,8 +144,8 @@ def _written(model: Any, folder: Path) -> dict[str, Any]:
     }
 
 
-def _place(model: Any) -> None:
-    """Put the model where `placing` says."""
+def _normalise(model: Any) -> None:
+    """Give the model the frame that `normalisation` says."""
     images = [model.images[key] for key in model.reg_image_ids()]
     points = {key: point.xyz for key, point in model.points3D.items()}
     poses = np.tile(np.eye(4), (len(images), 1, 1))
@@ -152,9 +157,57 @@ def _place(model: Any) -> None:
             eye = image.projection_center()
             distances.append(float(np.median(np.linalg.norm(np.array(seen) - eye, axis=1))))
     if distances:
-        place = placement(poses, np.array(list(points.values())), float(np.median(distances)))
-        matrix = np.column_stack([place.scale * place.rotation, place.translation])
+        found = normalisation(poses, np.array(list(points.values())), float(np.median(distances)))
+        matrix = np.column_stack([found.scale * found.rotation, found.translation])
         model.transform(colmap_module().Sim3d(matrix))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similarity:
+    """scale * rotation @ x + translation, with a (3, 3) rotation and a (3,) translation."""
+
+    scale: float
+    rotation: Matrix
+    translation: Vector
+
+
+def normalisation(poses: Matrix, points: Matrix, distance: float) -> Similarity:
+    """The similarity to a usual frame: z up, the floor at 0, the foreground at the origin, metres.
+
+    Photos alone tell no direction, position or scale; the scale is a guess.
+
+    Args:
+        poses: (N, 4, 4) world_to_camera of the photos.
+        points: (M, 3), at least one.
+        distance: median distance of the points from the cameras that observe them.
+    """
+    scale = DISTANCE / distance if distance > 0 else 1.0
+    rotation = gravity_alignment(poses)
+    aligned = scale * points @ rotation.T
+    eyes = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+    heights = scale * eyes @ rotation[2]
+    centre = np.append(np.median(aligned[:, :2], axis=0), floor(aligned[:, 2], float(max(heights))))
+    return Similarity(scale=scale, rotation=rotation, translation=-centre)
+
+
+def floor(heights: Vector, top: float) -> float:
+    """The height of the floor: the lowest layer with many points, below the highest camera.
+
+    Args:
+        heights: of the points.
+        top: of the highest camera.
+    """
+    low, high = np.quantile(heights, (LOWEST / 2, 1 - LOWEST / 2))
+    counts, edges = np.histogram(heights, bins=LAYERS, range=(low, min(high, max(top, low))))
+    filled = counts[counts > 0]
+    if len(filled):
+        many = counts >= max(FLOOR * np.median(filled), 0.5 * counts.max())
+        if many.any():
+            layer = int(np.argmax(many))
+            inside = (heights >= edges[layer]) & (heights <= edges[layer + 1])
+            if inside.any():
+                return float(np.median(heights[inside]))
+    return float(np.quantile(heights, LOWEST))
 
 
 REPLIES = 1  # the standard output that the parent reads, once `main` has moved it

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..colmap.undistorted_photos import PER_PIXEL, missing_in
+from ..colmap.undistortion_cache import PER_PIXEL, missing_in
 from ..formats.events import Message
 from ..formats.run_files import CACHE
 from ..machine import disk_message

@@ -60,9 +60,9 @@ def test_an_engine_at_work_is_seen(tmp_path: Path) -> None:
 
 def test_the_report_is_the_engines(tmp_path: Path) -> None:
     pytest.importorskip("PIL")
-    from roigs_engine.reconstruction.findings import Reconstruction, as_markdown
-    from roigs_engine.reconstruction.look import Found, Photo
     from roigs_engine.reconstruction.mapping import Mapped
+    from roigs_engine.reconstruction.photo_checks import Found, Photo
+    from roigs_engine.reconstruction.report import Reconstruction, as_markdown
 
     names = [f"{number}.jpg" for number in range(4)]
     photos = tuple(
@@ -97,12 +97,12 @@ def test_only_its_own_or_an_empty_folder_is_free(tmp_path: Path) -> None:
 def test_names_are_the_engines() -> None:
     pytest.importorskip("PIL")
     from roigs_addon.engine import own_files
-    from roigs_engine.reconstruction import folder, look, mapping, similarity
+    from roigs_engine.reconstruction import folder, mapping, pairs, photo_checks
     from roigs_engine.reconstruction import reconstruct as engine
 
     assert (reconstruction.WORK, reconstruction.REPORT) == (folder.WORK, folder.REPORT)
     stages = (own_files.LOOK, own_files.FEATURES, own_files.COMPARE)
-    assert stages == (look.STAGE, engine.FEATURES, similarity.STAGE)
+    assert stages == (photo_checks.STAGE, engine.FEATURES, pairs.STAGE)
     assert (own_files.MATCHING, own_files.MAPPING) == (engine.MATCHING, mapping.STAGE)
 
 

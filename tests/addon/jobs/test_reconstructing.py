@@ -114,9 +114,9 @@ def test_photos_of_which_none_was_placed(
     write(project / "reconstruction" / "state.json", '{"done": null}')
     blender.ops.roigs.choose_photos(directory=str(tmp_path / "garden"))
     assert "Stopped before the end" in panel(blender)
-    write(project / "reconstruction.md", "# Reconstruction\n\nNo two photos could be placed.\n")
+    write(project / "reconstruction.md", "# Reconstruction\n\nNo two photos could be registered.\n")
     said = panel(blender)
-    assert "No two photos could be placed." in said and "Stopped" not in said
+    assert "No two photos could be registered." in said and "Stopped" not in said
     assert blender.ops.roigs.show_reconstruction.poll()
 
 

@@ -19,7 +19,7 @@ from roigs_engine.errors import SceneError
 from roigs_engine.photos.decode import decode
 from roigs_engine.reconstruction.convert import converted
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.look import look_at
+from roigs_engine.reconstruction.photo_checks import look_at
 from roigs_engine.reconstruction.reconstruct import find_features, reconstruct
 from roigs_engine.reconstruction.settings import Settings
 from tests.engine.commands.command_line import refused
@@ -183,10 +183,10 @@ def test_two_photos_give_a_model_or_one_line(
     assert status in (0, 2) and "Traceback" not in said
     assert (tmp_path / "scene/reconstruction.md").exists()
     if status == 0:
-        assert "Only two photos could be placed" in said
+        assert "Only two photos could be registered" in said
         assert len(load_colmap(tmp_path / "scene", pixels=False).images) == 2
     else:
-        assert "No two photos could be placed" in said.splitlines()[-1]
+        assert "No two photos could be registered" in said.splitlines()[-1]
 
 
 @pytest.mark.slow

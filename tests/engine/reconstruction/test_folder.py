@@ -12,7 +12,7 @@ import pytest
 from roigs_engine.context import QUIET
 from roigs_engine.errors import RunFolderError, SceneError
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.look import Photo, look_at
+from roigs_engine.reconstruction.photo_checks import Photo, look_at
 from roigs_engine.reconstruction.settings import Settings
 from tests.engine.reconstruction.photo_sets import write_noise
 

@@ -23,9 +23,9 @@ from roigs_engine.photos.mask_paths import MaskOptions
 from roigs_engine.reconstruction import worker
 from roigs_engine.reconstruction.child import WORKER, run_task
 from roigs_engine.reconstruction.database import feature_counts, matched_pairs
+from roigs_engine.reconstruction.feature_masks import digest_of, make_masks
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.look import Photo, look_at
-from roigs_engine.reconstruction.photo_masks import digest_of, make_masks
+from roigs_engine.reconstruction.photo_checks import Photo, look_at
 from roigs_engine.reconstruction.reconstruct import (
     choose_pairs,
     find_features,
@@ -142,7 +142,7 @@ def test_photos_that_match_nothing_are_one_line_and_a_report(
     assert main([str(word) for word in ("reconstruct", tmp_path / "photos", *arguments)]) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     assert line.startswith("error: ")
-    assert "No two photos could be placed" in line
+    assert "No two photos could be registered" in line
     assert "no photo matches it" in (tmp_path / "scene/reconstruction.md").read_text("utf-8")
 
 

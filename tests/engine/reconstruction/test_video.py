@@ -15,8 +15,7 @@ from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import EngineError, SceneError, Stopped
 from roigs_engine.formats.events import Event, Progress
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.frames import Seen, choose, take_frames
-from roigs_engine.reconstruction.video import Video
+from roigs_engine.reconstruction.video import Seen, Video, choose, take_frames
 from tests.engine.commands.command_line import refused
 
 av = pytest.importorskip("av")

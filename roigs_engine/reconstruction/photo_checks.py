@@ -1,4 +1,4 @@
-"""What photos tell before anything is matched: their size, camera and sharpness, and copies."""
+"""Inspection of photos before anything is matched: size, camera, sharpness, copies; warnings."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..context import Context
 from ..errors import SceneError
 from ..formats.events import StageStarted
+from ..formats.text import counted, named
 from ..photos.contents import Contents
 from ..photos.decode import decode
 from ..photos.headers import open_photo, photo_size
@@ -160,3 +161,49 @@ def fine_detail(grey: NDArray[np.float32] | NDArray[np.uint8]) -> float:
     inner = grey[1:-1, 1:-1]
     second = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4 * inner
     return float(second.var() / max(float(grey.var()), 1.0))
+
+
+SMALL = 480  # px of the longest side, below which features are few
+BLURRED = 0.2  # of the median sharpness
+
+
+def warnings_of(found: Found) -> list[str]:
+    """One sentence for each thing that is wrong, usually none."""
+    checks = [
+        (list(found.unreadable), "cannot be read and {is} left out"),
+        (list(found.copies), "{is} a copy of another and {is} left out"),
+        (small(found.photos), f"{{is}} smaller than {SMALL} px and may not be registered"),
+        (blurred(found.photos), "{is} less sharp than the others and may not be registered"),
+    ]
+    return [
+        *unread_in_words(found.unread),
+        *(
+            f"{counted(len(names), 'photo')} {text.format(**_verb(len(names)))}: {named(names)}."
+            for names, text in checks
+            if names
+        ),
+    ]
+
+
+def unread_in_words(unread: Mapping[str, int]) -> list[str]:
+    """The sentence about photos whose format is not read, if there are any; see `Found`."""
+    kinds = [f"{number} {kind}" for kind, number in sorted(unread.items())]
+    total = sum(unread.values())
+    were = "file was" if total == 1 else "files were"
+    what = "it" if total == 1 else "them"
+    return [f"{', '.join(kinds)} {were} not read: export {what} as JPEG."] if kinds else []
+
+
+def small(photos: Sequence[Photo]) -> list[str]:
+    """Names of the photos that are very small."""
+    return [photo.name for photo in photos if max(photo.size) < SMALL]
+
+
+def blurred(photos: Sequence[Photo]) -> list[str]:
+    """Names of the photos with much less detail than is usual among them."""
+    usual = float(np.median([photo.sharpness for photo in photos]))
+    return [photo.name for photo in photos if photo.sharpness < BLURRED * usual]
+
+
+def _verb(count: int) -> dict[str, str]:
+    return {"is": "is" if count == 1 else "are"}

@@ -20,7 +20,7 @@ from ..photos.contents import Contents
 from ..photos.files import PhotoFolder
 from ..photos.headers import check_complete, photo_size
 from ..photos.mask_paths import USUAL_MASKS, MaskFiles, MaskOptions
-from .photo_masks import (
+from .camera_masks import (
     HIDDEN,
     make_masks,
     make_object_masks,
@@ -37,7 +37,7 @@ from .undistort import (
     undistort_again,
     without_distortion,
 )
-from .undistorted_photos import undistort_all
+from .undistortion_cache import undistort_all
 
 MISSING = "missing on disk"
 UNPOSED = "without a pose"

@@ -16,9 +16,9 @@ from roigs_engine.formats.files import sha256
 from roigs_engine.photos import mask_images
 from roigs_engine.photos.mask_images import stored_mask
 from roigs_engine.photos.mask_paths import MaskFiles, MaskOptions
+from roigs_engine.reconstruction.feature_masks import digest_of, make_masks
 from roigs_engine.reconstruction.folder import Folder
-from roigs_engine.reconstruction.look import look_at
-from roigs_engine.reconstruction.photo_masks import digest_of, make_masks
+from roigs_engine.reconstruction.photo_checks import look_at
 from roigs_engine.reconstruction.settings import Settings
 
 NAMES = ("a.png", "sub/b.png", "c.png", "d.png")

@@ -1,4 +1,4 @@
-"""Finds where photos show the points of a model, to a few hundredths of a pixel.
+"""Matching of tracks: where photos show the points of a model, to a few hundredths of a pixel.
 
 A detector finds a keypoint in each photo on its own, a third of a pixel off and more. Here one
 photo of each point is its reference: what it shows around its keypoint is looked for in the others,
@@ -18,12 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from ...context import Context
-from ...model.scene import Float64, Int64
-from ...photos.headers import PhotoError
-from .alignment import GRID, align, templates
-from .pyramid import Pyramid
-from .views import Views
+from ..context import Context
+from ..model.scene import Float64, Int64
+from ..photos.headers import PhotoError
+from .patch_alignment import GRID, Pyramid, align, templates
 
 POINTS_A_PHOTO = 500  # of a model that has more
 NEW_A_PHOTO = 1000  # points looked for in a photo that does not observe them yet
@@ -281,3 +279,53 @@ def _steps(views: Views, points: Float64, references: _References, wanted: _Want
             size[rows] = np.maximum(size[rows], own)
     steps: Float64 = np.stack([first, np.cross(normal, first)], axis=2) * size[:, None, None]
     return steps
+
+
+class Views:
+    """V registered photos, in the order of their ids.
+
+    Attributes:
+        ids: of the images.
+        lenses: the camera of each, pycolmap's.
+        focals: (V,) mean focal lengths, px.
+        centres: (V, 3) in the world.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        self.ids: list[int] = sorted(scene.reg_image_ids())
+        self.lenses = [scene.images[key].camera for key in self.ids]
+        self.focals = np.array([lens.mean_focal_length() for lens in self.lenses])
+        self._poses = np.array(
+            [np.asarray(scene.images[key].cam_from_world().matrix()) for key in self.ids]
+        ).reshape(-1, 3, 4)
+        turned = self._poses[:, :, :3].transpose(0, 2, 1)
+        self.centres: Float64 = -(turned @ self._poses[:, :, 3:])[..., 0]
+
+    def project(self, view: int, points: Float64) -> Float64:
+        """(N, 3) points -> (N, 2) places in a photo, px; NaN behind the camera."""
+        local = points @ self._poses[view, :, :3].T + self._poses[view, :, 3]
+        local[local[:, 2] <= 0] = np.nan
+        places: Float64 = np.asarray(self.lenses[view].img_from_cam(local)).reshape(-1, 2)
+        return places
+
+    def depths(self, view: int, points: Float64) -> Float64:
+        """(N,) distances along the photo's axis, world units."""
+        depths: Float64 = points @ self._poses[view, 2, :3] + self._poses[view, 2, 3]
+        return depths
+
+    def footprints(self, view: int, points: Float64) -> Float64:
+        """(N,) what a pixel of the photo covers at each point, world units."""
+        size: Float64 = self.depths(view, points) / self.focals[view]
+        return size
+
+    def jacobians(self, view: int, points: Float64, axes: Float64) -> Float64:
+        """(N, 2, 2): where two short steps from each point lead in the photo, px, as columns.
+
+        Args:
+            view: row of the photo.
+            points: (N, 3).
+            axes: (N, 3, 2) the steps, as columns, world units.
+        """
+        centre = self.project(view, points)
+        steps = [self.project(view, points + axes[:, :, k]) - centre for k in range(2)]
+        return np.stack(steps, axis=2)

@@ -14,11 +14,11 @@ import pytest
 from PIL import Image
 
 from roigs_engine.cli import main
-from roigs_engine.colmap import matched_cameras
-from roigs_engine.colmap.lenses import has_rigs, is_sound, with_own_cameras
-from roigs_engine.colmap.matched_cameras import fit_to_matches
+from roigs_engine.colmap import refine_by_matches
+from roigs_engine.colmap.adjustment import has_rigs, is_sound, with_own_cameras
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.colmap.refine import _write, refine_cameras
+from roigs_engine.colmap.refine_by_matches import fit_to_matches
 from roigs_engine.context import QUIET, Context
 from roigs_engine.errors import SceneError, Stopped
 from roigs_engine.formats.events import Event, Message
@@ -314,13 +314,13 @@ def test_cameras_on_a_rig_stay_on_it(
 ) -> None:
     rig = on_a_rig(pycolmap.Reconstruction(str(scene[0] / "sparse" / "0")), scene[1])
     photos = [scene[0] / "images" / image.name for _, image in sorted(rig.images.items())]
-    taken, moved = [], matched_cameras._moved
+    taken, moved = [], refine_by_matches._moved
 
     def spy(colmap: object, before: object, found: pycolmap.Reconstruction) -> object:
         taken.append(found)
         return moved(colmap, before, found)
 
-    monkeypatch.setattr(matched_cameras, "_moved", spy)
+    monkeypatch.setattr(refine_by_matches, "_moved", spy)
     fitted, fit = fit_to_matches(pycolmap, rig, photos, QUIET)
     assert fit.changed and "focal lengths" not in fit.changed and fit.after < fit.before
     assert has_rigs(fitted) and len(fitted.frames) == len(NAMES) // 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roigs_engine.model.rotations import rotation_entries
-from roigs_engine.reconstruction.placing import DISTANCE, floor, placement
+from roigs_engine.reconstruction.worker import DISTANCE, floor, normalisation
 from tests.poses import look_at
 
 RANDOM = np.random.default_rng(1)
@@ -31,7 +31,7 @@ def test_a_turned_and_shrunken_model_is_put_upright() -> None:
     turned = poses.copy()
     turned[:, :3, :3] = poses[:, :3, :3] @ turn.T
     turned[:, :3, 3] *= 0.1
-    placed = placement(turned, 0.1 * points @ turn.T, 0.1 * distance)
+    placed = normalisation(turned, 0.1 * points @ turn.T, 0.1 * distance)
     found = placed.scale * (0.1 * points @ turn.T) @ placed.rotation.T + placed.translation
     assert np.median(found[:3000, 2]) == pytest.approx(0, abs=0.01)
     height = np.median(found[3000:6000, 2])

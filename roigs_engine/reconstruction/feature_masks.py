@@ -14,18 +14,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ..colmap.photo_masks import HIDDEN, MaskPlan, find_mask, mask_digest
+from ..colmap.camera_masks import HIDDEN, MaskPlan, find_mask, mask_digest
 from ..context import Context
 from ..errors import RunFolderError
 from ..formats.files import cannot_write, own_folder, read_json, sha256, write_json
-from ..formats.text import counted, json_digest
+from ..formats.text import counted, json_digest, named
 from ..photos.headers import PhotoError, photo_size
 from ..photos.mask_images import write_mask
 from ..photos.mask_paths import MaskFiles, MaskOptions
 from ..photos.parallel import decoding_bytes, in_parallel, threads_for
-from .checks import named
 from .folder import Folder
-from .look import Photo
+from .photo_checks import Photo
 
 RECORD = "masks.json"
 

@@ -14,11 +14,19 @@ from ..context import Context
 from ..formats.text import counted, first_of
 from ..photos.files import PhotoFolder
 from ..photos.headers import PhotoError, photo_size
-from .adjustment import FEWEST_LEFT_OUT, Observation, adjust, median_error, to_leave_out
-from .lenses import has_rigs, is_sound, with_fullest_cameras, with_own_cameras
-from .matching.tracks import Matches, match_tracks
-from .matching.views import Views
+from .adjustment import (
+    FEWEST_LEFT_OUT,
+    Observation,
+    adjust,
+    has_rigs,
+    is_sound,
+    median_error,
+    to_leave_out,
+    with_fullest_cameras,
+    with_own_cameras,
+)
 from .records import same_shape
+from .track_matching import Matches, Views, match_tracks
 
 LOSS_SCALE, KEYPOINT_SCALE = 0.3, 1.0  # px: most matches are better than 0.1, keypoints than 0.5
 FEW = 50  # matches: a photo with fewer keeps its keypoints beside them

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roigs_engine.colmap.photo_masks import HIDDEN
+from roigs_engine.colmap.camera_masks import HIDDEN
 from roigs_engine.colmap.project import load_colmap
 from roigs_engine.context import Context
 from roigs_engine.errors import SceneError

@@ -9,8 +9,8 @@ from PIL import Image, ImageFilter
 
 from roigs_engine.context import QUIET
 from roigs_engine.errors import SceneError
-from roigs_engine.reconstruction.checks import named, warnings_of
-from roigs_engine.reconstruction.look import Found, camera_groups, look_at
+from roigs_engine.formats.text import named
+from roigs_engine.reconstruction.photo_checks import Found, camera_groups, look_at, warnings_of
 from tests.engine.reconstruction.photo_sets import demo_photos, write_noise
 
 

@@ -9,8 +9,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from roigs_engine.colmap.matching.alignment import align, templates
-from roigs_engine.colmap.matching.pyramid import Pyramid
+from roigs_engine.colmap.patch_alignment import Pyramid, align, templates
 
 SIDE = 200
 PLACES = np.array([[60.5, 70.5], [120.3, 90.8], [99.9, 130.1]])

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from roigs_engine.reconstruction.checks import (
+from roigs_engine.reconstruction.mapping import Mapped
+from roigs_engine.reconstruction.photo_checks import Found, Photo, unread_in_words, warnings_of
+from roigs_engine.reconstruction.report import (
+    Reconstruction,
+    as_markdown,
     connected,
-    unread_in_words,
-    warnings_of,
+    findings,
+    reason,
     warnings_of_matches,
 )
-from roigs_engine.reconstruction.findings import Reconstruction, as_markdown, findings, reason
-from roigs_engine.reconstruction.look import Found, Photo
-from roigs_engine.reconstruction.mapping import Mapped
 
 NAMES = [f"{letter}.jpg" for letter in "abcdefgh"]
 
@@ -104,7 +105,7 @@ def test_weak_results_are_warned_of() -> None:
 
 def test_without_a_model_there_is_a_report() -> None:
     text = as_markdown(result(models=[], matched={}))
-    assert "No two photos could be placed" in text
+    assert "No two photos could be registered" in text
     assert text.count("| no photo matches it |") == 8
 
 
@@ -114,7 +115,7 @@ def test_photos_that_hang_on_few_points_are_named() -> None:
     best.photos.update({"b.jpg": 29, "c.jpg": 1, "d.jpg": 30})
     told = findings(result(models=[best]))
     (text,) = (text for level, text in told if level == "warning")
-    assert text.startswith("2 photos have fewer than 30 points and may be placed wrongly")
+    assert text.startswith("2 photos have fewer than 30 points and may be registered wrongly")
     assert "c.jpg, b.jpg." in text
     report = as_markdown(result(models=[best]))
     assert text not in report  # the panel has buttons for them

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..formats.projects import FEWEST_OBSERVED, weakly_observed
-from ..formats.text import counted, printable
-from .checks import blurred, named, small, warnings_of
-from .database import FEWEST_INLIERS, Pair
-from .look import Found
+from ..formats.text import counted, named, printable
+from .database import FEWEST_INLIERS, PANORAMIC, STILL, Pair
 from .mapping import Mapped
+from .photo_checks import Found, blurred, small, warnings_of
 
-NOTHING = "No two photos could be placed: their matches are too few, or all are from one place."
+GROUP = 3  # photos: fewer that match nothing else are single photos
+# Of the pairs. Real scenes with walls and tables have up to 54 % that a plane explains too.
+ONE_PLACE, BEHIND = 0.9, 0.5
+NOTHING = "No two photos could be registered: their matches are too few, or all are from one place."
 FEW_FEATURES = 200
 HIGH_ERROR = 1.5  # px
 FEW_POINTS = 100  # that a photo observes
@@ -30,7 +32,7 @@ class Reconstruction:
         found: the photos, and those that were left out.
         features: name -> number of features.
         matched: two names -> number of verified matches.
-        models: the largest first; that is the result. Empty: no two photos could be placed.
+        models: the largest first; that is the result. Empty: no two photos could be registered.
         seconds: wall-clock of each step.
         warnings: what the matches tell, see `warnings_of_matches`.
     """
@@ -53,6 +55,53 @@ class Reconstruction:
         return self.models[0].photos if self.models else {}
 
 
+def warnings_of_matches(
+    names: Sequence[str], matched: Mapping[Pair, int], kinds: Mapping[int, int]
+) -> list[str]:
+    """What the matches tell before photos are registered: one sentence each, usually none.
+
+    Args:
+        names: of the photos.
+        matched: `database.matched_pairs`.
+        kinds: `database.pair_kinds`.
+    """
+    found = []
+    groups = [group for group in connected(names, matched) if len(group) >= GROUP]
+    if len(groups) > 1:
+        parts = "; ".join(f"{counted(len(group), 'photo')}: {named(group, 2)}" for group in groups)
+        found.append(f"The photos show {len(groups)} places that nothing connects ({parts}).")
+    total = sum(kinds.values())
+    if total and sum(kinds.get(kind, 0) for kind in PANORAMIC) > ONE_PLACE * total:
+        found.append(
+            "Most photos were taken from one place, where depth cannot be seen."
+            " Move the camera sideways between photos."
+        )
+    if total and sum(kinds.get(kind, 0) for kind in STILL) > BEHIND * total:
+        found.append(
+            "In most photos, the background stands still, as with a turntable."
+            " Give masks that hide it (Masks, --masks), or move the camera instead."
+        )
+    return found
+
+
+def connected(names: Sequence[str], matched: Mapping[Pair, int]) -> list[list[str]]:
+    """The photos in groups that verified pairs connect, the largest first."""
+    leader = {name: name for name in names}
+
+    def leading(name: str) -> str:
+        while leader[name] != name:
+            leader[name] = name = leader[leader[name]]
+        return name
+
+    for (one, other), matches in matched.items():
+        if matches >= FEWEST_INLIERS and one in leader and other in leader:
+            leader[leading(one)] = leading(other)
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(leading(name), []).append(name)
+    return sorted(groups.values(), key=len, reverse=True)
+
+
 def reason(result: Reconstruction, name: str) -> str:
     """Why a photo was not registered."""
     features = result.features.get(name, 0)
@@ -70,13 +119,13 @@ def reason(result: Reconstruction, name: str) -> str:
     for number, model in enumerate(result.models[1:], start=2):
         if name in model.photos:
             return f"in model {number}, which is not connected with the largest"
-    placed = {other for other in partners if other in result.registered}
+    known = {other for other in partners if other in result.registered}
     if not result.models:
         return f"matched with {counted(len(partners), 'photo')}, but their places stay unknown"
-    if not placed:
+    if not known:
         return f"it matches only photos that were not registered ({named(sorted(partners), 2)})"
-    best = max(placed, key=lambda other: partners[other])
-    return f"too few matches: {counted(len(placed), 'photo')}, at best {partners[best]} with {best}"
+    best = max(known, key=lambda other: partners[other])
+    return f"too few matches: {counted(len(known), 'photo')}, at best {partners[best]} with {best}"
 
 
 def findings(result: Reconstruction) -> list[tuple[str, str]]:
@@ -89,7 +138,7 @@ def findings(result: Reconstruction) -> list[tuple[str, str]]:
         why = f"{printable(missing[0])}: {reason(result, missing[0])}"
         told.append((level, f"{counted(len(missing), 'photo')} not registered. {why}."))
     if len(best.photos) == 2:
-        told.append(("warning", "Only two photos could be placed. Take more, closer together."))
+        told.append(("warning", "Only two photos could be registered. Take more, closer together."))
     others = [model for model in result.models[1:] if len(model.photos) > 2]
     for number, model in enumerate(others, start=2):
         text = f"{counted(len(model.photos), 'photo')} form a model of their own (model {number}):"
@@ -112,7 +161,7 @@ def _unreliable(result: Reconstruction) -> list[str]:
     are = "has" if len(names) == 1 else "have"
     return [
         f"{counted(len(names), 'photo')} {are} fewer than {FEWEST_OBSERVED} points and may be"
-        f" placed wrongly: {named(names)}. Leave them out (--exclude)."
+        f" registered wrongly: {named(names)}. Leave them out (--exclude)."
     ]
 
 
