@@ -16,16 +16,16 @@ HELP = "write the cameras and points of a COLMAP model as JSON and NumPy files"
 EXAMPLES = """\
   python -m roigs_engine export garden --out out
   python -m roigs_engine export garden --max-side 640 --out out --events
-  python -m roigs_engine export garden --transformed --out metres"""
+  python -m roigs_engine export garden --placed --out metres"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_scene_options(parser)
     parser.add_argument(
-        "--transformed",
+        "--placed",
         action="store_true",
-        help="write them as the scene was transformed in Blender (roigs_placement.json), in metres;"
+        help="write them as the scene was placed in Blender (roigs_placement.json), in metres;"
         " default: in the COLMAP frame",
     )
     parser.add_argument("--out", type=PATH, required=True, metavar="DIR", help="folder to write to")

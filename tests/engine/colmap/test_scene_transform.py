@@ -1,4 +1,4 @@
-"""Export of a scene as it was transformed in Blender."""
+"""Export of a scene as it was placed in Blender."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_export_is_in_the_colmap_frame_unless_asked(garden: Path, tmp_path: Path
     np.testing.assert_array_equal(points, before)
     np.testing.assert_allclose(record["placement"], MATRIX)
     assert record["frame"] == "colmap"
-    record, points = exported(garden, tmp_path / "c", "--transformed")
+    record, points = exported(garden, tmp_path / "c", "--placed")
     np.testing.assert_allclose(points, before @ MATRIX[:3, :3].T + MATRIX[:3, 3], atol=1e-4)
     assert record["frame"] == "placed"
     low, high = record["bounds"]
@@ -70,7 +70,7 @@ def test_export_is_in_the_colmap_frame_unless_asked(garden: Path, tmp_path: Path
 def test_a_placement_that_cannot_be_used(
     garden: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["export", str(garden), "--out", str(tmp_path / "a"), "--transformed"]) == 2
+    assert main(["export", str(garden), "--out", str(tmp_path / "a"), "--placed"]) == 2
     assert "Place the scene in Blender first" in capsys.readouterr().err
     for make, text in (
         (lambda: place(garden, shift=5.0), "not of this model"),
@@ -81,5 +81,5 @@ def test_a_placement_that_cannot_be_used(
         assert record["placement"] is None
         said = capsys.readouterr()
         assert text in said.out + said.err
-        assert main(["export", str(garden), "--out", str(tmp_path / "c"), "--transformed"]) == 2
+        assert main(["export", str(garden), "--out", str(tmp_path / "c"), "--placed"]) == 2
         assert text in capsys.readouterr().err
