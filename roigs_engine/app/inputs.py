@@ -132,7 +132,7 @@ def mask_options(
 
 def is_photos(scene: Path) -> bool:
     """Whether the scene is a folder of photos without a COLMAP model, or a video."""
-    from ..reconstruction.video import is_video
+    from ..formats.projects import is_video
 
     if is_video(scene):
         return True

@@ -44,9 +44,9 @@ def reconstruct(request: Reconstruct, context: Context = QUIET) -> Reconstructed
         EngineError: the photos or the folder cannot be used, or a package is missing.
         Stopped: on request; the same request resumes.
     """
+    from ..formats.projects import is_video
     from ..reconstruction import reconstruct as reconstruction  # needs Pillow, others do not
     from ..reconstruction.settings import Settings
-    from ..reconstruction.video import is_video
 
     refuse_run_files(request.out)
     settings = Settings(
@@ -108,7 +108,7 @@ class Exported(Result):
 
 def export(request: Export, context: Context = QUIET) -> Exported:
     """Write a model's cameras and points; EngineError if it cannot be used."""
-    from ..colmap.export import COLMAP, PLACED, SCENE, placed, stored_placement, write_export
+    from ..colmap.export import COLMAP, PLACED, SCENE, stored_transform, transformed, write_export
     from ..formats.scene_transform import transform_file
 
     refuse_run_files(request.out)
@@ -117,13 +117,13 @@ def export(request: Export, context: Context = QUIET) -> Exported:
     placement = None
     try:
         if request.placed or os.path.lexists(transform_file(request.scene)):
-            placement = stored_placement(request.scene, scene)
+            placement = stored_transform(request.scene, scene)
     except ConfigError as error:
         if request.placed:
             raise
         context.warn(str(error))
     if placement is not None and request.placed:
-        scene = placed(scene, placement)
+        scene = transformed(scene, placement)
     frame = PLACED if request.placed else COLMAP
     files = write_export(scene, request.out, placement=placement, frame=frame)
     paths = {name: Path(path) for name, path in files.items()}
