@@ -1,4 +1,4 @@
-"""The context of long work: where its events go, whether to stop, which device computes."""
+"""Context of long work: where its events go, whether to stop, which device computes."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class Context:
         """Emit a warning for the user."""
         self.emit(Message(text=text, level="warning"))
 
-    def progress(self, stage: str, step: int, total: int, started: float, **figures: float) -> None:
+    def progress(self, stage: str, step: int, total: int, started: float, **metrics: float) -> None:
         """Emit progress of work that has no loss.
 
         Args:
             stage: name of the work.
             step, total: units of work done, and all of them.
             started: `time.monotonic()` when the work began.
-            figures: optional `psnr` (dB) and `gaussians` (count).
+            metrics: optional `psnr` (dB) and `gaussians` (count).
         """
         self.emit(
             Progress(
@@ -67,8 +67,8 @@ class Context:
                 step=step,
                 total=total,
                 loss=math.nan,
-                psnr=figures.get("psnr", math.nan),
-                gaussians=int(figures.get("gaussians", 0)),
+                psnr=metrics.get("psnr", math.nan),
+                gaussians=int(metrics.get("gaussians", 0)),
                 seconds_left=(time.monotonic() - started) / step * (total - step),
             )
         )

@@ -1,4 +1,4 @@
-"""The machine this process runs on: memory and processor."""
+"""Memory, processor and disk of the machine that this process runs on."""
 
 from __future__ import annotations
 

@@ -114,18 +114,18 @@ def export(request: Export, context: Context = QUIET) -> Exported:
     refuse_run_files(request.out)
     refuse_inputs([request.out / SCENE], [request.options_file])
     scene = load_scene(request, context)
-    placement = None
+    transform = None
     try:
         if request.placed or os.path.lexists(transform_file(request.scene)):
-            placement = stored_transform(request.scene, scene)
+            transform = stored_transform(request.scene, scene)
     except ConfigError as error:
         if request.placed:
             raise
         context.warn(str(error))
-    if placement is not None and request.placed:
-        scene = transformed(scene, placement)
+    if transform is not None and request.placed:
+        scene = transformed(scene, transform)
     frame = PLACED if request.placed else COLMAP
-    files = write_export(scene, request.out, placement=placement, frame=frame)
+    files = write_export(scene, request.out, transform=transform, frame=frame)
     paths = {name: Path(path) for name, path in files.items()}
     return Exported(files=paths, cameras=len(scene.images), points=len(scene.points))
 

@@ -1,1 +1,1 @@
-"""Reads a COLMAP project as a scene; inspects and exports it."""
+"""COLMAP projects: read as scenes, inspected, exported; cameras refined."""

@@ -1,4 +1,4 @@
-"""The masks of a scene's photos, as its cameras see them: read, undistorted, resampled, kept.
+"""Masks of a scene's photos as its cameras see them: read, undistorted, resampled, kept.
 
 Those of the photos themselves say what counts, those of boxes show their objects.
 """

@@ -22,7 +22,7 @@ COLMAP, PLACED = "colmap", "placed"
 
 
 def write_export(
-    scene: SfmScene, folder: Path, *, placement: Float64 | None = None, frame: str = COLMAP
+    scene: SfmScene, folder: Path, *, transform: Float64 | None = None, frame: str = COLMAP
 ) -> dict[str, str]:
     """Write the scene's files to `folder`; returns name -> path.
 
@@ -34,7 +34,7 @@ def write_export(
     Args:
         scene: to write.
         folder: to write to.
-        placement: (4, 4) from the COLMAP frame to the world, if the project has one.
+        transform: (4, 4) from the COLMAP frame to the world, if the project has one.
         frame: that of the scene, COLMAP or PLACED.
     """
     starts = np.cumsum([0, *(len(image.point_indices) for image in scene.images)])
@@ -51,7 +51,7 @@ def write_export(
     record = inspect_scene(scene)
     del record["rois"]
     record["frame"] = frame
-    record["placement"] = None if placement is None else placement.tolist()
+    record["placement"] = None if transform is None else transform.tolist()
     write_json(folder / SCENE, {**record, "images": [_image_record(i) for i in scene.images]})
     files = {"scene": SCENE, **{name: f"{name}.npy" for name in arrays}}
     return {name: str(folder / file) for name, file in files.items()}

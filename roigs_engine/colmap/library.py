@@ -1,4 +1,4 @@
-"""The package pycolmap, imported when it is used."""
+"""Import of the package pycolmap, when it is used."""
 
 from __future__ import annotations
 

@@ -132,13 +132,13 @@ def _aligned(
     patch, usable = sampled()
     left = patch - references
     variance = (left * left) @ WEIGHTS / INDEPENDENT
-    spread = inverses[6][:, :2, :2].trace(axis1=1, axis2=2) * variance
+    variances = inverses[6][:, :2, :2].trace(axis1=1, axis2=2) * variance
     likeness = (patch * references) @ WEIGHTS
     offset = (jacobians @ move[:, :, None])[..., 0]
     stretch = np.linalg.svd(shape, compute_uv=False)
     good = usable & (likeness > LIKENESS) & (np.linalg.norm(offset, axis=1) < reach)
     good &= (stretch[:, 0] < MOST_BENT) & (stretch[:, 1] > 1 / MOST_BENT)
-    good &= (np.linalg.norm(step, axis=1) < SETTLED) & (np.sqrt(spread) < VAGUEST)
+    good &= (np.linalg.norm(step, axis=1) < SETTLED) & (np.sqrt(variances) < VAGUEST)
     return places + offset, good, likeness.astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""A model's photos: decides which can be used, and finds their poses, cameras and files."""
+"""Loader of a model's photos: which can be used, with their poses, cameras, files and masks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A photo as its pinhole camera sees it, and where its pixels are in the photo's file.
+"""Mapping between the pixels of a photo's file and those of its pinhole camera.
 
 Masks and strokes that a person draws are in pixels of the file, lens distortion included.
 """

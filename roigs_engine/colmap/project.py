@@ -1,4 +1,4 @@
-"""Loads a COLMAP project as an `SfmScene`: finds model and photos, undistorts photos if needed."""
+"""Loading of a COLMAP project as an `SfmScene`: model, photos, undistortion, masks."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def load_colmap(
     if not loader.posed:
         raise _no_photos(model, photos, loader.skipped)
     loader.skipped[UNPOSED] += photos.others([image.name for image in model.images])
-    return _without_strays(_scene(loader, observed, points, colors), context)
+    return _cleaned(_scene(loader, observed, points, colors), context)
 
 
 def _scene(
@@ -127,8 +127,8 @@ def _mention_refined(model: Model, folder: Path, context: Context) -> None:
         )
 
 
-def _without_strays(scene: SfmScene, context: Context) -> SfmScene:
-    """The scene without strays; says what was left out, as warnings but for photos without pose."""
+def _cleaned(scene: SfmScene, context: Context) -> SfmScene:
+    """The scene without outliers; says what was left out: as warnings, but for unposed photos."""
     scene = without_outliers(scene)
     if scene.stray_points:
         context.warn(f"Left out {counted(scene.stray_points, '3D point')} far from all cameras.")
@@ -200,10 +200,10 @@ def _points(
     model: Model, folder: Path, context: Context
 ) -> tuple[Int64, Float64, NDArray[np.uint8]]:
     """Ids (ascending), positions and colours of the points with valid numbers."""
-    placed = (np.abs(model.points) < FAR).all(axis=1)  # False for NaN
+    finite = (np.abs(model.points) < FAR).all(axis=1)  # False for NaN
     numbered = model.point_ids >= 0
-    good = placed & numbered
-    counts = ((~placed, "without a valid position"), (~numbered, "with a negative id"))
+    good = finite & numbered
+    counts = ((~finite, "without a valid position"), (~numbered, "with a negative id"))
     reasons = ", ".join(f"{wrong.sum():,} {why}" for wrong, why in counts if wrong.any())
     if not len(good):
         raise SceneError(

@@ -1,4 +1,4 @@
-"""COLMAP's model as plain records with checked numbers."""
+"""Plain records of a COLMAP model, with checked numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refines the cameras of a COLMAP model by its tracks.
+"""Refinement of the cameras of a COLMAP model by its tracks, then by its photos.
 
 COLMAP's usual camera, SIMPLE_RADIAL, has one focal length and one distortion parameter: too few
 for many lenses. Its poses then lean to make up for the rest, by half a pixel and more, and no model
@@ -104,7 +104,7 @@ def refine_cameras(
     folder = find_photos(model, images, list(names.values())) if look else None
     with _explained(model):
         scene = _read(colmap, model)
-        placed = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
+        positions = {key: np.array(point.xyz) for key, point in scene.points3D.items()}
         scene, done = _by_tracks(colmap, scene, model, context)
         if folder is not None:
             paths = photo_paths(scene, folder, names, context)
@@ -114,7 +114,7 @@ def refine_cameras(
                 scene, matched = fit_to_matches(colmap, scene, paths, context)
                 done = replace(done, matched=matched)
         if done.better:
-            _carry_back(colmap, scene, placed)
+            _carry_back(colmap, scene, positions)
             for key, image in scene.images.items():
                 image.name = names[key]
             _write(scene, out)
@@ -197,14 +197,14 @@ def _check_written(scene: Any, folder: Path, out: Path) -> None:
         )
 
 
-def _carry_back(colmap: Any, scene: Any, placed: dict[int, Float64]) -> None:
+def _carry_back(colmap: Any, scene: Any, positions: dict[int, Float64]) -> None:
     """Move the scene by the similarity that carries its points onto their old places.
 
     Wrong points may have moved far: the half that moved most is left out of the fit.
     """
-    keys = [key for key in placed if scene.exists_point3D(key)]
+    keys = [key for key in positions if scene.exists_point3D(key)]
     new = np.array([scene.points3D[key].xyz for key in keys])
-    old = np.array([placed[key] for key in keys])
+    old = np.array([positions[key] for key in keys])
     kept = np.ones(len(keys), dtype=bool)
     for _ in range(2):
         similarity = colmap.estimate_sim3d(new[kept], old[kept])

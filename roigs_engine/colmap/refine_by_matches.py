@@ -1,4 +1,4 @@
-"""Cameras from matched tracks: photos are looked at, to see their points where they really are."""
+"""Refinement of cameras by matched tracks, which show points more exactly than keypoints."""
 
 from __future__ import annotations
 

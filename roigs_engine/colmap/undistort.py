@@ -1,4 +1,4 @@
-"""Undistorts photos to pinhole cameras, with a cache."""
+"""Undistortion of photos to pinhole cameras, with a cache."""
 
 from __future__ import annotations
 

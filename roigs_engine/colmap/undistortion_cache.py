@@ -1,4 +1,4 @@
-"""Undistorts all photos of a scene in parallel, and keeps their folder tidy."""
+"""Parallel undistortion of a scene's photos into a cache, without unused files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which Gaussians can be drawn: one rule for pictures, Blender's viewport and files; numpy only."""
+"""Validity of Gaussians: one rule for pictures, Blender's viewport and files; numpy only."""
 
 from __future__ import annotations
 

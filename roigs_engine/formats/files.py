@@ -1,4 +1,4 @@
-"""Files that a name never stands for half of, and that no link leads elsewhere.
+"""Atomic writes that never follow links, and reads of regular files only.
 
 The rules for what is written below a run folder or `--out`:
 

@@ -1,4 +1,4 @@
-"""Names of files that work on every system, for the engine and the add-on."""
+"""Portable file names, which work on every system."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-MAX_NAME = 100  # characters; leaves room for what is added to it
+MAX_NAME = 100  # characters; endings are added to it
 LONGEST, MAX_BYTES = 87, 167  # characters and bytes of a `safe_name`; file systems allow 255 bytes
 ADDED = 8  # of these, `_` and the checksum with its `-`
 # These names open devices on Windows, with any extension.

@@ -1,4 +1,4 @@
-"""The operating system's lock of an open file; it ends with the process, however that ends.
+"""File locks of the operating system, which end with the process, however that ends.
 
 `take` and `is_taken` raise `NoLocksError` on a file system without locks.
 """

@@ -1,4 +1,4 @@
-"""Text that a person may have written, decoded and read as JSON; numbers in sentences."""
+"""Decoding of text and JSON that a person may have written; names and numbers in sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model of Gaussians: five tensors with one row per Gaussian."""
+"""Model of Gaussians: five tensors with one row per Gaussian."""
 
 from __future__ import annotations
 

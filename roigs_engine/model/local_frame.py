@@ -1,4 +1,4 @@
-"""The frame that training and rendering compute in, whatever the units and the origin of a model.
+"""Frame that training and rendering compute in, whatever the units and the origin of a model.
 
 Constants with a length (the near plane, smallest scales) and the resolution of float32 would
 otherwise make a result depend on whether a scene is in millimetres, metres or map coordinates.

@@ -67,13 +67,13 @@ AT_ONCE = 100_000  # positions, so that voting takes little memory
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Partition:
-    """The territories of a scene's models.
+    """Partition of space among a scene's models.
 
     Attributes:
         points: (P, 3) sparse points, world units.
-        owner: (P,) the territory of each, from 0.
+        owner: (P,) the model of each, from 0.
         rois: the boxes.
-        roi_owner: the territory of each box.
+        roi_owner: the model of each box.
     """
 
     points: Float64
@@ -91,7 +91,7 @@ class Partition:
         return digest.hexdigest()
 
     def owners(self, positions: Float64) -> Int64:
-        """(N, 3) world positions -> (N,) the territory that owns each; 0 for NaN and Inf."""
+        """(N, 3) world positions -> (N,) the model that owns each; 0 for NaN and Inf."""
         found = np.zeros(len(positions), dtype=np.int64)
         good = np.flatnonzero(np.isfinite(positions).all(axis=1))
         for start in range(0, len(good), AT_ONCE):
@@ -103,7 +103,7 @@ class Partition:
         return found
 
     def _voted(self, positions: Float64) -> Int64:
-        """(N, 3) finite positions -> (N,) the territory of most of the nearest points."""
+        """(N, 3) finite positions -> (N,) the model of most of the nearest points."""
         count = min(NEIGHBOURS, len(self.points))
         _, near = self._tree.query(positions, k=list(range(1, count + 1)))
         labels = self.owner[near]
@@ -120,12 +120,12 @@ class Partition:
         return cKDTree(self.points)
 
 
-def joined(models: Iterable[Gaussians], territories: Partition) -> Gaussians:
-    """One model: of each territory's model, the Gaussians whose centre the territory owns.
+def joined(models: Iterable[Gaussians], partition: Partition) -> Gaussians:
+    """One model: of each model, the Gaussians whose centre it owns.
 
     Args:
-        models: one for each territory, in their order; needed one at a time.
-        territories: computed on the CPU, so that all devices give the same owners.
+        models: those of the partition, in their order; needed one at a time.
+        partition: computed on the CPU, so that all devices give the same owners.
 
     Returns:
         On the models' device.
@@ -137,6 +137,6 @@ def joined(models: Iterable[Gaussians], territories: Partition) -> Gaussians:
     parts = []
     for index, model in enumerate(models):
         centres = model.means.detach().cpu().double().numpy()
-        rows = torch.from_numpy(territories.owners(centres) == index)
+        rows = torch.from_numpy(partition.owners(centres) == index)
         parts.append(model.rows(rows.to(model.means.device)))
     return Gaussians.concatenate(parts)

@@ -1,4 +1,4 @@
-"""A captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
+"""Captured scene as an immutable value: pinhole cameras, posed photos, sparse points.
 
 Frames follow docs/conventions.md: OpenCV camera axes (x right, y down, z forward), pixel centres at
 +0.5, world = the COLMAP model's frame. `colmap/` builds these values from files.

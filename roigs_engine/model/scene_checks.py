@@ -17,32 +17,32 @@ from .roi import OrientedBox
 from .scene import ONE_POSITION, Float64, PosedImage, SfmScene, reaches
 
 STRAY = "with a camera far from all others"
-STRAY_REACH = 10.0  # a camera farther than this (see `scene.reaches`) is suspect
+OUTLIER_REACH = 10.0  # a camera farther than this (see `scene.reaches`) is suspect
 FEW_POINTS = 10  # observed points that a photo needs to clear its camera
-SPREAD = 0.05  # of the projected points over the photo, standard deviation as share of its width
-FAR_POINT = 1000.0  # times the cameras' extent or the points' median distance: a stray point
+LEAST_EXTENT = 0.05  # of a photo's points, standard deviation as share of its width
+FAR_POINT = 1000.0  # times the cameras' extent or the points' median distance: an outlier
 
 
 def without_outliers(scene: SfmScene) -> SfmScene:
-    """The scene without stray cameras and points; see its `skipped` and `stray_points`.
+    """The scene without outlier cameras and points; see its `skipped` and `stray_points`.
 
     A camera far from the others is kept if the points that it observes fill its photo, as in a
-    view from a drone; it is stray if they do not, or if the model has no tracks.
+    view from a drone; it is an outlier if they do not, or if the model has no tracks.
     """
-    stray = _stray_cameras(scene)
-    if stray.any():
-        images = tuple(image for image, bad in zip(scene.images, stray, strict=True) if not bad)
-        names = tuple(image.name for image, bad in zip(scene.images, stray, strict=True) if bad)
+    outlier = _outlier_cameras(scene)
+    if outlier.any():
+        images = tuple(image for image, bad in zip(scene.images, outlier, strict=True) if not bad)
+        names = tuple(image.name for image, bad in zip(scene.images, outlier, strict=True) if bad)
         scene = replace(scene, images=images, skipped=scene.skipped | {STRAY: names})
     return _without_far_points(scene)
 
 
-def _stray_cameras(scene: SfmScene) -> NDArray[np.bool_]:
+def _outlier_cameras(scene: SfmScene) -> NDArray[np.bool_]:
     """(V,) bool, one for each photo."""
     centres = scene.centres()
     if len(centres) < 3:  # of two, either may be the wrong one
         return np.zeros(len(centres), dtype=bool)
-    far = reaches(centres) > STRAY_REACH
+    far = reaches(centres) > OUTLIER_REACH
     if far.any() and len(scene.points):
         middle = np.median(centres, axis=0)
         away = float(np.median(np.linalg.norm(scene.points - middle, axis=1)))
@@ -61,7 +61,7 @@ def _shows_its_points(image: PosedImage, points: Float64) -> bool:
     inside = pixels[((pixels >= 0) & (pixels <= (camera.width, camera.height))).all(axis=1)]
     if 2 * len(inside) < len(image.point_indices):
         return False
-    return bool(np.linalg.norm(inside.std(axis=0)) >= SPREAD * camera.width)
+    return bool(np.linalg.norm(inside.std(axis=0)) >= LEAST_EXTENT * camera.width)
 
 
 def _without_far_points(scene: SfmScene) -> SfmScene:

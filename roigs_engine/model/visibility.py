@@ -1,4 +1,4 @@
-"""Which photos see a box: the filter of the paper's sec. III-A.
+"""Visibility of a box in photos: the filter of the paper's sec. III-A.
 
 A photo is a candidate if it observes at least one SfM point inside the box. Observations come from
 the model's tracks. For a model without tracks, the points are projected, and their depth is
@@ -225,8 +225,8 @@ def _empty_box(scene: SfmScene, roi: OrientedBox) -> RoiError:
     distance = np.linalg.norm(outside, axis=1)
     nearest = np.argsort(distance, kind="stable")[:NEAREST_NAMED]
     named = "; ".join(f"{distance[i]:.4g} away at {_position(finite[i])}" for i in nearest)
-    spread = float(np.linalg.norm(np.ptp(finite, axis=0)))
-    if distance[nearest[0]] > roi.diagonal or roi.diagonal > OTHER_UNITS * spread:
+    size = float(np.linalg.norm(np.ptp(finite, axis=0)))
+    if distance[nearest[0]] > roi.diagonal or roi.diagonal > OTHER_UNITS * size:
         return RoiError(
             f"{message} Nearest points: {named}.",
             "Move the box onto the object. Is it in the model's units and frame?",

@@ -1,1 +1,1 @@
-"""Photos on disk: finds, checks, decodes and caches them."""
+"""Photos on disk: found, checked, decoded and cached; their masks."""

@@ -1,4 +1,4 @@
-"""A bounded cache of decoded photos."""
+"""Bounded cache of decoded photos."""
 
 from __future__ import annotations
 

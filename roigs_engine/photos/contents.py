@@ -1,4 +1,4 @@
-"""What the photos' files hold: a hash of each, whether it is whole, and nearly black or white.
+"""Contents of the photos' files: a hash of each, whether it is complete, nearly black or white.
 
 All are remembered in a small file with the size and times of the photo's file. So a photo is read
 for them only once, and again when its file has changed.

@@ -1,4 +1,4 @@
-"""Finds a model's photos on disk: their folder, and the file of each name."""
+"""Search for a model's photos on disk: their folder, and the file of each name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads the size of a photo from its file's header, and checks that the file is complete.
+"""Photo headers: the size of a photo without decoding it, and whether the file is complete.
 
 JPEG and PNG headers are read here, so that inspecting a scene does not need Pillow. Pillow reads
 other formats, and only those in `FORMATS`: by default it would go by the content alone, and start

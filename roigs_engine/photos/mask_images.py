@@ -1,4 +1,4 @@
-"""Reads the masks of photos: which pixels count, and which are ignored; which show an object.
+"""Mask images of photos: which pixels count, and which are ignored; which show an object.
 
 A mask is (H, W) bool, True where a pixel counts. In a file, black is ignored and all else counts,
 as in COLMAP; so is what the file itself leaves transparent. Of an alpha channel, what is more than

@@ -1,4 +1,4 @@
-"""Where the mask of a photo is: the one rule, for training and for `reconstruct`.
+"""Paths of the masks of photos: the one rule, for training and for `reconstruct`.
 
 The mask of `sub/012.jpg` is the first of these files that exists, as COLMAP and Brush name them:
 

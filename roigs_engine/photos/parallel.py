@@ -1,4 +1,4 @@
-"""Work on many photos with as many threads as the machine's memory allows."""
+"""Parallel work on many photos, with as many threads as the machine's memory allows."""
 
 from __future__ import annotations
 

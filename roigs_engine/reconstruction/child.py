@@ -1,4 +1,4 @@
-"""Runs the worker: its progress, its errors, and how it is stopped."""
+"""Parent's side of the worker process: its progress, its errors, and how it is stopped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photos in formats that pycolmap cannot read become JPEG files, with their EXIF data."""
+"""Conversion of photos that pycolmap cannot read to JPEG files, with their EXIF data."""
 
 from __future__ import annotations
 

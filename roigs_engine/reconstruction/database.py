@@ -1,4 +1,4 @@
-"""What COLMAP's database holds, read beside pycolmap's own writing."""
+"""Queries of COLMAP's database, which pycolmap may be writing."""
 
 from __future__ import annotations
 

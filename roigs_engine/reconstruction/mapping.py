@@ -1,4 +1,4 @@
-"""From matches to a model: maps, and then tries what is left once more with lower limits."""
+"""Incremental mapping from matches to models, with lower limits for photos that are left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a folder of photos to a COLMAP project."""
+"""Reconstruction of a folder of photos, or of a video, as a COLMAP project."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reconstruction found: which photos were registered, which were not and why."""
+"""Report of a reconstruction: which photos were registered, which were not and why."""
 
 from __future__ import annotations
 
@@ -184,13 +184,13 @@ def as_markdown(result: Reconstruction) -> str:
         lines += [f"- {text}" for text in told if text not in _unreliable(result)]
     lines += ["", "| | |", "|---|---|"]
     lines += [f"| photos registered | {len(result.registered)} of {len(result.found.photos)} |"]
-    lines += _figures(result) if result.models else []
+    lines += _metrics(result) if result.models else []
     lines += [f"| {step} | {seconds:.0f} s |" for step, seconds in result.seconds.items()]
     lines += _rest(result) + _weak(result)
     return "\n".join(map(printable, lines)) + "\n"
 
 
-def _figures(result: Reconstruction) -> list[str]:
+def _metrics(result: Reconstruction) -> list[str]:
     """The rows of the result."""
     best = result.models[0]
     observed = list(best.photos.values())

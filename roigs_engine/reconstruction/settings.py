@@ -1,4 +1,4 @@
-"""How photos are reconstructed: the defaults register what pycolmap's own leave out."""
+"""Settings of a reconstruction: the defaults register photos that pycolmap's own leave out."""
 
 from __future__ import annotations
 

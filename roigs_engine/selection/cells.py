@@ -158,7 +158,7 @@ def _cut(
 
 
 def _axes(places: Float64) -> Float64:
-    """(N, D) -> (D, D): in columns, the directions in which places spread, the shortest first."""
+    """(N, D) -> (D, D): in columns, the directions in which places vary, the least first."""
     away = places - places.mean(axis=0)
     return np.asarray(np.linalg.eigh(away.T @ away)[1])
 

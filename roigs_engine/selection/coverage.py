@@ -1,4 +1,4 @@
-"""`coverage`: show each point from many directions and at high resolution (ours).
+"""`coverage`: photos that show each point from many directions and at high resolution (ours).
 
 Facility location over points x viewing-direction bins, for the photos S:
 
@@ -33,8 +33,8 @@ RESOLUTION_PERCENTILE = 90.0
 DIRECTIONS = 32  # bins of viewing directions
 # Number of points, the point included, that a normal is fitted to.
 NORMAL_NEIGHBOURS = 16
-# Neighbours lie on a surface if the spread across it is below this share of the smaller spread
-# along it (standard deviations); points along a line do not.
+# Neighbours lie on a surface if they deviate across it by less than this share of the smaller
+# deviation along it (standard deviations); points along a line do not.
 FLATNESS = 0.5
 # Lower limit of cos(theta): the photo does observe the point, so a lower value is an estimation
 # error.
@@ -100,7 +100,7 @@ def prefix_coverage(
 
 
 def fibonacci_directions(count: int) -> Float64:
-    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci lattice)."""
+    """(count, 3) unit vectors, even over the sphere (Fibonacci lattice)."""
     index = np.arange(count) + 0.5
     height = 1 - 2 * index / count
     angle = np.pi * (1 + np.sqrt(5)) * index
@@ -149,8 +149,8 @@ def _normals(
     covariance = np.einsum("pki,pkj->pij", centred, centred) / NORMAL_NEIGHBOURS
     values, vectors = np.linalg.eigh(covariance)  # ascending
     normals = vectors[:, :, 0]
-    spread = np.sqrt(np.maximum(values, 0.0))
-    known = (spread[:, 1] > 0) & (spread[:, 0] < FLATNESS * spread[:, 1])
+    deviation = np.sqrt(np.maximum(values, 0.0))
+    known = (deviation[:, 1] > 0) & (deviation[:, 0] < FLATNESS * deviation[:, 1])
     observers = np.zeros((total, 3))
     np.add.at(observers, candidates.obs_point, rays)
     away = np.einsum("pi,pi->p", normals, observers) < 0

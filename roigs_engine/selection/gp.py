@@ -1,4 +1,4 @@
-"""`gp6`, `gp9`: select photos with a Gaussian process over viewpoints (the paper's sec. III-A).
+"""`gp6`, `gp9`: selection by a Gaussian process over viewpoints (the paper's sec. III-A).
 
 After ActiveInitSplat (arXiv 2503.06859): from a photo's viewpoint, a GP predicts its gain in the
 score f (score.py). The photo with the best upper confidence bound is picked, its true gain is

@@ -97,7 +97,7 @@ def interleaved(orders: Sequence[Sequence[str]]) -> list[str]:
 def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
     """Selected photos that the Scene-GS must not use (paper, sec. II-B: half of them).
 
-    The Scene-GS may use the share `kept_share` of each selection, evenly spread over its order. A
+    The Scene-GS may use the share `kept_share` of each selection, evenly over its order. A
     photo that any box reserves is reserved.
     """
     return {
@@ -109,5 +109,5 @@ def reserved(orders: Sequence[Sequence[str]], kept_share: float) -> set[str]:
 
 
 def evenly_spread(step: int, share: float) -> bool:
-    """Whether `step` (from 0) belongs to the share `share` of all steps, evenly spread."""
+    """Whether `step` (from 0) belongs to the share `share` of all steps, evenly."""
     return int((step + 1) * share + 1e-9) > int(step * share + 1e-9)
