@@ -14,8 +14,7 @@ from ..formats import run_files
 from ..formats.files import read_json
 from ..formats.projects import model_folders, model_suffix
 from ..requests.choices import COMPARISONS
-from ..requests.runs import Run as RunRequest
-from ..requests.runs import Train
+from ..requests.runs import Train, TrainAndEvaluate
 from ..requests.values import AUTO
 from ..run.config import AUTO_BLOCKS, MOST_BLOCKS, RunConfig
 from ..run.presets import in_strategy, preset
@@ -62,7 +61,7 @@ class Asked:
             RoiError: as `BoxSource.of`.
         """
         config = run_config(request)
-        evaluated = isinstance(request, RunRequest)
+        evaluated = isinstance(request, TrainAndEvaluate)
         if evaluated and config.test_every == 0:
             raise ConfigError(
                 "--test-every 0 leaves no test photo to evaluate.",
@@ -72,7 +71,7 @@ class Asked:
         if photos is not None:
             request = replace(request, scene=request.run_dir / run_files.PROJECT)
         refuse_run_files(request.run_dir, option="--run-dir")
-        compare: tuple[str, ...] = request.compare if isinstance(request, RunRequest) else ()
+        compare: tuple[str, ...] = request.compare if isinstance(request, TrainAndEvaluate) else ()
         return Asked(
             request=request,
             photos=photos,
@@ -80,7 +79,7 @@ class Asked:
             boxes=BoxSource.of(request, request.run_dir),
             compare=COMPARISONS if "all" in compare else compare,
             evaluated=evaluated,
-            parts=request.part if isinstance(request, RunRequest) else (),
+            parts=request.part if isinstance(request, TrainAndEvaluate) else (),
         )
 
     @property

@@ -14,7 +14,7 @@ from ..errors import ConfigError, EngineError
 from ..formats import run_files
 from ..formats.text import counted
 from ..machine import ENGINE
-from ..requests.runs import Run as RunRequest
+from ..requests.runs import TrainAndEvaluate
 from .asked import Asked
 from .batch_store import staging
 from .batch_table import Row, Table, Wrong
@@ -65,7 +65,7 @@ def plan_row(row: Row, folder: Path, record: BatchRecord, context: Context) -> P
     run = asked.defined(context, pixels=False)
     whole = run.memory(context)
     plan = plan_run(run, asked.compare, context)
-    cut = cuts(plan) if row.kind is RunRequest else []
+    cut = cuts(plan) if row.kind is TrainAndEvaluate else []
     largest = max(i.camera.width * i.camera.height for i in run.scene.images) / 1e6
     rest = (("", TEST_WORK * len(run.measured) * largest),)  # no stage: the evaluation
     own = rest if cut else (*works(plan.stages), *rest)
@@ -147,7 +147,7 @@ def _parts(
     memory: Mapping[str, int],
 ) -> tuple[Part, ...]:
     """The parts of a row's run."""
-    command = "run" if row.kind is RunRequest else "train"
+    command = "run" if row.kind is TrainAndEvaluate else "train"
     run_dir = row.run_folder(folder)
     options = [command, str(options_path(row, folder)), "--run-dir", str(run_dir)]
     options += ["--update"] if row.update else []
@@ -159,7 +159,7 @@ def _parts(
     def part(
         name: str, needs: tuple[str, ...], stages: tuple[tuple[str, float], ...], *before: str
     ) -> Part:
-        words = (*before, name) if row.kind is RunRequest else ()
+        words = (*before, name) if row.kind is TrainAndEvaluate else ()
         argv = (*options, *(word for each in words for word in ("--part", each)))
         work = sum(share for _, share in stages)
         needed = max(memory[stage] for stage in {name, *(n for n, _ in stages if n)})

@@ -20,7 +20,7 @@ from ..formats.run_files import BATCH_OUTPUTS, BATCH_ROWS, is_own
 from ..formats.text import decode_text, json_digest
 from ..requests.declare import Option, Request, options_of, plain
 from ..requests.models import Convert
-from ..requests.runs import Run, Train
+from ..requests.runs import Train, TrainAndEvaluate
 from ..requests.values import AUTO, PATH, is_url, shown
 from .inputs import is_photos
 
@@ -66,7 +66,7 @@ class Row:
     outputs: tuple[str, ...] = ()
     object_outputs: tuple[str, ...] = ()
     output_options: dict[str, Any] = field(default_factory=dict)
-    kind: type[Train] = Run
+    kind: type[Train] = TrainAndEvaluate
     home: Path | None = None
     store: str = ""
     elsewhere: bool = False
@@ -110,7 +110,7 @@ class Table:
         self.rows: list[Row] = []
         self.wrong: list[Wrong] = []
         self._folder = Path(os.path.abspath(path)).parent
-        self._options = _options(Run, lambda name: name not in NO_KEYS)
+        self._options = _options(TrainAndEvaluate, lambda name: name not in NO_KEYS)
         self._of_outputs = _options(Convert, lambda name: name in OF_OUTPUTS)
         text, record = _read(path)
         self._lines = dict(_lines(text))

@@ -12,7 +12,7 @@ from ..formats.lock import locked
 from ..formats.run_files import CLUSTER_LOCK, CLUSTER_OPTIONS, REPORT
 from ..formats.text import decode_text
 from ..requests.declare import plain, settings_of
-from ..requests.runs import RETRIES, Run, Train
+from ..requests.runs import RETRIES, Train, TrainAndEvaluate
 from .batch_plan import plan_row
 from .batch_table import Row
 from .outputs import Trained, result_in
@@ -38,7 +38,7 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
     from ..batch.ray_executor import RayExecutor
     from ..batch.record import BatchRecord
 
-    if isinstance(request, Run) and request.part:
+    if isinstance(request, TrainAndEvaluate) and request.part:
         raise ConfigError("--part is for one machine.", "Leave it out with --cluster.")
     if request.threads:
         raise ConfigError("--threads is for this machine.", "Leave it out with --cluster.")
@@ -56,7 +56,7 @@ def train_on_cluster(request: Train, context: Context) -> Trained:
             executor.close()
     if reason:
         raise RunFolderError(reason, "The same command tries again, and keeps what is done.")
-    if isinstance(request, Run):
+    if isinstance(request, TrainAndEvaluate):
         table = decode_text(read_bytes(folder / REPORT))
         return replace(result_in(folder, evaluated=True), table=table)
     found = result_in(folder, evaluated=False)

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..context import QUIET, Context
+from ..errors import ConfigError
 from ..formats import run_files
 from ..formats.files import refuse_linked_folders, remove_leftovers, write_json
 from ..formats.lock import check_held
 from ..formats.text import counted
 from ..requests.declare import settings_of
-from ..requests.runs import Train
+from ..requests.runs import Train, TrainAndEvaluate
 from .asked import Asked
 from .event_log import EventLog, logged
 from .inputs import count_photos, mask_options
@@ -25,12 +26,12 @@ if TYPE_CHECKING:
     from ..run.definition import Run
     from ..run.executor import TrainedModel
 
-PREPARE, ALL = "prepare", "all"
-"""Parts of a run: open the folder and look at the photos; do all that is missing."""
+PREPARE = "prepare"
+"""The part of a run that opens the folder and looks at the photos."""
 
 
-def train(request: Train, context: Context = QUIET) -> Trained | Planned:
-    """Train, or resume the run in the folder; a `Run` is compared with baselines and evaluated.
+def train(request: Train, context: Context = QUIET) -> Trained:
+    """Train, or resume the run in the folder; a `TrainAndEvaluate` is also compared and measured.
 
     Args:
         request: what to train, and how.
@@ -40,18 +41,59 @@ def train(request: Train, context: Context = QUIET) -> Trained | Planned:
         EngineError: the request, the scene or the folder cannot be used, or training diverged.
         Stopped: on request; the same request resumes.
     """
-    asked = Asked.of(request)
-    if request.dry_run:
-        return _planned(asked, context)
-    if request.cluster:
-        from .cluster import train_on_cluster
+    from ..run.folder import train_opened
 
-        return train_on_cluster(request, context)
+    if request.dry_run or request.cluster:
+        raise ConfigError(
+            "A training here is neither a dry run nor on a cluster.",
+            "Call plan_training or train_on_cluster instead.",
+        )
+    asked, table = Asked.of(request), ""
     with logged(context) as (context, log):
-        if asked.parts and ALL not in asked.parts:
-            done = _do_parts(asked, context, log)
-        else:
-            done = _do_all(asked, context, log)
+        with opened(asked, context, log) as (run, context):
+            trained = train_opened(
+                run,
+                asked.compare,
+                context,
+                update=request.update,
+                preview_seconds=request.preview_seconds,
+            )
+            if asked.evaluated:
+                table = _evaluate(run, trained, context)
+            if request.levels:
+                from ..levels.make import make_levels
+
+                images = run.scene.images
+                make_levels(run.folder, images, run.frame, levels=request.levels, context=context)
+        done = replace(result_in(request.run_dir, evaluated=asked.evaluated), table=table)
+        if not asked.evaluated:
+            context.info(f"The result is {done.result}.")
+        log.outputs = done.outputs
+    return done
+
+
+def train_parts(request: TrainAndEvaluate, context: Context = QUIET) -> Trained:
+    """Do parts of a run, so that several engines can work in its folder; raises as `train`.
+
+    The part `prepare` opens the folder and looks at the photos; the others are stages.
+    """
+    from ..run.side_by_side import train_stage
+    from ..run.strategies import plan_run
+
+    asked = Asked.of(request)
+    stages = [name for name in request.part if name != PREPARE]
+    with logged(context) as (context, log):
+        if PREPARE in request.part:
+            with opened(asked, context, log):
+                pass
+        if stages:
+            context = asked.context(context)
+            run = asked.defined(context)
+            quiet = replace(context, emit=QUIET.emit)  # it was said before
+            plan = plan_run(run, asked.compare, quiet)
+            for name in stages:
+                train_stage(run, plan, name, context)
+        done = Trained(files={name: request.run_dir / name for name in stages})
         log.outputs = done.outputs
     return done
 
@@ -59,10 +101,15 @@ def train(request: Train, context: Context = QUIET) -> Trained | Planned:
 # --- plan ---
 
 
-def _planned(asked: Asked, context: Context) -> Planned:
-    """The plan of the run; a few steps are trained to measure time, nothing is written."""
+def plan_training(request: Train, context: Context = QUIET) -> Planned:
+    """The plan of a training; a few steps are trained to measure time, nothing is written.
+
+    Raises:
+        EngineError: the request, the scene or the folder cannot be used.
+    """
     from ..run.dry_run import describe_plan
 
+    asked = Asked.of(request)
     request = asked.request
     if asked.photos is not None and not asked.has_model:
         return Planned(text=_plan_of_photos(asked.photos, request))
@@ -152,33 +199,6 @@ def _reconstruct(photos: Path, request: Train, context: Context) -> None:
     reconstruct(photos, request.scene, Settings(), request.threads, context, masks=masks)
 
 
-def _do_all(asked: Asked, context: Context, log: EventLog) -> Trained:
-    """Train all that is missing; evaluate, and make levels of detail, if they are asked for."""
-
-    from ..run.folder import train_opened
-
-    request, table = asked.request, ""
-    with opened(asked, context, log) as (run, context):
-        trained = train_opened(
-            run,
-            asked.compare,
-            context,
-            update=request.update,
-            preview_seconds=request.preview_seconds,
-        )
-        if asked.evaluated:
-            table = _evaluate(run, trained, context)
-        if request.levels:
-            from ..levels.make import make_levels
-
-            images = run.scene.images
-            make_levels(run.folder, images, run.frame, levels=request.levels, context=context)
-    found = result_in(request.run_dir, evaluated=asked.evaluated)
-    if not asked.evaluated:
-        context.info(f"The result is {found.result}.")
-    return replace(found, table=table)
-
-
 def _evaluate(run: Run, trained: Sequence[TrainedModel], context: Context) -> str:
     """Compare the models on the held-out photos, and write the report; returns the table."""
     import torch
@@ -192,21 +212,3 @@ def _evaluate(run: Run, trained: Sequence[TrainedModel], context: Context) -> st
     evaluation = evaluate(models, run.scene, run.measured, run.rois, context=context, photos=photos)
     check_held(run.folder)
     return write_evaluation(evaluation, models, run.scene, run.rois, run.folder, context)
-
-
-def _do_parts(asked: Asked, context: Context, log: EventLog) -> Trained:
-    """Prepare the folder, or train stages of it."""
-    if PREPARE in asked.parts:
-        with opened(asked, context, log):
-            pass
-    stages = [name for name in asked.parts if name != PREPARE]
-    if stages:
-        from ..run.side_by_side import train_stage
-        from ..run.strategies import plan_run
-
-        context = asked.context(context)
-        run = asked.defined(context)
-        plan = plan_run(run, asked.compare, replace(context, emit=QUIET.emit))  # it was said before
-        for name in stages:
-            train_stage(run, plan, name, context)
-    return Trained(files={name: asked.request.run_dir / name for name in stages})

@@ -8,13 +8,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ..requests import models, projects, runs
-from ..requests.declare import Request
+from ..requests.declare import Request, options_of
 from . import answers
 
 if TYPE_CHECKING:
     from ..app.outputs import Result
     from ..context import Context
 
+ALL = "all"  # the part of a run that does what is missing
 Say = Callable[[str], None]
 
 
@@ -24,30 +25,46 @@ class Command:
 
     Attributes:
         request: what it is asked for.
-        does: module and function of `app` that does it; imported when it is used.
+        does: module and function of `app` that does it, or which one for a request; it is imported
+            when it is used.
         help: what it does, in a line.
         examples: for the help, each what follows the command.
         prints: the answer on standard output, of the request and the result; empty: none.
         torch: whether it needs torch, which needs much memory to start.
-        takes_file: whether its scene may be an options file.
         as_it_goes: whether the function is also given where to print lines as they are known.
     """
 
     request: type[Request]
-    does: str
+    does: str | Callable[[Any], str]
     help: str
     examples: tuple[str, ...]
     prints: Callable[[Any, Any], str]
     torch: bool = True
-    takes_file: bool = False
     as_it_goes: bool = False
+
+    @property
+    def takes_file(self) -> bool:
+        """Whether its scene may be an options file."""
+        scene = options_of(self.request).get("scene")
+        return scene is not None and scene.required
 
     def run(self, request: Request, context: Context, say: Say) -> Result:
         """Do it; returns the result."""
-        module, _, name = self.does.partition(":")
+        does = self.does if isinstance(self.does, str) else self.does(request)
+        module, _, name = does.partition(":")
         work = getattr(import_module(f"..app.{module}", __package__), name)
         result: Result = work(request, context, *([say] if self.as_it_goes else []))
         return result
+
+
+def _training(request: runs.Train) -> str:
+    """What does a training: plans it, gives it to a cluster, does parts of it, or all here."""
+    if request.dry_run:
+        return "train:plan_training"
+    if request.cluster:
+        return "cluster:train_on_cluster"
+    parts = request.part if isinstance(request, runs.TrainAndEvaluate) else ()
+    return "train:train_parts" if parts and ALL not in parts else "train:train"
 
 
 COMMANDS: dict[str, Command] = {
@@ -73,7 +90,6 @@ COMMANDS: dict[str, Command] = {
         ),
         prints=answers.inspected,
         torch=False,
-        takes_file=True,
     ),
     "export": Command(
         request=projects.Export,
@@ -86,7 +102,6 @@ COMMANDS: dict[str, Command] = {
         ),
         prints=answers.exported,
         torch=False,
-        takes_file=True,
     ),
     "refine-cameras": Command(
         request=projects.RefineCameras,
@@ -99,7 +114,6 @@ COMMANDS: dict[str, Command] = {
         ),
         prints=answers.refined,
         torch=False,
-        takes_file=True,
     ),
     "select": Command(
         request=projects.Select,
@@ -111,11 +125,10 @@ COMMANDS: dict[str, Command] = {
         ),
         prints=answers.selected,
         torch=False,
-        takes_file=True,
     ),
     "train": Command(
         request=runs.Train,
-        does="train:train",
+        does=_training,
         help="train the scene and its boxes, and write one PLY",
         examples=(
             "garden --rois garden/rois.json --run-dir runs/garden",
@@ -123,11 +136,10 @@ COMMANDS: dict[str, Command] = {
             "garden --rois garden/rois.json --run-dir runs/paper --preset paper",
         ),
         prints=answers.trained,
-        takes_file=True,
     ),
     "run": Command(
-        request=runs.Run,
-        does="train:train",
+        request=runs.TrainAndEvaluate,
+        does=_training,
         help="do everything: select photos, train, compare with baselines, evaluate",
         examples=(
             "garden --rois garden/rois.json --max-side 640 --run-dir runs/garden",
@@ -135,7 +147,6 @@ COMMANDS: dict[str, Command] = {
             "garden --rois garden/rois.json --run-dir runs/all --compare all",
         ),
         prints=answers.trained,
-        takes_file=True,
     ),
     "batch": Command(
         request=runs.Batch,
@@ -158,7 +169,6 @@ COMMANDS: dict[str, Command] = {
             ' "Full Scene=runs/garden/full-scene/model.ply" --model Ours=runs/garden/result.ply',
         ),
         prints=answers.evaluated,
-        takes_file=True,
     ),
     "render": Command(
         request=models.Render,
@@ -206,7 +216,6 @@ COMMANDS: dict[str, Command] = {
             "--model runs/garden/result.ply --out garden/masks",
         ),
         prints=answers.all_places,
-        takes_file=True,
     ),
     "cut": Command(
         request=models.Cut,
@@ -214,7 +223,6 @@ COMMANDS: dict[str, Command] = {
         help="cut objects out of their boxes along masks: the vase without the table under it",
         examples=("garden --rois garden/rois.json --model runs/garden/result.ply --out cut",),
         prints=answers.all_places,
-        takes_file=True,
     ),
     "floaters": Command(
         request=models.Floaters,
@@ -222,7 +230,6 @@ COMMANDS: dict[str, Command] = {
         help="find Gaussians that hang in the air, by the rule with which a training ends",
         examples=("garden --rois garden/rois.json --model result.ply --out floaters.npy",),
         prints=answers.floaters,
-        takes_file=True,
     ),
     "levels": Command(
         request=runs.Levels,

@@ -75,7 +75,7 @@ class Train(Scene, ObjectMasks, Boxes, Selection, Training, Layout, Device):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(Train):
+class TrainAndEvaluate(Train):
     """A training that is compared with baselines, and evaluated."""
 
     compare: tuple[str, ...] = option(

@@ -95,7 +95,7 @@ def splats(request: Any, context: Any) -> Result:
     return Result()
 
 
-def _command(request: type[Request], does: Any, *, takes_file: bool = False) -> Command:
+def _command(request: type[Request], does: Any) -> Command:
     """A command for tests, which is done by a function of this module."""
     made = Command(
         request=request,
@@ -103,14 +103,13 @@ def _command(request: type[Request], does: Any, *, takes_file: bool = False) -> 
         help="for tests",
         examples=(),
         prints=lambda *_: "",
-        takes_file=takes_file,
     )
     object.__setattr__(made, "run", lambda request, context, _: does(request, context))
     return made
 
 
 COMMANDS |= {
-    "claim": _command(Train, claim, takes_file=True),
+    "claim": _command(Train, claim),
     "decode": _command(Decode, decode),
     "splats": _command(Splats, splats),
 }

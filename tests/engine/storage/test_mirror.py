@@ -13,9 +13,9 @@ from roigs_engine.context import QUIET
 from roigs_engine.errors import ConfigError
 from roigs_engine.formats.lock import locked
 from roigs_engine.formats.run_files import BATCH_LOCK
+from roigs_engine.requests.values import is_url
 from roigs_engine.storage.mirror import mirror
 from roigs_engine.storage.room import claim, keep, make_room
-from roigs_engine.storage.urls import is_url
 
 URL = "memory://museum/scans/{}"
 
